@@ -1,0 +1,239 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Topology of a triangulated surface: edges, hinges, boundary; and the triangles and diagonals of a grid.
+
+A *hinge* is an interior edge with its two triangles, written as four particles `(edge0, edge1, wing0, wing1)`:
+
+            edge1
+           /  |  \\
+      wing0   |   wing1        seen from the side that the normal points to
+           \\  |  /
+            edge0
+
+The triangles are `(edge0, edge1, wing0)` and `(edge1, edge0, wing1)`, both counter-clockwise here. The opposite vertices
+`wing0, wing1` are the ends of the lecture's bending spring (S7); together with the edge they are a tetrahedron (S8, S9).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import attrs
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Layout = Literal["left", "right", "alternating", "both"]
+LAYOUTS: tuple[Layout, ...] = ("left", "right", "alternating", "both")
+
+IndexArray = NDArray[np.int64]
+
+
+class SurfaceError(ValueError):
+    """A set of triangles that is no oriented manifold surface; the message names the place."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Surface:
+    """An oriented manifold surface with or without boundary, of one or more pieces.
+
+    Build it with `Surface.from_triangles`, which checks; the constructor does not.
+    """
+
+    particle_count: int
+    """Number of particles; every index is below it. Particles in no triangle are allowed (a loose thread)."""
+    triangles: IndexArray
+    """Particles of each triangle, counter-clockwise seen from the normal's side, (m, 3)."""
+    edges: IndexArray
+    """Every edge once, lower index first, sorted, (e, 2)."""
+    edge_triangles: IndexArray
+    """Triangles on either side of each edge, -1 where there is none, (e, 2)."""
+    hinges: IndexArray
+    """`(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4)."""
+    hinge_edges: IndexArray
+    """Index into `edges` of each hinge, (h,)."""
+    boundary_edges: IndexArray
+    """Edges of one triangle, directed as that triangle runs, (b, 2)."""
+
+    @classmethod
+    def from_triangles(cls, triangles: ArrayLike, *, particle_count: int | None = None) -> Surface:
+        """Find edges, hinges and boundary of `triangles` (m, 3); particle_count defaults to the largest index + 1.
+
+        Raises SurfaceError, naming the place, for an index out of range, a triangle with a repeated particle, an edge
+        of more than two triangles, two neighbours wound oppositely, or a particle in which two fans meet.
+        """
+        faces = _checked_triangles(triangles, particle_count)
+        count = int(particle_count if particle_count is not None else faces.max(initial=-1) + 1)
+        # half-edge k belongs to triangle k // 3 and faces its corner (k + 2) % 3
+        tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+        key = np.minimum(tail, head) * max(count, 1) + np.maximum(tail, head)
+        order = np.argsort(key, kind="stable")
+        _, first, inverse, uses = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+        if np.any(uses > 2):
+            bad = int(np.argmax(uses > 2))
+            a, b = sorted((int(tail[first[bad]]), int(head[first[bad]])))
+            owners = [int(i) for i in np.flatnonzero(inverse == bad) // 3]
+            raise SurfaceError(
+                f"edge ({a}, {b}) belongs to {uses[bad]} triangles, {owners[:6]}; a surface has at most 2: split it there"
+            )
+        start = np.cumsum(uses) - uses
+        one = order[start]
+        two = np.where(uses == 2, order[np.minimum(start + 1, max(order.size - 1, 0))], -1)
+        inner = two >= 0
+        clash = inner & (tail[one] == tail[two])
+        if np.any(clash):
+            bad = int(np.argmax(clash))
+            raise SurfaceError(
+                f"triangles {one[bad] // 3} and {two[bad] // 3} run the same way along their shared edge "
+                f"({tail[one[bad]]}, {head[one[bad]]}): turn one of them round"
+            )
+        opposite = np.roll(faces, -2, axis=1).ravel()
+        surface = cls(
+            particle_count=count,
+            triangles=faces,
+            edges=np.ascontiguousarray(np.sort(np.stack((tail[one], head[one]), axis=1), axis=1)),
+            edge_triangles=np.stack((one // 3, np.where(inner, two // 3, -1)), axis=1),
+            hinges=np.stack((tail[one[inner]], head[one[inner]], opposite[one[inner]], opposite[two[inner]]), axis=1),
+            hinge_edges=np.flatnonzero(inner),
+            boundary_edges=np.stack((tail[one[~inner]], head[one[~inner]]), axis=1),
+        )
+        surface._check_fans()
+        return surface
+
+    @property
+    def is_closed(self) -> bool:
+        """True for a surface without a boundary."""
+        return self.boundary_edges.size == 0
+
+    def boundary_loops(self) -> list[IndexArray]:
+        """Particles of each closed boundary curve, in the order in which the triangles run, the lowest index first."""
+        following = {int(a): int(b) for a, b in self.boundary_edges}
+        loops: list[IndexArray] = []
+        for begin in sorted(following):
+            if begin not in following:
+                continue
+            loop, at = [], begin
+            while at in following:
+                loop.append(at)
+                at = following.pop(at)
+            loops.append(np.array(loop, dtype=np.int64))
+        return loops
+
+    def pieces(self) -> IndexArray:
+        """Number of the connected piece of each triangle, pieces counted from 0 in order of appearance, (m,)."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        pairs = self.edge_triangles[self.hinge_edges]
+        count = len(self.triangles)
+        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+        return connected_components(graph, directed=False)[1].astype(np.int64)
+
+    def _check_fans(self) -> None:
+        """Refuse particles at which two fans of triangles touch without sharing an edge."""
+        pinched = self._touching_fans()
+        if np.any(pinched):
+            raise SurfaceError(
+                f"at particle {int(np.argmax(pinched))} two parts of the surface touch in a single point: "
+                "give each part a particle of its own"
+            )
+
+    def _touching_fans(self) -> NDArray[np.bool_]:
+        """Particles whose corners are not all connected through hinges, (particle_count,)."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        size = self.triangles.size
+        corner_of = np.arange(size).reshape(-1, 3)
+        left, right = self.edge_triangles[self.hinge_edges].T
+        ends_a, ends_b = [], []
+        for end in (0, 1):
+            particle = self.hinges[:, end][:, None]
+            ends_a.append(corner_of[left][self.triangles[left] == particle])
+            ends_b.append(corner_of[right][self.triangles[right] == particle])
+        rows, columns = np.concatenate(ends_a), np.concatenate(ends_b)
+        graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
+        fans = connected_components(graph, directed=False)[1]
+        pairs = np.unique(np.stack((self.triangles.ravel(), fans), axis=1), axis=0)
+        return np.bincount(pairs[:, 0], minlength=self.particle_count) > 1
+
+
+def opposite_pairs(hinges: ArrayLike, existing: ArrayLike | None = None) -> IndexArray:
+    """Pairs of opposite vertices of `hinges` (h, 4) that S7 connects, (p, 2), in the order of the hinges.
+
+    `existing` (m, 2) are springs that are there already: their pairs are left out, so that across a cell of layout
+    `both`, where the opposite vertices are the other diagonal, a spring is not counted twice.
+    """
+    quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
+    return np.ascontiguousarray(quads[opposite_kept(quads, existing)][:, 2:])
+
+
+def opposite_kept(hinges: ArrayLike, existing: ArrayLike | None = None) -> NDArray[np.bool_]:
+    """Which hinges (h, 4) get a bending spring of their own: those whose wings no spring of `existing` joins, (h,)."""
+    wings = np.sort(np.asarray(hinges, dtype=np.int64).reshape(-1, 4)[:, 2:], axis=1)
+    if existing is None:
+        return np.ones(len(wings), dtype=np.bool_)
+    known = np.sort(np.asarray(existing, dtype=np.int64).reshape(-1, 2), axis=1)
+    span = int(max(wings.max(initial=0), known.max(initial=0))) + 1
+    return ~np.isin(wings[:, 0] * span + wings[:, 1], known[:, 0] * span + known[:, 1])
+
+
+def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
+    """Triangles of a grid of rows x columns particles numbered `row * columns + column`, (2 (rows-1) (columns-1), 3).
+
+    The diagonal that cuts cell (r, c), r and c counted from 0, is
+
+    - `left`: (r, c) to (r + 1, c + 1)
+    - `right`: (r, c + 1) to (r + 1, c)
+    - `alternating`: left where r + c is even, right where it is odd (a checkerboard)
+    - `both`: springs on both diagonals, the surface is cut along the left one.
+
+    The normal is (direction of rising column) x (direction of rising row). Triangles 2 q and 2 q + 1 are those of cell
+    q = r (columns - 1) + c.
+    """
+    p00, p01, p10, p11, left = _cells(rows, columns, layout)
+    cut_left = np.stack((p00, p01, p11, p00, p11, p10), axis=1)
+    cut_right = np.stack((p00, p01, p10, p01, p11, p10), axis=1)
+    return np.where(left[:, None], cut_left, cut_right).reshape(-1, 3)
+
+
+def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
+    """Shear springs of a grid: one diagonal a cell, for layout `both` two (left, then right), in order of cells, (d, 2)."""
+    p00, p01, p10, p11, left = _cells(rows, columns, layout)
+    if layout == "both":
+        return np.stack((p00, p11, p01, p10), axis=1).reshape(-1, 2)
+    return np.where(left[:, None], np.stack((p00, p11), axis=1), np.stack((p01, p10), axis=1))
+
+
+def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
+    """Corners p(row)(column) of every cell and whether its triangles are cut along the left diagonal, each (cells,)."""
+    if rows < 2 or columns < 2:
+        raise ValueError(f"a grid surface needs at least 2 x 2 particles, not {rows} x {columns}")
+    if layout not in LAYOUTS:
+        raise ValueError(f"layout {layout!r} is none of {', '.join(LAYOUTS)}")
+    row, column = (index.ravel() for index in np.mgrid[: rows - 1, : columns - 1])
+    p00 = row * columns + column
+    if layout == "alternating":
+        left = (row + column) % 2 == 0
+    else:
+        left = np.full(p00.shape, layout != "right")
+    return p00, p00 + 1, p00 + columns, p00 + columns + 1, left
+
+
+def _checked_triangles(triangles: ArrayLike, particle_count: int | None) -> IndexArray:
+    """`triangles` as an (m, 3) array of indices that are whole numbers, in range and different in each triangle."""
+    given = np.asarray(triangles)
+    if given.size == 0:
+        given = np.zeros((0, 3), dtype=np.int64)
+    if given.ndim != 2 or given.shape[1] != 3 or not np.issubdtype(given.dtype, np.integer):
+        raise SurfaceError(f"triangles are an (m, 3) array of whole numbers, not {given.shape} of {given.dtype}")
+    faces = np.ascontiguousarray(given, dtype=np.int64)
+    limit = np.iinfo(np.int32).max if particle_count is None else particle_count
+    outside = np.any((faces < 0) | (faces >= limit), axis=1)
+    if np.any(outside):
+        bad = int(np.argmax(outside))
+        raise SurfaceError(f"triangle {bad} is {faces[bad].tolist()}: its particles must be from 0 to {limit - 1}")
+    repeated = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    if np.any(repeated):
+        bad = int(np.argmax(repeated))
+        raise SurfaceError(f"triangle {bad} is {faces[bad].tolist()}: its three particles must be different")
+    return faces
