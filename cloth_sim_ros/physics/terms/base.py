@@ -1,0 +1,49 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a force is: the members that every term of a model has."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Term(ABC):
+    """One force of a model.
+
+    Positions ``x`` [m], velocities ``v`` [m/s] and forces ``f`` [N] are component-major, shape (3, particle_count), float64 and
+    C-contiguous. Times ``t`` [s] are simulated time. Blocks have shape (6, particle_count): the entries xx, yy, zz, xy, xz, yz of one
+    symmetric 3x3 matrix a particle.
+    """
+
+    #: Short name, unique within a model.
+    name: str = "term"
+    #: True where the term may be evaluated less often than every step (multirate).
+    weak: bool = False
+    #: True where the force depends on velocities.
+    damped: bool = False
+
+    @abstractmethod
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        """Add the term's force [N] to ``f``."""
+
+    def energy(self, t: float, x: Array) -> float:
+        """Return the potential energy [J] whose negative gradient is the elastic part of the force."""
+        return 0.0
+
+    def dissipation(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that damping takes out of the motion [W]."""
+        return 0.0
+
+    def add_stiffness(self, x: Array, blocks: Array) -> None:
+        """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
+
+    def add_damping(self, x: Array, blocks: Array) -> None:
+        """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
+
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
+        """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
