@@ -1,0 +1,70 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How cloth_sim_ros installs, with pip or with colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "cloth_sim_ros"
+
+# The core runs the physics and the simulation. What needs a ROS graph, writes or shows sessions, reads mesh files or
+# measures is an extra of its own, so that `import cloth_sim_ros` needs none of it. Lower bounds are those of Ubuntu
+# 24.04, so that the same code runs on a robot's own packages; constraints.txt pins what `make` installs.
+CORE = ["numpy>=1.26", "scipy>=1.11", "numba>=0.58", "attrs>=23.1", "PyYAML>=6.0", "xxhash>=3.2", "tqdm>=4.66"]
+
+SESSION = ["mcap>=1.1", "rosbags>=0.10.6", "zstandard>=0.22", "lz4>=4.0"]
+
+EXTRAS = {
+    # Always the names with the distribution in them: the bare ones also carry later distributions. The wheels are for
+    # x86-64 Linux; with an installed ROS 2 this extra is not wanted.
+    "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1.6", "ros-jazzy-common-interfaces>=5.3.6"],
+    "record": SESSION,
+    "replay": [*SESSION, "rerun-sdk>=0.41,<0.42"],
+    "mesh": ["trimesh>=4.0"],
+    "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
+    "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "psutil>=5.9"],
+}
+EXTRAS["dev"] = [
+    *EXTRAS["test"],
+    "ruff>=0.17",
+    "mypy>=2.0",
+    "types-PyYAML",
+    "catkin_pkg>=1.0",
+    "colcon-core",
+    "colcon-ros",
+    "colcon-python-setup-py",
+    "colcon-library-path",
+]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="A live mass-spring cloth in a ROS 2 graph: grasped through topics, recorded, replayed, re-run exactly",
+    author="cloth_sim_ros authors",
+    author_email="cloth_sim_ros@example.org",
+    maintainer="cloth_sim_ros authors",
+    maintainer_email="cloth_sim_ros@example.org",
+    license="Apache-2.0",
+    python_requires=">=3.11,<3.14",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    install_requires=CORE,
+    extras_require=EXTRAS,
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "cloth_sim = cloth_sim_ros.ros.main:main",
+            "cloth_gripper = cloth_sim_ros.ros.gripper_main:main",
+            "cloth_replay = cloth_sim_ros.replay.main:main",
+            "cloth_verify = cloth_sim_ros.verify:main",
+            "cloth_session = cloth_sim_ros.session.main:main",
+            "cloth_bench = cloth_sim_ros.bench.main:main",
+        ],
+    },
+)
