@@ -1,0 +1,192 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the tests share: a ROS domain of their own, processes that surely end, and waiting without fixed sleeps."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Discovery takes up to 2.6 s, a first import with compiled kernels up to half a minute on a busy machine.
+PATIENCE = 60.0
+
+
+def _reserve_domain() -> tuple[int, socket.socket]:
+    """A ROS domain that no other test process on this machine uses, and the socket that reserves it.
+
+    The way of ROS 2's own `domain_coordinator`: whoever can bind port 32768 + id owns domain id, so that these tests
+    stay apart from each other's workers and from other packages' tests. The system frees the port when we end.
+    """
+    for domain in range(1, 101):
+        reservation = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            reservation.bind(("", 32768 + domain))
+        except OSError:
+            reservation.close()
+        else:
+            return domain, reservation
+    raise RuntimeError("all ROS domains 1 to 100 are reserved by other tests on this machine; end some of them")
+
+
+# At import, before any test module can make a ROS context: each pytest process (each worker too) has its own domain,
+# and its children inherit it.
+_DOMAIN, _RESERVATION = _reserve_domain()
+os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.pop("ROS_STATIC_PEERS", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _ros_log_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A ROS domain for one test alone, set for it and its children: nothing of an earlier test can be heard."""
+    domain, reservation = _reserve_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    yield domain
+    reservation.close()
+
+
+def _wait_until(condition: Callable[[], object], *, limit: float = PATIENCE, what: str = "the condition") -> object:
+    """Poll until `condition()` is true and return its value; fail after `limit` seconds, naming `what`."""
+    end = time.monotonic() + limit
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() >= end:
+            pytest.fail(f"waited {limit:g} s in vain for {what}")
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def wait_until() -> Callable[..., object]:
+    """`wait_until(condition, limit=60.0, what="...")`: poll, with a limit, never a fixed sleep."""
+    return _wait_until
+
+
+class RunningProcess:
+    """A child in a process group of its own, its output (both streams) in a file, ended with the test."""
+
+    def __init__(self, arguments: Sequence[str | Path], *, output: Path, env: dict[str, str], cwd: Path) -> None:
+        self.arguments = [str(argument) for argument in arguments]
+        self._output = output
+        with output.open("wb") as stream:
+            self.popen = subprocess.Popen(
+                self.arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                env=env,
+                cwd=cwd,
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        """Process id, which is also the id of its group."""
+        return self.popen.pid
+
+    @property
+    def output(self) -> str:
+        """All that it has written so far."""
+        return self._output.read_text(errors="replace")
+
+    def wait_for_output(self, text: str, *, limit: float = PATIENCE) -> str:
+        """Wait until it has written `text` and return all it wrote; fail when it ends before, or after `limit` s."""
+
+        def seen() -> str | None:
+            ended = self.popen.poll() is not None
+            output = self.output
+            if text in output:
+                return output
+            if ended:
+                pytest.fail(f"{self.arguments} ended with {self.popen.returncode} before {text!r}:\n{output}")
+            return None
+
+        return str(_wait_until(seen, limit=limit, what=f"{text!r} from {self.arguments}, which wrote:\n{self.output}"))
+
+    def wait(self, *, limit: float = PATIENCE) -> int:
+        """Wait for its end and return the exit status; fail after `limit` s."""
+        try:
+            return self.popen.wait(limit)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"{self.arguments} still runs after {limit:g} s; it wrote:\n{self.output}")
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal to the process and its children, as a terminal or `ros2 launch` does."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, number)
+
+    def interrupt(self, *, limit: float = PATIENCE) -> int:
+        """Send SIGINT and return the exit status."""
+        self.send_signal(signal.SIGINT)
+        return self.wait(limit=limit)
+
+    def kill(self) -> None:
+        """End it and its children at once."""
+        self.send_signal(signal.SIGKILL)
+        self.popen.wait()
+
+
+def _stop(process: RunningProcess) -> None:
+    # Politely first, so that a recording under way is closed; then surely, children included.
+    if process.popen.poll() is None:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.popen.wait(10.0)
+    process.kill()
+
+
+@pytest.fixture
+def start_process(tmp_path: Path) -> Iterator[Callable[..., RunningProcess]]:
+    """`start_process(arguments, env={...}, cwd=...)` starts a child that ends with the test, whatever happens.
+
+    The child inherits the test's environment (its ROS domain included), with `env` on top. An argument list that
+    begins with "-m" runs under this Python: `start_process(["-m", "cloth_sim_ros.ros.main"])`.
+    """
+    running: list[RunningProcess] = []
+
+    def start(
+        arguments: Sequence[str | Path], *, env: dict[str, str] | None = None, cwd: Path = ROOT
+    ) -> RunningProcess:
+        if arguments[0] == "-m":
+            arguments = [sys.executable, *arguments]
+        output = tmp_path / f"process_{len(running)}.log"
+        process = RunningProcess(
+            arguments, output=output, env={**os.environ, "PYTHONUNBUFFERED": "1", **(env or {})}, cwd=cwd
+        )
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        _stop(process)
+
+
+@pytest.fixture
+def find_executable() -> Callable[[str], str]:
+    """`find_executable(name)`: one of the package's commands, as installed beside this Python; skips where it isn't."""
+
+    def find(name: str) -> str:
+        found = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+        if found is None:
+            pytest.skip(f"the command {name} is not installed; `make test` installs it")
+        return found
+
+    return find
