@@ -1,0 +1,45 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Equations of motion of a model: what integrators see."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.stability import largest_rate
+from cloth_sim_ros.physics.terms.base import Array
+
+
+class Dynamics:
+    """Acceleration, energy and stability bounds of a model, as the sum of its terms."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._blocks = np.empty((6, model.particle_count))
+
+    def acceleration(self, t: float, x: Array, v: Array, out: Array) -> None:
+        """Set ``out`` (3, n) to the acceleration [m/s^2]; zero for anchored particles."""
+        out.fill(0.0)
+        for term in self.model.terms:
+            term.add_force(t, x, v, out)
+        out *= self.model.inverse_masses
+
+    def energy(self, t: float, x: Array, v: Array) -> float:
+        """Return kinetic plus potential energy [J]."""
+        kinetic = 0.5 * float(np.sum(self.model.masses * v * v))
+        return kinetic + sum(term.energy(t, x) for term in self.model.terms)
+
+    def dissipation(self, t: float, x: Array, v: Array) -> float:
+        """Return the power lost to damping [W]."""
+        return sum(term.dissipation(t, x, v) for term in self.model.terms)
+
+    def rates(self, x: Array) -> tuple[float, float]:
+        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
+        bounds = []
+        for kind in ("add_stiffness", "add_damping"):
+            self._blocks.fill(0.0)
+            for term in self.model.terms:
+                getattr(term, kind)(x, self._blocks)
+            bounds.append(float(largest_rate(self._blocks, self.model.inverse_masses)))
+        return bounds[0], bounds[1]

@@ -1,0 +1,60 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What does not change while a cloth moves: its masses, its anchored particles and its terms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.terms.base import Array, Term
+
+
+class Model:
+    """Particles and the forces on them.
+
+    Args:
+        masses: particle masses [kg], shape (particle_count,), positive.
+        terms: the forces; names must differ.
+        anchors: indices of particles that hold their place.
+
+    Raises:
+        ValueError: for a mass that is not positive and finite, an anchor out of range, or two terms of one name.
+    """
+
+    def __init__(self, masses: ArrayLike, terms: Sequence[Term], *, anchors: Iterable[int] = ()) -> None:
+        self.masses: Array = np.array(masses, dtype=np.float64)
+        if self.masses.ndim != 1 or self.masses.size == 0:
+            raise ValueError(f"masses have shape {self.masses.shape}; give one mass a particle, at least one")
+        wrong = np.flatnonzero(~(np.isfinite(self.masses) & (self.masses > 0.0)))
+        if wrong.size:
+            raise ValueError(f"mass of particle {wrong[0]} is {self.masses[wrong[0]]} kg; it must be finite and above 0")
+        self.terms = tuple(terms)
+        names = [term.name for term in self.terms]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two terms are named '{name}'; give each its own name")
+        self.anchors = np.unique(np.fromiter(anchors, dtype=np.int64))
+        if self.anchors.size and not (0 <= self.anchors[0] and self.anchors[-1] < self.particle_count):
+            raise ValueError(f"anchors {self.anchors.tolist()} must lie between 0 and {self.particle_count - 1}")
+        #: 1/m [1/kg], zero for anchored particles, shape (particle_count,).
+        self.inverse_masses: Array = 1.0 / self.masses
+        self.inverse_masses[self.anchors] = 0.0
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles, anchored ones included."""
+        return int(self.masses.size)
+
+    def term(self, name: str) -> Term:
+        """Return the term of that name.
+
+        Raises:
+            KeyError: if the model lists no such term.
+        """
+        for term in self.terms:
+            if term.name == name:
+                return term
+        raise KeyError(f"no term '{name}'; the model has {[term.name for term in self.terms]}")

@@ -1,0 +1,126 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What changes: everything that a later step reads, in one place, with one digest."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.terms.base import Array
+
+_FRAME = "frame"
+_POSITION = "position"
+_VELOCITY = "velocity"
+
+
+class State:
+    """Positions, velocities, the frame number and the memory of controllers, grips and terms.
+
+    Args:
+        positions: particle positions [m], shape (particle_count, 3).
+        velocities: particle velocities [m/s], shape (particle_count, 3); at rest where left out.
+        memory: further arrays by name, float64, int64 or bool; each is part of the state and of its digest.
+        frame: number of the frame that the state stands at.
+
+    Raises:
+        ValueError: for shapes that do not fit or values that are not finite.
+    """
+
+    def __init__(
+        self,
+        positions: ArrayLike,
+        velocities: ArrayLike | None = None,
+        *,
+        memory: dict[str, np.ndarray] | None = None,
+        frame: int = 0,
+    ) -> None:
+        position = np.asarray(positions, dtype=np.float64)
+        if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
+            raise ValueError(f"positions have shape {position.shape}; they must be (particle_count, 3)")
+        velocity = np.zeros_like(position) if velocities is None else np.asarray(velocities, dtype=np.float64)
+        if velocity.shape != position.shape:
+            raise ValueError(f"velocities have shape {velocity.shape}; positions have {position.shape}")
+        for what, array in (("position", position), ("velocity", velocity)):
+            wrong = np.flatnonzero(~np.isfinite(array).all(axis=1))
+            if wrong.size:
+                raise ValueError(f"{what} of particle {wrong[0]} is {array[wrong[0]].tolist()}; it must be finite")
+        #: Positions [m], component-major, shape (3, particle_count).
+        self.x: Array = np.array(position.T, order="C")
+        #: Velocities [m/s], component-major, shape (3, particle_count).
+        self.v: Array = np.array(velocity.T, order="C")
+        self.frame = int(frame)
+        self.memory: dict[str, np.ndarray] = dict(memory or {})
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles."""
+        return int(self.x.shape[1])
+
+    @property
+    def positions(self) -> Array:
+        """Particle positions [m], a copy of shape (particle_count, 3)."""
+        return np.ascontiguousarray(self.x.T)
+
+    @property
+    def velocities(self) -> Array:
+        """Particle velocities [m/s], a copy of shape (particle_count, 3)."""
+        return np.ascontiguousarray(self.v.T)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return all that the state is, by name, in the fixed order of the digest."""
+        everything = {_FRAME: np.array(self.frame, dtype=np.int64), _POSITION: self.x, _VELOCITY: self.v}
+        for name in sorted(self.memory):
+            everything["memory." + name] = self.memory[name]
+        return everything
+
+    def copy(self) -> State:
+        """Return an independent copy."""
+        twin = object.__new__(State)
+        twin.x = self.x.copy()
+        twin.v = self.v.copy()
+        twin.frame = self.frame
+        twin.memory = {name: array.copy() for name, array in self.memory.items()}
+        return twin
+
+    def restore(self, other: State) -> None:
+        """Take over all of another state, positions and velocities in place."""
+        self.x[:] = other.x
+        self.v[:] = other.v
+        self.frame = other.frame
+        self.memory = {name: array.copy() for name, array in other.memory.items()}
+
+    def digest(self) -> str:
+        """Return the xxh3-128 digest, 32 hexadecimal digits, of every array's name, type, shape and bytes."""
+        import xxhash
+
+        hasher = xxhash.xxh3_128()
+        for name, array in self.arrays().items():
+            hasher.update(f"{name} {array.dtype.str} {array.shape};")
+            hasher.update(np.ascontiguousarray(array).data)
+        return str(hasher.hexdigest())
+
+    def to_bytes(self) -> bytes:
+        """Return the state as the bytes of an .npz file; the same state gives the same bytes."""
+        buffer = io.BytesIO()
+        np.savez(buffer, **self.arrays())
+        return buffer.getvalue()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> State:
+        """Read what `to_bytes` wrote.
+
+        Raises:
+            ValueError: if the bytes are not a state.
+        """
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            x, v, frame = arrays.pop(_POSITION), arrays.pop(_VELOCITY), int(arrays.pop(_FRAME))
+        except (zipfile.BadZipFile, KeyError, OSError, EOFError) as error:
+            raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
+        memory = {name.removeprefix("memory."): array for name, array in arrays.items()}
+        return cls(x.T, v.T, memory=memory, frame=frame)
