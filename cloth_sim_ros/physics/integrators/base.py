@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 
 import attrs
 
@@ -13,9 +12,21 @@ from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 
-#: Called as observe(t, x, v, weight) at quadrature points: the sum of weight * g(t, x, v) is the time integral of g over
-#: the advance, at the integrator's order. An observer only reads.
-Observer = Callable[[float, Array, Array, float], None]
+
+class Observer(ABC):
+    """Integrates quantities along the motion, without changing a bit of it.
+
+    Integrators call it at quadrature points: the sum of weight * g(t, x, v) is the time integral of g over the advance, at the
+    integrator's order.
+    """
+
+    @abstractmethod
+    def restart(self) -> None:
+        """Forget what was observed since the advance began: it is attempted anew."""
+
+    @abstractmethod
+    def observe(self, t: float, x: Array, v: Array, weight: float) -> None:
+        """Take note of one quadrature point; the arrays may only be read, and only during the call."""
 
 
 class UnstableError(RuntimeError):
@@ -50,7 +61,7 @@ class Integrator(ABC):
 
     @abstractmethod
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observe: Observer | None = None
+        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
     ) -> Advance:
         """Advance ``state`` in place from time t [s] by duration [s].
 

@@ -52,7 +52,7 @@ class Leapfrog(Integrator):
         return 2.0 / (damping_rate + math.sqrt(damping_rate * damping_rate + omega2))
 
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observe: Observer | None = None
+        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
     ) -> Advance:
         limit = self._limit(dynamics, state)
         if self.step is None:
@@ -66,22 +66,19 @@ class Leapfrog(Integrator):
         for attempt in range(_ATTEMPTS):
             steps = max(1, math.ceil(duration / step * (1.0 - 1e-12)))
             h = duration / steps
-            self._run(dynamics, state, t, h, steps, observe if self.step is not None else None)
+            if observer is not None:
+                observer.restart()
+            self._run(dynamics, state, t, h, steps, observer)
             evaluations += steps + 1
             finite = all_finite(state.x, state.v)
             if finite and (self.step is not None or h <= self._limit(dynamics, state)):
                 break
             if self.step is not None:
-                raise UnstableError(f"the motion became non-finite at step {self.step} s, within its limit {limit:.6g} s at the start")
+                raise UnstableError(f"the motion became non-finite at a step of {h} s; its limit was {limit:.6g} s at the start")
             state.restore(start)
             step = 0.5 * h
         else:
             raise UnstableError(f"no step down to {h:.3g} s kept the motion within its stability limit")
-        if observe is not None and self.step is None:
-            end = state.copy()
-            state.restore(start)
-            self._run(dynamics, state, t, h, steps, observe)
-            state.restore(end)
         return Advance(steps=steps, evaluations=evaluations, step=h, limit=limit, rejected=attempt)
 
     def _limit(self, dynamics: Dynamics, state: State) -> float:
@@ -89,7 +86,7 @@ class Leapfrog(Integrator):
 
     @staticmethod
     def _run(
-        dynamics: Dynamics, state: State, t: float, h: float, steps: int, observe: Observer | None
+        dynamics: Dynamics, state: State, t: float, h: float, steps: int, observer: Observer | None
     ) -> None:
         x, v = state.x, state.v
         a = np.empty_like(x)
@@ -99,6 +96,6 @@ class Leapfrog(Integrator):
             middle = t + (k + 0.5) * h
             drift_and_predict(x, v, a, 0.5 * h, predicted)
             dynamics.acceleration(middle, x, predicted, a)
-            if observe is not None:
-                observe(middle, x, v + 0.5 * h * a, h)
+            if observer is not None:
+                observer.observe(middle, x, v + 0.5 * h * a, h)
             kick_and_drift(x, v, a, 0.5 * h)
