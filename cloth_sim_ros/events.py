@@ -1,0 +1,111 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events: everything that may change a simulation from outside, at frame boundaries only, and their exact text form."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+
+Vector = tuple[float, ...]
+
+
+def _floats(value: Any) -> Vector:
+    return tuple(float(number) for number in value)
+
+
+@attrs.frozen
+class Target:
+    """A gripper is commanded to a pose by the end of the frame; without an orientation it keeps its present target's."""
+
+    gripper: str
+    #: Position [m], 3 numbers.
+    position: Vector = attrs.field(converter=_floats)
+    #: Unit quaternion x, y, z, w, or None.
+    orientation: Vector | None = attrs.field(default=None, converter=attrs.converters.optional(_floats))
+
+
+@attrs.frozen
+class Grasp:
+    """A gripper closes or opens."""
+
+    gripper: str
+    closed: bool
+
+
+@attrs.frozen
+class SetParameters:
+    """Scene parameters change: flat names and values."""
+
+    values: dict[str, Any]
+
+
+@attrs.frozen
+class Pause:
+    """Time stops (True) or goes on (False)."""
+
+    paused: bool
+
+
+@attrs.frozen
+class Step:
+    """One frame passes although paused."""
+
+
+@attrs.frozen
+class Reset:
+    """Cloth and grippers return to their initial state; the frame number goes on."""
+
+
+Event = Target | Grasp | SetParameters | Pause | Step | Reset
+
+_KINDS: dict[str, type] = {
+    "target": Target,
+    "grasp": Grasp,
+    "set_parameters": SetParameters,
+    "pause": Pause,
+    "step": Step,
+    "reset": Reset,
+}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
+
+
+def ordered(events: list[Event]) -> list[Event]:
+    """Return events in the order in which a frame applies them.
+
+    First the newest target of each gripper, then every grasp in order of arrival, then the rest in order of arrival.
+    """
+    targets: dict[str, Event] = {}
+    for event in events:
+        if isinstance(event, Target):
+            targets[event.gripper] = event
+    grasps = [event for event in events if isinstance(event, Grasp)]
+    rest = [event for event in events if not isinstance(event, Target | Grasp)]
+    return [*(targets[name] for name in sorted(targets)), *grasps, *rest]
+
+
+def to_dict(event: Event) -> dict[str, Any]:
+    """Return an event as a dict of plain values; floats keep every bit through JSON."""
+    return {"kind": _NAMES[type(event)], **attrs.asdict(event, value_serializer=_plain)}
+
+
+def from_dict(data: dict[str, Any]) -> Event:
+    """Read what `to_dict` gave.
+
+    Raises:
+        ValueError: for an unknown kind or fields that do not fit it.
+    """
+    fields = dict(data)
+    kind = fields.pop("kind", None)
+    if kind not in _KINDS:
+        raise ValueError(f"event of unknown kind {kind!r}; known are {', '.join(_KINDS)}")
+    try:
+        event: Event = _KINDS[kind](**fields)
+    except TypeError as error:
+        raise ValueError(f"event {data} does not fit '{kind}': {error}") from error
+    return event
+
+
+def _plain(_instance: Any, _field: Any, value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
