@@ -1,0 +1,165 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters: flat, typed, described, ranged names for the fields of frozen configuration classes.
+
+A field is declared once, with `parameter`; its default, unit, limits and whether it may change while running are read from there by the scene, the YAML
+reader and the node's parameter descriptors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import attrs
+
+_META = "parameter"
+_SECTION = "section"
+
+#: ROS parameter types by name, as Python types.
+KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
+
+
+class ParameterError(ValueError):
+    """A parameter that is unknown, of the wrong type, out of range, or may not change; the message says which and why."""
+
+
+@attrs.frozen(kw_only=True)
+class Parameter:
+    """What is known of one parameter."""
+
+    #: Full name, e.g. ``cloth.size``.
+    name: str = ""
+    #: bool, int, double or string; with [] behind it for an array.
+    kind: str
+    default: Any
+    description: str
+    unit: str = ""
+    least: float | None = None
+    most: float | None = None
+    #: The least value itself is not allowed.
+    open_least: bool = False
+    #: Number of entries of an array, where it is fixed.
+    length: int | None = None
+    choices: tuple[str, ...] = ()
+    #: May change while the cloth runs; takes effect at the next frame.
+    live: bool = False
+
+    @property
+    def element(self) -> str:
+        """The kind of one entry."""
+        return self.kind.removesuffix("[]")
+
+    @property
+    def is_array(self) -> bool:
+        """Whether the value is an array."""
+        return self.kind.endswith("[]")
+
+    def check(self, value: Any) -> Any:
+        """Return the value in its own type, arrays as tuples.
+
+        Raises:
+            ParameterError: for a wrong type, length, range or choice.
+        """
+        if not self.is_array:
+            return self._check_one(value)
+        if isinstance(value, str) or not isinstance(value, Sequence) and not hasattr(value, "__array__"):
+            raise ParameterError(f"{self.name} is {value!r}; it must be an array of {self.element}")
+        values = tuple(self._check_one(_item(entry)) for entry in value)
+        if self.length is not None and len(values) != self.length:
+            raise ParameterError(f"{self.name} has {len(values)} entries, {list(values)}; it must have {self.length}")
+        return values
+
+    def _check_one(self, value: Any) -> Any:
+        kind = KINDS[self.element]
+        if kind is float and type(value) is int:
+            raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
+        if type(value) is not kind:
+            raise ParameterError(f"{self.name} is {value!r}, of type {type(value).__name__}; it must be {self.kind}")
+        if kind in (int, float):
+            self._check_range(value)
+        if self.choices and value not in self.choices:
+            raise ParameterError(f"{self.name} is '{value}'; it must be one of {', '.join(self.choices)}")
+        return value
+
+    def _check_range(self, value: float) -> None:
+        unit = f" {self.unit}" if self.unit else ""
+        if not math.isfinite(value):
+            raise ParameterError(f"{self.name} is {value}; it must be finite")
+        if self.least is not None and (value < self.least or (self.open_least and value == self.least)):
+            bound = "above" if self.open_least else "at least"
+            raise ParameterError(f"{self.name} is {value}{unit}; it must be {bound} {self.least}{unit}")
+        if self.most is not None and value > self.most:
+            raise ParameterError(f"{self.name} is {value}{unit}; it must be at most {self.most}{unit}")
+
+
+def _item(entry: Any) -> Any:
+    """Return numpy scalars as the Python numbers that they hold."""
+    return entry.item() if hasattr(entry, "item") else entry
+
+
+def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
+    """Declare a field of a configuration class; options are those of `Parameter`."""
+    if kind.endswith("[]"):
+        default = tuple(default)
+    declared = Parameter(kind=kind, default=default, description=description, **options)
+    return attrs.field(default=default, metadata={_META: declared})
+
+
+def section(cls: type) -> Any:
+    """Declare a field that holds a further configuration class, its names prefixed by the field's."""
+    return attrs.field(factory=cls, metadata={_SECTION: cls})
+
+
+def declared(cls: type, prefix: str = "") -> Iterator[Parameter]:
+    """Yield every parameter of a configuration class, sections included, with its full name."""
+    for field in attrs.fields(cls):
+        if _META in field.metadata:
+            yield attrs.evolve(field.metadata[_META], name=prefix + field.name)
+        elif _SECTION in field.metadata:
+            yield from declared(field.metadata[_SECTION], f"{prefix}{field.name}.")
+
+
+def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the values of an instance by full name, arrays as tuples."""
+    values: dict[str, Any] = {}
+    for field in attrs.fields(type(instance)):
+        value = getattr(instance, field.name)
+        if _SECTION in field.metadata:
+            values.update(flatten(value, f"{prefix}{field.name}."))
+        elif _META in field.metadata:
+            values[prefix + field.name] = value
+    return values
+
+
+def build(cls: Callable[..., Any], values: dict[str, Any]) -> Any:
+    """Return an instance of a configuration class from values by full name; names that are missing take their default.
+
+    Raises:
+        ParameterError: for an unknown name or a bad value.
+    """
+    known = {entry.name: entry for entry in declared(cls)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in known:
+            raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}")
+    checked = {name: known[name].check(value) for name, value in values.items()}
+    return _build(cls, checked, "")
+
+
+def _build(cls: Any, values: dict[str, Any], prefix: str) -> Any:
+    arguments = {}
+    for field in attrs.fields(cls):
+        name = prefix + field.name
+        if _SECTION in field.metadata:
+            arguments[field.name] = _build(field.metadata[_SECTION], values, name + ".")
+        elif name in values:
+            arguments[field.name] = values[name]
+    return cls(**arguments)
+
+
+def _suggestion(name: str, known: dict[str, Parameter]) -> str:
+    import difflib
+
+    close = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""

@@ -1,0 +1,262 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene: frozen, checked configuration, and the physics that is built from it. Every default lives here, once."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros import parameter_file, parameters
+from cloth_sim_ros.parameters import ParameterError, parameter, section
+from cloth_sim_ros.physics.grid_sheet import GridSheet
+from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
+from cloth_sim_ros.physics.integrators.base import Integrator
+from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+from cloth_sim_ros.physics.material import Threads, grid_threads
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.surface import LAYOUTS
+from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.terms.grips import Grips
+
+MOST_PARTICLES = 4_000_000
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+@attrs.frozen(kw_only=True)
+class Cloth:
+    """Geometry of the sheet and where it starts."""
+
+    size: tuple[float, ...] = parameter(
+        "double[]", (1.0, 1.0), "Height (along a column) and width (along a row) of the sheet", unit="m", length=2, least=0.0, most=100.0, open_least=True
+    )
+    resolution: tuple[int, ...] = parameter("int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096)
+    position: tuple[float, ...] = parameter("double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4)
+    orientation: tuple[float, ...] = parameter(
+        "double[]",
+        (0.7071067811865476, 0.0, 0.0, 0.7071067811865476),
+        "Quaternion x, y, z, w that turns the sheet from the x-y plane, top edge towards +y; the default hangs it, top edge up",
+        length=4,
+    )
+    anchors: tuple[str, ...] = parameter(
+        "string[]", ("top",), "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none by ['']"
+    )
+    shear_layout: str = parameter("string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS)
+
+
+@attrs.frozen(kw_only=True)
+class Material:
+    """The sheet's physical moduli."""
+
+    density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", least=0.0, most=1e3, open_least=True, live=True)
+    stretch_modulus: float = parameter(
+        "double", 1000.0, "Young's modulus of the sheet along its threads", unit="N/m", least=0.0, most=1e9, open_least=True, live=True
+    )
+    shear_modulus: float = parameter("double", 100.0, "Shear modulus of the sheet", unit="N/m", least=0.0, most=1e9, live=True)
+    damping: float = parameter("double", 0.1, "Dimensionless damping k_d0 of every spring; 1 is critical for the shortest wave", least=0.0, most=10.0, live=True)
+
+
+@attrs.frozen(kw_only=True)
+class Bending:
+    """Resistance to bending."""
+
+    model: str = parameter("string", "axial", "Which springs resist bending: none, or axial (two apart along the grid's axes)", choices=("none", "axial"))
+    stiffness: float = parameter(
+        "double", 2.0, "Stiffness of the bending springs as a sheet's, k_s per thread spacing; taken off the edge springs", unit="N/m", least=0.0, most=1e8, live=True
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Air:
+    """Air at rest."""
+
+    drag: float = parameter("double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", least=0.0, most=1e4, live=True)
+
+
+@attrs.frozen(kw_only=True)
+class Gripper:
+    """What every gripper is like."""
+
+    radius: float = parameter("double", 0.05, "Closing grabs the particles within this distance", unit="m", least=0.0, most=100.0, live=True)
+    stiffness: float = parameter(
+        "double", 1000.0, "Stiffness of the zero-length spring that holds one particle", unit="N/m", least=0.0, most=1e8, open_least=True, live=True
+    )
+    damping: float = parameter("double", 1.0, "Dimensionless damping of that spring; 2 is critical for a free particle", least=0.0, most=10.0, live=True)
+
+
+@attrs.frozen(kw_only=True)
+class Record:
+    """Recording of sessions."""
+
+    enabled: bool = parameter("bool", False, "Record a session from the start")
+    folder: str = parameter("string", "sessions", "Folder for session files; made if missing")
+
+
+@attrs.frozen(kw_only=True)
+class Scene:
+    """A cloth, what acts on it, and how it is stepped.
+
+    Raises:
+        ParameterError: for a value, or a combination of values, that makes no scene.
+    """
+
+    rate: float = parameter("double", 60.0, "Published frames in a second of simulated time", unit="Hz", least=0.1, most=10000.0)
+    frame_id: str = parameter("string", "world", "Coordinate frame of the cloth and of commands")
+    cloth: Cloth = section(Cloth)
+    material: Material = section(Material)
+    bending: Bending = section(Bending)
+    gravity: tuple[float, ...] = parameter(
+        "double[]", (0.0, 0.0, -9.81), "Gravitational acceleration", unit="m/s^2", length=3, least=-1e4, most=1e4, live=True
+    )
+    air: Air = section(Air)
+    grippers: tuple[str, ...] = parameter("string[]", ("gripper",), "Names of the grippers; none by ['']")
+    gripper: Gripper = section(Gripper)
+    integrator: str = parameter("string", "auto", "How time is stepped; auto chooses", choices=("auto", "leapfrog"), live=True)
+    step: float = parameter("double", 0.0, "Fixed time step; 0 takes it from the stability limit", unit="s", least=0.0, most=1.0, live=True)
+    record: Record = section(Record)
+
+    def __attrs_post_init__(self) -> None:
+        """Check what no single parameter shows."""
+        rows, columns = self.cloth.resolution
+        if rows * columns > MOST_PARTICLES:
+            raise ParameterError(f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES} are allowed")
+        if not self.frame_id:
+            raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")
+        names = self.gripper_names
+        for name in names:
+            if not _NAME.fullmatch(name):
+                raise ParameterError(f"gripper name '{name}' is no ROS name; use letters, digits and _, a letter first")
+            if names.count(name) > 1:
+                raise ParameterError(f"two grippers are named '{name}'; give each its own name")
+        try:
+            normalised(self.cloth.orientation)
+        except ValueError as error:
+            raise ParameterError(f"cloth.orientation: {error}") from error
+        self.anchored_particles()
+        self.threads()
+
+    @classmethod
+    def declared(cls) -> tuple[parameters.Parameter, ...]:
+        """Every parameter of a scene."""
+        return tuple(parameters.declared(cls))
+
+    @classmethod
+    def from_parameters(cls, values: dict[str, Any]) -> Scene:
+        """Build a scene from values by full name, e.g. ``{"cloth.size": [1.0, 1.0]}``.
+
+        Raises:
+            ParameterError: for an unknown name or a bad value.
+        """
+        scene: Scene = parameters.build(cls, values)
+        return scene
+
+    @classmethod
+    def from_file(cls, path: str | Path, *, node: str = "cloth_sim") -> Scene:
+        """Read a scene from a ROS parameter file.
+
+        Raises:
+            ParameterError: as `from_parameters`, or if the file can't be read.
+        """
+        return cls.from_parameters(parameter_file.read(path, node=node))
+
+    def parameters(self) -> dict[str, Any]:
+        """Every parameter's value by full name."""
+        return parameters.flatten(self)
+
+    def changed(self, values: dict[str, Any]) -> Scene:
+        """Return a scene with live parameters changed.
+
+        Raises:
+            ParameterError: for an unknown name, a parameter that can't change while running, or a bad value.
+        """
+        known = {entry.name: entry for entry in self.declared()}
+        for name in values:
+            if name in known and not known[name].live:
+                raise ParameterError(f"{name} can't change while the cloth runs; set it at start")
+        return self.from_parameters({**self.parameters(), **values})
+
+    @property
+    def period(self) -> float:
+        """Simulated time of one frame [s]."""
+        return 1.0 / self.rate
+
+    @property
+    def gripper_names(self) -> list[str]:
+        """Names of the grippers."""
+        return [name for name in self.grippers if name]
+
+    @property
+    def sheet(self) -> GridSheet:
+        """Geometry of the flat sheet."""
+        rows, columns = self.cloth.resolution
+        height, width = self.cloth.size
+        return GridSheet(height=height, width=width, rows=rows, columns=columns, layout=self.cloth.shear_layout)  # type: ignore[arg-type]
+
+    def threads(self) -> Threads:
+        """Spring stiffnesses of the grid.
+
+        Raises:
+            ParameterError: if the moduli can't be met.
+        """
+        try:
+            return grid_threads(
+                stretch_modulus=self.material.stretch_modulus,
+                shear_modulus=self.material.shear_modulus,
+                spacing=self.sheet.spacing,
+                layout=self.cloth.shear_layout,  # type: ignore[arg-type]
+                bend_stiffness=self.bending.stiffness if self.bending.model == "axial" else 0.0,
+            )
+        except ValueError as error:
+            raise ParameterError(str(error)) from error
+
+    def anchored_particles(self) -> list[int]:
+        """Indices of the anchored particles.
+
+        Raises:
+            ParameterError: for an anchor that is no edge, corner or particle number.
+        """
+        sheet = self.sheet
+        found: set[int] = set()
+        for name in self.cloth.anchors:
+            if name.isdecimal():
+                if int(name) >= sheet.rows * sheet.columns:
+                    raise ParameterError(f"cloth.anchors names particle {name}; there are {sheet.rows * sheet.columns}, counted from 0")
+                found.add(int(name))
+            elif name:
+                try:
+                    found.update(int(particle) for particle in sheet.edge(name))
+                except ValueError as error:
+                    raise ParameterError(f"cloth.anchors: {error}, or give a particle's number") from error
+        return sorted(found)
+
+    def model(self) -> Model:
+        """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
+        masses = self.sheet.masses(self.material.density)
+        terms: list[Term] = [*self.sheet.springs(self.threads(), k_d0=self.material.damping, density=self.material.density)]
+        if any(self.gravity):
+            terms.append(Gravity(masses, self.gravity))
+        if self.air.drag:
+            terms.append(Drag(masses, self.air.drag))
+        if self.gripper_names:
+            terms.append(Grips(len(self.gripper_names)))
+        return Model(masses, terms, anchors=self.anchored_particles())
+
+    def initial_positions(self) -> Array:
+        """Starting positions [m], shape (particle_count, 3)."""
+        turn = rotation_matrix(normalised(self.cloth.orientation))
+        return np.einsum("ij,nj->ni", turn, self.sheet.positions()) + np.asarray(self.cloth.position)
+
+    def initial_state(self) -> State:
+        """Starting state, at rest."""
+        return State(self.initial_positions())
+
+    def build_integrator(self) -> Integrator:
+        """The integrator that the scene asks for."""
+        return Leapfrog(self.step or None)
