@@ -35,10 +35,21 @@ class Cloth:
     """Geometry of the sheet and where it starts."""
 
     size: tuple[float, ...] = parameter(
-        "double[]", (1.0, 1.0), "Height (along a column) and width (along a row) of the sheet", unit="m", length=2, least=0.0, most=100.0, open_least=True
+        "double[]",
+        (1.0, 1.0),
+        "Height (along a column) and width (along a row) of the sheet",
+        unit="m",
+        length=2,
+        least=0.0,
+        most=100.0,
+        open_least=True,
     )
-    resolution: tuple[int, ...] = parameter("int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096)
-    position: tuple[float, ...] = parameter("double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4)
+    resolution: tuple[int, ...] = parameter(
+        "int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096
+    )
+    position: tuple[float, ...] = parameter(
+        "double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4
+    )
     orientation: tuple[float, ...] = parameter(
         "double[]",
         (0.7071067811865476, 0.0, 0.0, 0.7071067811865476),
@@ -46,30 +57,63 @@ class Cloth:
         length=4,
     )
     anchors: tuple[str, ...] = parameter(
-        "string[]", ("top",), "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none by ['']"
+        "string[]",
+        ("top",),
+        "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none by ['']",
     )
-    shear_layout: str = parameter("string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS)
+    shear_layout: str = parameter(
+        "string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS
+    )
 
 
 @attrs.frozen(kw_only=True)
 class Material:
     """The sheet's physical moduli."""
 
-    density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", least=0.0, most=1e3, open_least=True, live=True)
-    stretch_modulus: float = parameter(
-        "double", 1000.0, "Young's modulus of the sheet along its threads", unit="N/m", least=0.0, most=1e9, open_least=True, live=True
+    density: float = parameter(
+        "double", 0.2, "Mass per area", unit="kg/m^2", least=0.0, most=1e3, open_least=True, live=True
     )
-    shear_modulus: float = parameter("double", 100.0, "Shear modulus of the sheet", unit="N/m", least=0.0, most=1e9, live=True)
-    damping: float = parameter("double", 0.1, "Dimensionless damping k_d0 of every spring; 1 is critical for the shortest wave", least=0.0, most=10.0, live=True)
+    stretch_modulus: float = parameter(
+        "double",
+        1000.0,
+        "Young's modulus of the sheet along its threads",
+        unit="N/m",
+        least=0.0,
+        most=1e9,
+        open_least=True,
+        live=True,
+    )
+    shear_modulus: float = parameter(
+        "double", 100.0, "Shear modulus of the sheet", unit="N/m", least=0.0, most=1e9, live=True
+    )
+    damping: float = parameter(
+        "double",
+        0.1,
+        "Dimensionless damping k_d0 of every spring; 1 is critical for the shortest wave",
+        least=0.0,
+        most=10.0,
+        live=True,
+    )
 
 
 @attrs.frozen(kw_only=True)
 class Bending:
     """Resistance to bending."""
 
-    model: str = parameter("string", "axial", "Which springs resist bending: none, or axial (two apart along the grid's axes)", choices=("none", "axial"))
+    model: str = parameter(
+        "string",
+        "axial",
+        "Which springs resist bending: none, or axial (two apart along the grid's axes)",
+        choices=("none", "axial"),
+    )
     stiffness: float = parameter(
-        "double", 2.0, "Stiffness of the bending springs as a sheet's, k_s per thread spacing; taken off the edge springs", unit="N/m", least=0.0, most=1e8, live=True
+        "double",
+        2.0,
+        "Stiffness of the bending springs as a sheet's, k_s per thread spacing; taken off the edge springs",
+        unit="N/m",
+        least=0.0,
+        most=1e8,
+        live=True,
     )
 
 
@@ -77,18 +121,36 @@ class Bending:
 class Air:
     """Air at rest."""
 
-    drag: float = parameter("double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", least=0.0, most=1e4, live=True)
+    drag: float = parameter(
+        "double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", least=0.0, most=1e4, live=True
+    )
 
 
 @attrs.frozen(kw_only=True)
 class Gripper:
     """What every gripper is like."""
 
-    radius: float = parameter("double", 0.05, "Closing grabs the particles within this distance", unit="m", least=0.0, most=100.0, live=True)
-    stiffness: float = parameter(
-        "double", 1000.0, "Stiffness of the zero-length spring that holds one particle", unit="N/m", least=0.0, most=1e8, open_least=True, live=True
+    radius: float = parameter(
+        "double", 0.05, "Closing grabs the particles within this distance", unit="m", least=0.0, most=100.0, live=True
     )
-    damping: float = parameter("double", 1.0, "Dimensionless damping of that spring; 2 is critical for a free particle", least=0.0, most=10.0, live=True)
+    stiffness: float = parameter(
+        "double",
+        1000.0,
+        "Stiffness of the zero-length spring that holds one particle",
+        unit="N/m",
+        least=0.0,
+        most=1e8,
+        open_least=True,
+        live=True,
+    )
+    damping: float = parameter(
+        "double",
+        1.0,
+        "Dimensionless damping of that spring; 2 is critical for a free particle",
+        least=0.0,
+        most=10.0,
+        live=True,
+    )
 
 
 @attrs.frozen(kw_only=True)
@@ -107,26 +169,41 @@ class Scene:
         ParameterError: for a value, or a combination of values, that makes no scene.
     """
 
-    rate: float = parameter("double", 60.0, "Published frames in a second of simulated time", unit="Hz", least=0.1, most=10000.0)
+    rate: float = parameter(
+        "double", 60.0, "Published frames in a second of simulated time", unit="Hz", least=0.1, most=10000.0
+    )
     frame_id: str = parameter("string", "world", "Coordinate frame of the cloth and of commands")
     cloth: Cloth = section(Cloth)
     material: Material = section(Material)
     bending: Bending = section(Bending)
     gravity: tuple[float, ...] = parameter(
-        "double[]", (0.0, 0.0, -9.81), "Gravitational acceleration", unit="m/s^2", length=3, least=-1e4, most=1e4, live=True
+        "double[]",
+        (0.0, 0.0, -9.81),
+        "Gravitational acceleration",
+        unit="m/s^2",
+        length=3,
+        least=-1e4,
+        most=1e4,
+        live=True,
     )
     air: Air = section(Air)
     grippers: tuple[str, ...] = parameter("string[]", ("gripper",), "Names of the grippers; none by ['']")
     gripper: Gripper = section(Gripper)
-    integrator: str = parameter("string", "auto", "How time is stepped; auto chooses", choices=("auto", "leapfrog"), live=True)
-    step: float = parameter("double", 0.0, "Fixed time step; 0 takes it from the stability limit", unit="s", least=0.0, most=1.0, live=True)
+    integrator: str = parameter(
+        "string", "auto", "How time is stepped; auto chooses", choices=("auto", "leapfrog"), live=True
+    )
+    step: float = parameter(
+        "double", 0.0, "Fixed time step; 0 takes it from the stability limit", unit="s", least=0.0, most=1.0, live=True
+    )
     record: Record = section(Record)
 
     def __attrs_post_init__(self) -> None:
         """Check what no single parameter shows."""
         rows, columns = self.cloth.resolution
         if rows * columns > MOST_PARTICLES:
-            raise ParameterError(f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES} are allowed")
+            raise ParameterError(
+                f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES} are allowed"
+            )
         if not self.frame_id:
             raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")
         names = self.gripper_names
@@ -227,7 +304,9 @@ class Scene:
         for name in self.cloth.anchors:
             if name.isdecimal():
                 if int(name) >= sheet.rows * sheet.columns:
-                    raise ParameterError(f"cloth.anchors names particle {name}; there are {sheet.rows * sheet.columns}, counted from 0")
+                    raise ParameterError(
+                        f"cloth.anchors names particle {name}; there are {sheet.rows * sheet.columns}, counted from 0"
+                    )
                 found.add(int(name))
             elif name:
                 try:
@@ -239,7 +318,9 @@ class Scene:
     def model(self) -> Model:
         """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
         masses = self.sheet.masses(self.material.density)
-        terms: list[Term] = [*self.sheet.springs(self.threads(), k_d0=self.material.damping, density=self.material.density)]
+        terms: list[Term] = [
+            *self.sheet.springs(self.threads(), k_d0=self.material.damping, density=self.material.density)
+        ]
         if any(self.gravity):
             terms.append(Gravity(masses, self.gravity))
         if self.air.drag:

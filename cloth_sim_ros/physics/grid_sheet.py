@@ -79,7 +79,9 @@ class GridSheet:
         column_weight = np.broadcast_to(_border_weights(self.columns), index.shape)
         mass = density * hx * hy
 
-        def family(pairs: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, float, float]], name: str) -> PairSprings:
+        def family(
+            pairs: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, float, float]], name: str
+        ) -> PairSprings:
             ends, rest, stiffness, damping = [], [], [], []
             for near, far, weight, length, k_s in pairs:
                 ends.append(np.stack([near.ravel(), far.ravel()], axis=1))
@@ -87,7 +89,12 @@ class GridSheet:
                 stiffness.append(weight.ravel() * (k_s / length))
                 damping.append(weight.ravel() * lecture_damping(k_d0, k_s / length, mass))
             return PairSprings(
-                np.concatenate(ends), np.concatenate(rest), np.concatenate(stiffness), np.concatenate(damping), name=name, weak=name != "structural"
+                np.concatenate(ends),
+                np.concatenate(rest),
+                np.concatenate(stiffness),
+                np.concatenate(damping),
+                name=name,
+                weak=name != "structural",
             )
 
         terms = [
@@ -103,7 +110,15 @@ class GridSheet:
             diagonals = grid_diagonals(self.rows, self.columns, self.layout)
             terms.append(
                 family(
-                    [(diagonals[:, 0], diagonals[:, 1], np.ones(len(diagonals)), float(np.hypot(hx, hy)), threads.diagonal)],
+                    [
+                        (
+                            diagonals[:, 0],
+                            diagonals[:, 1],
+                            np.ones(len(diagonals)),
+                            float(np.hypot(hx, hy)),
+                            threads.diagonal,
+                        )
+                    ],
                     "shear",
                 )
             )

@@ -20,7 +20,9 @@ def normalised(orientation: ArrayLike) -> Array:
     q = np.asarray(orientation, dtype=np.float64)
     length = float(np.sqrt(np.sum(q * q))) if q.shape == (4,) else 0.0
     if not np.isfinite(length) or length < 1e-6:
-        raise ValueError(f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0")
+        raise ValueError(
+            f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0"
+        )
     return q / length
 
 

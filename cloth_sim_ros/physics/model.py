@@ -30,7 +30,9 @@ class Model:
             raise ValueError(f"masses have shape {self.masses.shape}; give one mass a particle, at least one")
         wrong = np.flatnonzero(~(np.isfinite(self.masses) & (self.masses > 0.0)))
         if wrong.size:
-            raise ValueError(f"mass of particle {wrong[0]} is {self.masses[wrong[0]]} kg; it must be finite and above 0")
+            raise ValueError(
+                f"mass of particle {wrong[0]} is {self.masses[wrong[0]]} kg; it must be finite and above 0"
+            )
         self.terms = tuple(terms)
         names = [term.name for term in self.terms]
         for name in names:

@@ -74,7 +74,9 @@ class Leapfrog(Integrator):
             if finite and (self.step is not None or h <= self._limit(dynamics, state)):
                 break
             if self.step is not None:
-                raise UnstableError(f"the motion became non-finite at a step of {h} s; its limit was {limit:.6g} s at the start")
+                raise UnstableError(
+                    f"the motion became non-finite at a step of {h} s; its limit was {limit:.6g} s at the start"
+                )
             state.restore(start)
             step = 0.5 * h
         else:
@@ -85,9 +87,7 @@ class Leapfrog(Integrator):
         return self.step_limit(*dynamics.rates(state.x))
 
     @staticmethod
-    def _run(
-        dynamics: Dynamics, state: State, t: float, h: float, steps: int, observer: Observer | None
-    ) -> None:
+    def _run(dynamics: Dynamics, state: State, t: float, h: float, steps: int, observer: Observer | None) -> None:
         x, v = state.x, state.v
         a = np.empty_like(x)
         predicted = np.empty_like(x)

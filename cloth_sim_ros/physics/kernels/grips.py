@@ -93,7 +93,9 @@ def grip_forces(paths, starts, particles, offsets, stiffness, damping, t, x, v, 
         for e in range(starts[g], starts[g + 1]):
             p = particles[e]
             for i in range(3):
-                arm[i] = rotation[i, 0] * offsets[e, 0] + rotation[i, 1] * offsets[e, 1] + rotation[i, 2] * offsets[e, 2]
+                arm[i] = (
+                    rotation[i, 0] * offsets[e, 0] + rotation[i, 1] * offsets[e, 1] + rotation[i, 2] * offsets[e, 2]
+                )
             for i in range(3):
                 j = (i + 1) % 3
                 k = (i + 2) % 3
@@ -125,7 +127,9 @@ def grip_energy(paths, starts, particles, offsets, stiffness, damping, t, x, v):
         for e in range(starts[g], starts[g + 1]):
             p = particles[e]
             for i in range(3):
-                arm[i] = rotation[i, 0] * offsets[e, 0] + rotation[i, 1] * offsets[e, 1] + rotation[i, 2] * offsets[e, 2]
+                arm[i] = (
+                    rotation[i, 0] * offsets[e, 0] + rotation[i, 1] * offsets[e, 1] + rotation[i, 2] * offsets[e, 2]
+                )
             for i in range(3):
                 j = (i + 1) % 3
                 k = (i + 2) % 3

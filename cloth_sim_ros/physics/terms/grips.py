@@ -28,7 +28,13 @@ class Grips(Term):
         self.paths = np.zeros((gripper_count, kernels.PATH_COLUMNS))
         self.paths[:, 16] = 1.0
         self.wrenches = np.zeros((gripper_count, 7))
-        self.hold(np.zeros(gripper_count + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0))
+        self.hold(
+            np.zeros(gripper_count + 1, dtype=np.int64),
+            np.empty(0, dtype=np.int64),
+            np.empty((0, 3)),
+            np.empty(0),
+            np.empty(0),
+        )
 
     def hold(self, starts: np.ndarray, particles: np.ndarray, offsets: Array, stiffness: Array, damping: Array) -> None:
         """Set what is held: gripper g holds ``particles[starts[g]:starts[g + 1]]``.
@@ -47,7 +53,17 @@ class Grips(Term):
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         if self.particles.size:
             kernels.grip_forces(
-                self.paths, self.starts, self.particles, self.offsets, self.stiffness, self.damping, t, x, v, f, self.wrenches
+                self.paths,
+                self.starts,
+                self.particles,
+                self.offsets,
+                self.stiffness,
+                self.damping,
+                t,
+                x,
+                v,
+                f,
+                self.wrenches,
             )
 
     def energy(self, t: float, x: Array) -> float:

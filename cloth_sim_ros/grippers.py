@@ -1,0 +1,159 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Grippers of a simulation: their poses, targets and grips, kept as named arrays of the state."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.events import Target
+from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.grips import Grips
+from cloth_sim_ros.physics.terms.pair_springs import lecture_damping
+
+
+@attrs.frozen
+class GraspResult:
+    """What closing or opening a gripper did."""
+
+    gripper: str
+    closed: bool
+    #: Particles that the gripper holds now.
+    held: int
+    #: Why it holds none, or that nothing changed; empty otherwise.
+    reason: str = ""
+
+
+class Grippers:
+    """The grippers of one simulation; all that changes lies in ``state.memory``.
+
+    Args:
+        names: names of the grippers; their order is that of every array.
+        state: the state that keeps poses and grips; entries that it lacks are added.
+    """
+
+    def __init__(self, names: list[str], state: State) -> None:
+        self.names = names
+        self._state = state
+        count = len(names)
+        pose = np.zeros((count, 7))
+        pose[:, 6] = 1.0
+        for name, array in self._initial(count, pose).items():
+            state.memory.setdefault(name, array)
+
+    @staticmethod
+    def _initial(count: int, pose: Array) -> dict[str, np.ndarray]:
+        return {
+            "gripper.placed": np.zeros(count, dtype=bool),
+            "gripper.closed": np.zeros(count, dtype=bool),
+            "gripper.pose": pose,
+            "gripper.twist": np.zeros((count, 6)),
+            "gripper.turn": np.zeros((count, 6)),
+            "gripper.target": pose.copy(),
+            "grip.starts": np.zeros(count + 1, dtype=np.int64),
+            "grip.particles": np.empty(0, dtype=np.int64),
+            "grip.offsets": np.empty((0, 3)),
+        }
+
+    def poses(self) -> Array:
+        """Present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
+        return self._state.memory["gripper.pose"].copy()
+
+    def is_placed(self, index: int) -> bool:
+        """Whether the gripper has had a target, and so has a pose."""
+        return bool(self._state.memory["gripper.placed"][index])
+
+    def held(self, index: int) -> np.ndarray:
+        """Indices of the particles that a gripper holds."""
+        starts = self._state.memory["grip.starts"]
+        return self._state.memory["grip.particles"][starts[index] : starts[index + 1]].copy()
+
+    def set_target(self, event: Target) -> None:
+        """Take note of a target; the first one places the gripper there at once."""
+        memory = self._state.memory
+        g = self.names.index(event.gripper)
+        memory["gripper.target"][g, :3] = event.position
+        if event.orientation is not None:
+            memory["gripper.target"][g, 3:] = normalised(event.orientation)
+        if not memory["gripper.placed"][g]:
+            memory["gripper.placed"][g] = True
+            memory["gripper.pose"][g] = memory["gripper.target"][g]
+
+    def close(self, name: str, model: Model, radius: float) -> GraspResult:
+        """Grab the free particles within the radius [m] of a gripper's present position."""
+        memory = self._state.memory
+        g = self.names.index(name)
+        if memory["gripper.closed"][g]:
+            return GraspResult(name, True, len(self.held(g)), "it is closed already: open it first")
+        memory["gripper.closed"][g] = True
+        if not memory["gripper.placed"][g]:
+            return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
+        pose = memory["gripper.pose"][g]
+        away = self._state.x - pose[:3, None]
+        distance = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
+        near = distance <= radius
+        particles = np.flatnonzero(near & (model.inverse_masses > 0.0))
+        turn = rotation_matrix(pose[3:])
+        # A world vector in the gripper's frame: R' d.
+        offsets = np.einsum("ji,jn->ni", turn, away[:, particles])
+        self._replace(g, particles, offsets)
+        if particles.size:
+            return GraspResult(name, True, int(particles.size))
+        if near.any():
+            return GraspResult(name, True, 0, f"all {int(near.sum())} particles within {radius} m are anchored")
+        return GraspResult(
+            name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
+        )
+
+    def open(self, name: str) -> GraspResult:
+        """Let go of everything that a gripper holds."""
+        memory = self._state.memory
+        g = self.names.index(name)
+        reason = "" if memory["gripper.closed"][g] else "it was open already"
+        memory["gripper.closed"][g] = False
+        self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
+        return GraspResult(name, False, 0, reason)
+
+    def plan_frame(
+        self, term: Grips, model: Model, t: float, duration: float, stiffness: float, damping: float
+    ) -> None:
+        """Lay each gripper's path over the frame into the term, with what it holds.
+
+        Args:
+            term: the term that applies the grips.
+            model: for the masses of the held particles.
+            t: time at which the frame starts [s].
+            duration: length of the frame [s].
+            stiffness: stiffness of one grip's spring [N/m].
+            damping: dimensionless damping k_d0 of it.
+        """
+        memory = self._state.memory
+        for g in range(len(self.names)):
+            target = memory["gripper.target"][g]
+            row, twist, turn = path_row(
+                t, duration, memory["gripper.pose"][g], memory["gripper.twist"][g], memory["gripper.turn"][g], target
+            )
+            term.paths[g] = row
+            memory["gripper.twist"][g] = twist
+            memory["gripper.turn"][g] = turn
+            memory["gripper.pose"][g] = target
+        particles = memory["grip.particles"]
+        each = np.full(particles.size, stiffness)
+        damping_each = lecture_damping(damping, each, model.masses[particles])
+        term.hold(memory["grip.starts"], particles, memory["grip.offsets"], each, damping_each)
+
+    def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
+        """Set what one gripper holds, the others' grips staying as they are."""
+        memory = self._state.memory
+        starts = memory["grip.starts"]
+        begin, end = int(starts[gripper]), int(starts[gripper + 1])
+        for name, new in (("grip.particles", particles), ("grip.offsets", offsets)):
+            old = memory[name]
+            memory[name] = np.ascontiguousarray(np.concatenate([old[:begin], new, old[end:]]))
+        moved = starts.copy()
+        moved[gripper + 1 :] += len(particles) - (end - begin)
+        memory["grip.starts"] = moved

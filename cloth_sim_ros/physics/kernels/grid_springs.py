@@ -1,0 +1,160 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The springs of a regular sheet as data, and the padded tables that the row kernels read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.kernels.grid_emit import BLOCK_BYTES
+from cloth_sim_ros.physics.kernels.grid_rows import FAMILIES, FIRST_WEIGHT_SLOT, FREE_SLOT, INVERSE_MASS_SLOT
+
+Array = NDArray[np.float64]
+
+
+class GridFamily(NamedTuple):
+    """All springs of a sheet that point the same way.
+
+    `name`: a key of `grid_rows.FAMILIES`; rows are counted downwards, columns to the right. `stiffness` k_s [N], force per strain;
+    `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of the threads that run along the sheet's border. `parity`: 0 or 1
+    keeps only springs in cells of which row + column is even or odd, None keeps all. `weak`: may be evaluated every second step.
+    """
+
+    name: str
+    stiffness: float
+    rest_length: float
+    damping: float = 0.0
+    border: float = 1.0
+    parity: int | None = None
+    weak: bool = False
+
+
+class GridSprings:
+    """The spring families of a sheet of `rows` times `columns` particles, numbered row-major.
+
+    Raises:
+        ValueError: for a sheet without particles, an unknown or repeated family, or a property out of range.
+    """
+
+    def __init__(self, rows: int, columns: int, families: Sequence[GridFamily]) -> None:
+        if rows < 1 or columns < 1:
+            raise ValueError(f"a sheet of {rows} x {columns} particles; it needs at least 1 x 1")
+        names = [family.name for family in families]
+        for family in families:
+            if family.name not in FAMILIES:
+                raise ValueError(f"no spring family '{family.name}'; there are {', '.join(FAMILIES)}")
+            if names.count(family.name) > 1:
+                raise ValueError(f"family '{family.name}' is given {names.count(family.name)} times; give it once")
+            if not (np.isfinite(family.rest_length) and family.rest_length > 0.0):
+                raise ValueError(f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0")
+            for what in ("stiffness", "damping", "border"):
+                value = getattr(family, what)
+                if not (np.isfinite(value) and value >= 0.0):
+                    raise ValueError(f"{what} of '{family.name}' is {value}; it must be finite and not negative")
+            if family.parity not in (None, 0, 1):
+                raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
+        self.rows, self.columns = rows, columns
+        # A fixed order fixes the order of the sums, whatever order the scene lists the families in.
+        self.families = tuple(sorted(families, key=lambda family: list(FAMILIES).index(family.name)))
+
+    @property
+    def damped(self) -> bool:
+        """Whether any spring is damped."""
+        return any(family.damping > 0.0 for family in self.families)
+
+    def spring_count(self) -> int:
+        """Number of springs."""
+        return sum(int(np.count_nonzero(self.weights(f, row))) for f in self.families for row in range(self.rows))
+
+    def weights(self, family: GridFamily, row: int) -> Array:
+        """Factors on k_s and k_d of the family's springs whose leftmost end is in each column, their upper end in `row`.
+
+        Zero where the sheet has no such spring. Shape (columns,).
+        """
+        ends = FAMILIES[family.name]
+        down = max(ends.first[0], ends.second[0])
+        right = max(ends.first[1], ends.second[1])
+        weights = np.zeros(self.columns)
+        if row + down < self.rows:
+            weights[: max(self.columns - right, 0)] = 1.0
+        if family.parity is not None:
+            weights[(row + np.arange(self.columns)) % 2 != family.parity] = 0.0
+        if down == 0 and row in (0, self.rows - 1):
+            weights *= family.border
+        if right == 0:
+            weights[[0, -1]] *= family.border
+        return weights
+
+
+class GridTables(NamedTuple):
+    """What the row kernels read beside the particles: see `grid_rows`.
+
+    `pitch`: numbers in a padded row. `table`: flat; `table_rows`: where each row's entry starts, shape (rows,). Rows with equal entries share one.
+    """
+
+    pitch: int
+    table: NDArray[Any]
+    table_rows: NDArray[np.intp]
+
+
+def padded_columns(columns: int, dtype: Any) -> int:
+    """Length of a padded row: `columns` rounded up to whole blocks."""
+    lanes = BLOCK_BYTES // np.dtype(dtype).itemsize
+    return -(-columns // lanes) * lanes
+
+
+def aligned_zeros(size: int, dtype: Any) -> NDArray[Any]:
+    """A flat array of zeros that starts on a block, with a block of zeros to spare behind its end."""
+    kind = np.dtype(dtype)
+    raw = np.zeros((size + 2 * (BLOCK_BYTES // kind.itemsize)) * kind.itemsize, dtype=np.uint8)
+    start = -raw.ctypes.data % BLOCK_BYTES
+    return raw[start : start + size * kind.itemsize].view(kind)
+
+
+def grid_tables(springs: GridSprings, inverse_masses: Array, dtype: Any) -> GridTables:
+    """Build the tables of a sheet; `inverse_masses` [1/kg], shape (rows * columns,), zero for anchored particles."""
+    pitch = padded_columns(springs.columns, dtype)
+    slots = FIRST_WEIGHT_SLOT + len(springs.families)
+    starts: dict[bytes, int] = {}
+    table_rows = np.empty(springs.rows, dtype=np.intp)
+    entries = []
+    for row in range(springs.rows):
+        entry = np.zeros((slots, pitch), dtype=dtype)
+        inverse = inverse_masses[row * springs.columns : (row + 1) * springs.columns]
+        entry[INVERSE_MASS_SLOT, : springs.columns] = inverse
+        entry[FREE_SLOT, : springs.columns] = inverse > 0.0
+        for slot, family in enumerate(springs.families, start=FIRST_WEIGHT_SLOT):
+            entry[slot, : springs.columns] = springs.weights(family, row)
+        key = entry.tobytes()
+        if key not in starts:
+            starts[key] = len(entries) * slots * pitch
+            entries.append(entry)
+        table_rows[row] = starts[key]
+    table = aligned_zeros(len(entries) * slots * pitch, dtype)
+    table[:] = np.concatenate(entries).ravel()
+    return GridTables(pitch, table, table_rows)
+
+
+def spring_fields(springs: GridSprings, *, factors: dict[bool, float]) -> dict[str, float]:
+    """Fields of `params` for the families whose `weak` is a key of `factors`, k_s and k_d multiplied by its value."""
+    fields = {}
+    for slot, family in enumerate(springs.families, start=FIRST_WEIGHT_SLOT):
+        if family.weak in factors:
+            factor = factors[family.weak]
+            fields[f"{family.name}_{slot}_k"] = factor * family.stiffness
+            fields[f"{family.name}_{slot}_l"] = factor * family.stiffness / family.rest_length
+            if family.damping > 0.0:
+                fields[f"{family.name}_{slot}_d"] = factor * family.damping
+    return fields
+
+
+def parameters(fields: dict[str, float], dtype: Any) -> NDArray[Any]:
+    """One record with those fields: its type tells numba which kernel to compile."""
+    record = np.zeros(1, dtype=[(name, dtype) for name in fields] or [("none", dtype)])
+    for name, value in fields.items():
+        record[name] = value
+    return record

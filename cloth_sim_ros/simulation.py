@@ -1,0 +1,223 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The only door through which a cloth's state changes: advance one frame with an ordered list of events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target, ordered
+from cloth_sim_ros.grippers import GraspResult, Grippers
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
+from cloth_sim_ros.scene import Scene
+
+#: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
+REACH = 1e4
+
+
+class EventError(ValueError):
+    """An event that can't take effect; the message says why."""
+
+
+@attrs.frozen(kw_only=True)
+class Frame:
+    """What one call of `Simulation.advance` did."""
+
+    #: Number of the frame that the state stands at now.
+    index: int
+    #: Simulated time of it [s].
+    time: float
+    #: The events that took effect, in the order in which they did.
+    events: tuple[Event, ...]
+    #: One for each grasp event, in order.
+    grasps: tuple[GraspResult, ...]
+    #: Whether simulated time passed.
+    moved: bool
+    integrator: str
+    #: Steps, evaluations and step sizes; None where no time passed.
+    advance: Advance | None
+    #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape (gripper_count, 6).
+    wrenches: Array
+
+
+class Simulation:
+    """A cloth that moves frame by frame.
+
+    Args:
+        scene: configuration.
+        state: where to start; the scene's initial state where left out.
+
+    Raises:
+        ValueError: if the state does not fit the scene.
+    """
+
+    def __init__(self, scene: Scene, state: State | None = None) -> None:
+        initial = scene.initial_state()
+        if state is not None and state.particle_count != initial.particle_count:
+            raise ValueError(
+                f"the state has {state.particle_count} particles, the scene {initial.particle_count}: "
+                "a state only continues the cloth that it was saved from"
+            )
+        self._initial = initial
+        self.state = initial.copy() if state is None else state.copy()
+        self.state.memory.setdefault("paused", np.zeros(1, dtype=bool))
+        self.grippers = Grippers(scene.gripper_names, self.state)
+        if len(self.state.memory["gripper.pose"]) != len(scene.gripper_names):
+            raise ValueError(
+                f"the state has {len(self.state.memory['gripper.pose'])} grippers, "
+                f"the scene {len(scene.gripper_names)} ({', '.join(scene.gripper_names) or 'none'})"
+            )
+        self._apply_scene(scene)
+
+    @property
+    def scene(self) -> Scene:
+        """The configuration in force."""
+        return self._scene
+
+    @property
+    def frame(self) -> int:
+        """Number of the frame that the state stands at."""
+        return self.state.frame
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]: frame number times period."""
+        return self.state.frame * self._scene.period
+
+    @property
+    def paused(self) -> bool:
+        """Whether time stands still."""
+        return bool(self.state.memory["paused"][0])
+
+    @property
+    def positions(self) -> Array:
+        """Particle positions [m], a copy of shape (particle_count, 3)."""
+        return self.state.positions
+
+    @property
+    def velocities(self) -> Array:
+        """Particle velocities [m/s], a copy of shape (particle_count, 3)."""
+        return self.state.velocities
+
+    def energy(self) -> float:
+        """Kinetic plus potential energy [J] at the present state."""
+        return self.dynamics.energy(self.time, self.state.x, self.state.v)
+
+    def check(self, event: Event) -> None:
+        """Refuse an event that can't take effect.
+
+        Raises:
+            EventError: naming the value, the limit and the remedy.
+        """
+        if isinstance(event, Target | Grasp) and event.gripper not in self.grippers.names:
+            known = ", ".join(self.grippers.names) or "none"
+            raise EventError(f"there is no gripper '{event.gripper}'; this cloth has {known}")
+        if isinstance(event, Target):
+            _check_target(event)
+        elif isinstance(event, SetParameters):
+            try:
+                self._scene.changed(event.values)
+            except ValueError as error:
+                raise EventError(str(error)) from error
+
+    def advance(self, events: Sequence[Event] = ()) -> Frame:
+        """Apply events at the frame's boundary, then let one frame of time pass, unless paused.
+
+        Either all of it happens, or the state stays as it was.
+
+        Raises:
+            EventError: for an event that can't take effect.
+            UnstableError: if the motion does not stay finite.
+        """
+        in_order = ordered(list(events))
+        for event in in_order:
+            self.check(event)
+        before, scene = self.state.copy(), self._scene
+        try:
+            return self._advance(in_order)
+        except BaseException:
+            self.state.restore(before)
+            if self._scene is not scene:
+                self._apply_scene(scene)
+            raise
+
+    def _advance(self, events: list[Event]) -> Frame:
+        grasps = []
+        stepped = False
+        for event in events:
+            match event:
+                case Target():
+                    self.grippers.set_target(event)
+                case Grasp(gripper=name, closed=True):
+                    grasps.append(self.grippers.close(name, self.model, self._scene.gripper.radius))
+                case Grasp(gripper=name):
+                    grasps.append(self.grippers.open(name))
+                case SetParameters(values=values):
+                    self._apply_scene(self._scene.changed(values))
+                case Pause(paused=paused):
+                    self.state.memory["paused"][0] = paused
+                case Step():
+                    stepped = True
+                case Reset():
+                    self._reset()
+        moved = stepped or not self.paused
+        done = self._move() if moved else None
+        count = len(self.grippers.names)
+        return Frame(
+            index=self.frame,
+            time=self.time,
+            events=tuple(events),
+            grasps=tuple(grasps),
+            moved=moved,
+            integrator=self._integrator.name,
+            advance=done,
+            wrenches=self._wrenches.mean_wrenches if moved and self._wrenches else np.zeros((count, 6)),
+        )
+
+    def _move(self) -> Advance:
+        start, period = self.time, self._scene.period
+        if self._grips is not None:
+            gripper = self._scene.gripper
+            self.grippers.plan_frame(self._grips, self.model, start, period, gripper.stiffness, gripper.damping)
+        done = self._integrator.advance(self.dynamics, self.state, start, period, self._wrenches)
+        self.state.frame += 1
+        return done
+
+    def _reset(self) -> None:
+        frame, paused = self.state.frame, self.paused
+        self.state.restore(self._initial)
+        self.state.frame = frame
+        self.state.memory["paused"] = np.array([paused])
+        self.grippers = Grippers(self._scene.gripper_names, self.state)
+
+    def _apply_scene(self, scene: Scene) -> None:
+        self._scene = scene
+        self.model = scene.model()
+        self.dynamics = Dynamics(self.model)
+        self._integrator = scene.build_integrator()
+        grips = [term for term in self.model.terms if isinstance(term, Grips)]
+        self._grips = grips[0] if grips else None
+        self._wrenches = WrenchObserver(self._grips) if self._grips else None
+
+
+def _check_target(event: Target) -> None:
+    if len(event.position) != 3 or not all(math.isfinite(value) for value in event.position):
+        raise EventError(f"target of '{event.gripper}' is {list(event.position)}; it must be 3 finite numbers")
+    if max(abs(value) for value in event.position) > REACH:
+        raise EventError(
+            f"target of '{event.gripper}' is {list(event.position)} m; no coordinate may be beyond {REACH:g} m"
+        )
+    if event.orientation is not None:
+        try:
+            normalised(event.orientation)
+        except ValueError as error:
+            raise EventError(f"target of '{event.gripper}': {error}") from error
