@@ -11,7 +11,7 @@ NAME = "cloth_sim_ros"
 # The core runs the physics and the simulation. What needs a ROS graph, writes or shows sessions, reads mesh files or
 # measures is an extra of its own, so that `import cloth_sim_ros` needs none of it. Lower bounds are those of Ubuntu
 # 24.04, so that the same code runs on a robot's own packages; constraints.txt pins what `make` installs.
-CORE = ["numpy>=1.26", "scipy>=1.11", "numba>=0.58", "attrs>=23.1", "PyYAML>=6.0", "xxhash>=3.2", "tqdm>=4.66"]
+CORE = ["numpy>=1.26", "scipy>=1.11", "numba>=0.59", "attrs>=23.1", "PyYAML>=6.0", "xxhash>=3.2", "tqdm>=4.66"]
 
 SESSION = ["mcap>=1.1", "rosbags>=0.10.6", "zstandard>=0.22", "lz4>=4.0"]
 
@@ -25,7 +25,12 @@ EXTRAS = {
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
     "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "psutil>=5.9"],
 }
+# What `make run` installs, and what `make test` and `make check` install.
+EXTRAS["demo"] = [*EXTRAS["ros"], *EXTRAS["record"], *EXTRAS["replay"]]
 EXTRAS["dev"] = [
+    *EXTRAS["demo"],
+    *EXTRAS["mesh"],
+    *EXTRAS["bench"],
     *EXTRAS["test"],
     "ruff>=0.17",
     "mypy>=2.0",
@@ -34,7 +39,6 @@ EXTRAS["dev"] = [
     "colcon-core",
     "colcon-ros",
     "colcon-python-setup-py",
-    "colcon-library-path",
 ]
 
 setup(

@@ -136,7 +136,7 @@ class Gripper:
     stiffness: float = parameter(
         "double",
         1000.0,
-        "Stiffness of the zero-length spring that holds one particle",
+        "Stiffness of the zero-length spring that holds a particle inside the sheet; in proportion to mass at borders",
         unit="N/m",
         least=0.0,
         most=1e8,
@@ -145,7 +145,7 @@ class Gripper:
     )
     damping: float = parameter(
         "double",
-        1.0,
+        0.5,
         "Dimensionless damping of that spring; 2 is critical for a free particle",
         least=0.0,
         most=10.0,

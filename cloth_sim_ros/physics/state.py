@@ -99,7 +99,7 @@ class State:
 
         hasher = xxhash.xxh3_128()
         for name, array in self.arrays().items():
-            hasher.update(f"{name} {array.dtype.str} {array.shape};")
+            hasher.update(f"{name} {array.dtype.str} {array.shape};".encode())
             hasher.update(np.ascontiguousarray(array).data)
         return str(hasher.hexdigest())
 

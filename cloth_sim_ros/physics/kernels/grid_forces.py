@@ -46,8 +46,10 @@ class GridForces:
             if array.shape != expected:
                 raise ValueError(f"{name} has shape {array.shape}; this sheet needs {expected}")
         velocity = v if self._damped else None
+        # Only differences count; near the origin they keep more digits in single precision.
+        origin = np.zeros(3) if self._table.dtype == np.float64 else x[:, 0].copy()
         window, ring = self._window, self._ring
-        _add_forces(x, velocity, f, self.springs.columns, self._pitch, window, self._table, self._table_rows, ring, self._params)
+        _add_forces(x, velocity, f, origin, self.springs.columns, self._pitch, window, self._table, self._table_rows, ring, self._params)
 
 
 def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
@@ -56,15 +58,21 @@ def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill(x, first, columns, window, place, pitch):  # type: ignore[no-untyped-def]
+def _fill_positions(x, origin, first, columns, window, place, pitch):  # type: ignore[no-untyped-def]
     for c in range(3):
-        origin = x[c, 0]
         for j in range(columns):
-            window[place + c * pitch + j] = x[c, first + j] - origin
+            window[place + c * pitch + j] = x[c, first + j] - origin[c]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_forces(x, v, f, columns, pitch, window, table, table_rows, ring, params):  # type: ignore[no-untyped-def]
+def _fill_velocities(v, first, columns, window, place, pitch):  # type: ignore[no-untyped-def]
+    for c in range(3):
+        for j in range(columns):
+            window[place + c * pitch + j] = v[c, first + j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring, params):  # type: ignore[no-untyped-def]
     rows = len(table_rows)
     stride = 6 * pitch
     ring[:] = 0.0
@@ -72,9 +80,9 @@ def _add_forces(x, v, f, columns, pitch, window, table, table_rows, ring, params
         ahead = row + 2
         place = ahead % 3 * stride
         if ahead < rows:
-            _fill(x, ahead * columns, columns, window, place, pitch)
+            _fill_positions(x, origin, ahead * columns, columns, window, place, pitch)
             if v is not None:
-                _fill(v, ahead * columns, columns, window, place + 3 * pitch, pitch)
+                _fill_velocities(v, ahead * columns, columns, window, place + 3 * pitch, pitch)
         if row < 0:
             continue
         ring0, ring1, ring2 = row % 3 * 3 * pitch, (row + 1) % 3 * 3 * pitch, (row + 2) % 3 * 3 * pitch

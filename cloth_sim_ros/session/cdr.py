@@ -1,0 +1,188 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""CDR bytes of the standard messages a session holds (XCDR1, as every ROS 2 middleware sends them).
+
+Alignment counts from the byte after the four-byte encapsulation header: a value of n bytes starts at a multiple of n.
+Large messages (clouds, meshes) are read as numpy views of the given bytes, without copying; everything else goes
+through rosbags' generic reader.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.layouts import standard_types
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_LITTLE = b"\x00\x01\x00\x00"
+_FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """A sensor_msgs/PointCloud2, its points a view of the message's own bytes."""
+
+    stamp: int
+    """Header stamp [ns]."""
+    frame_id: str
+    height: int
+    width: int
+    xyz: NDArray[np.float32]
+    """Positions [m], shape (height * width, 3), read-only; other fields may lie between, then it is not contiguous."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """A shape_msgs/Mesh."""
+
+    triangles: NDArray[np.uint32]
+    """Particle numbers, shape (triangle_count, 3), read-only."""
+    vertices: NDArray[np.float64]
+    """Rest positions [m], shape (particle_count, 3), read-only."""
+
+
+def decode(data: bytes | memoryview, type_name: str) -> Any:
+    """A standard message from its CDR bytes, as rosbags' object. Raises SessionError if the bytes do not fit."""
+    from rosbags.serde import SerdeError
+
+    try:
+        return standard_types().deserialize_cdr(data, type_name)
+    except (SerdeError, KeyError) as error:
+        raise SessionError(f"{len(data)} bytes are no {type_name}: {error}") from error
+
+
+def encode(message: object, type_name: str) -> bytes:
+    """CDR bytes (little-endian) of one of rosbags' message objects, see `message_class`."""
+    return bytes(standard_types().serialize_cdr(message, type_name, little_endian=True))
+
+
+def message_class(type_name: str) -> Any:
+    """The class whose instances `encode` takes and `decode` gives; its arguments are the message's fields."""
+    try:
+        return standard_types().types[type_name]
+    except KeyError:
+        raise SessionError(f"message type {type_name!r} is not a standard ROS 2 Jazzy type") from None
+
+
+def encode_string(text: str) -> bytes:
+    """CDR bytes of a std_msgs/String."""
+    raw = text.encode()
+    return b"".join((_LITTLE, struct.pack("<I", len(raw) + 1), raw, b"\x00"))
+
+
+def decode_string(data: bytes | memoryview) -> str:
+    """Text of a std_msgs/String. Raises SessionError if the bytes are none."""
+    reader = _Reader(data, "std_msgs/msg/String")
+    return reader.string()
+
+
+def decode_cloud(data: bytes | memoryview) -> Cloud:
+    """A PointCloud2 with its positions as a view of `data`; x, y, z must be float32. Raises SessionError otherwise."""
+    reader = _Reader(data, "sensor_msgs/msg/PointCloud2")
+    seconds, nanoseconds = reader.numbers("iI")
+    frame_id = reader.string()
+    height, width, field_count = reader.numbers("III")
+    offsets: dict[str, int] = {}
+    for _ in range(field_count):
+        name = reader.string()
+        (offset,) = reader.numbers("I")
+        (datatype,) = reader.numbers("B")
+        (count,) = reader.numbers("I")
+        if datatype == _FLOAT32 and count == 1:
+            offsets[name] = offset
+    (big_endian,) = reader.numbers("B")
+    point_step, row_step = reader.numbers("II")
+    (size,) = reader.numbers("I")
+    start = reader.skip(size)
+    if not {"x", "y", "z"} <= offsets.keys() or offsets["y"] - offsets["x"] != offsets["z"] - offsets["y"]:
+        raise SessionError("a cloud has no evenly spaced float32 fields x, y, z")
+    if height * row_step > size or width * point_step > row_step or max(offsets.values()) + 4 > point_step:
+        raise SessionError(f"a cloud of {height} x {width} points of {point_step} bytes does not fit its {size} bytes")
+    points = np.ndarray(
+        (height, width, 3),
+        dtype=">f4" if big_endian else "<f4",
+        buffer=data,
+        offset=start + offsets["x"],
+        strides=(row_step, point_step, offsets["y"] - offsets["x"]),
+    )
+    points.flags.writeable = False
+    return Cloud(
+        stamp=seconds * 1_000_000_000 + nanoseconds,
+        frame_id=frame_id,
+        height=height,
+        width=width,
+        xyz=points.reshape(height * width, 3),
+    )
+
+
+def decode_surface(data: bytes | memoryview) -> Surface:
+    """A shape_msgs/Mesh as arrays that are views of `data`. Raises SessionError if the bytes are none."""
+    reader = _Reader(data, "shape_msgs/msg/Mesh")
+    (triangle_count,) = reader.numbers("I")
+    triangles = reader.array("<u4", triangle_count * 3)
+    (vertex_count,) = reader.numbers("I")
+    vertices = reader.array("<f8", vertex_count * 3)
+    return Surface(triangles=triangles.reshape(-1, 3), vertices=vertices.reshape(-1, 3))
+
+
+class _Reader:
+    """A cursor over CDR bytes that knows about alignment and never reads past the end."""
+
+    __slots__ = ("_data", "_order", "_position", "_type_name")
+
+    def __init__(self, data: bytes | memoryview, type_name: str) -> None:
+        self._data = data
+        self._type_name = type_name
+        if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+            raise SessionError(f"{len(data)} bytes are no {type_name}: no plain CDR header")
+        self._order = "<" if data[1] else ">"
+        self._position = 4
+
+    def numbers(self, codes: str) -> tuple[int, ...]:
+        """Consecutive numbers of one size, struct codes, e.g. "II"."""
+        size = struct.calcsize("=" + codes[0])
+        start = self._align(size)
+        end = start + size * len(codes)
+        self._check(end)
+        self._position = end
+        return struct.unpack_from(self._order + codes, self._data, start)
+
+    def string(self) -> str:
+        (length,) = self.numbers("I")
+        start = self.skip(length)
+        try:
+            return str(bytes(self._data[start : start + max(length - 1, 0)]), "utf-8")
+        except UnicodeDecodeError as error:
+            raise SessionError(f"a {self._type_name} holds a text that is not UTF-8: {error}") from error
+
+    def skip(self, size: int) -> int:
+        """Pass over bytes; their position."""
+        start = self._position
+        self._check(start + size)
+        self._position = start + size
+        return start
+
+    def array(self, dtype: str, count: int) -> NDArray[Any]:
+        """Consecutive numbers as a read-only view."""
+        kind = np.dtype(dtype if self._order == "<" else ">" + dtype[1:])
+        if count:
+            self._align(kind.itemsize)
+        start = self.skip(count * kind.itemsize)
+        view = np.frombuffer(self._data, kind, count, start) if count else np.empty(0, kind)
+        view.flags.writeable = False
+        return view
+
+    def _align(self, size: int) -> int:
+        self._position += -(self._position - 4) % size
+        return self._position
+
+    def _check(self, end: int) -> None:
+        if end > len(self._data):
+            raise SessionError(f"{len(self._data)} bytes are no {self._type_name}: it ends at byte {end} or later")

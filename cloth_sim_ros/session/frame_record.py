@@ -1,0 +1,123 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The record of one `advance` of the simulation: one line of JSON on the session's ``<node>/frame`` channel."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cloth_sim_ros.session.errors import SessionError
+
+_REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "digest", "paused")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameRecord:
+    """What happened in one frame, enough to run it again and to know whether it came out the same."""
+
+    frame: int
+    """Number of the frame that this advance ended on; it stays while paused."""
+    time: float
+    """Simulated time at its end [s]."""
+    events: tuple[Mapping[str, Any], ...] = ()
+    """The events applied at its beginning, in order; plain JSON values."""
+    integrator: str
+    tolerance: float | None
+    """Error tolerance in force [m]; None where the step is fixed."""
+    steps: int
+    digest: str
+    """Digest of the full state at its end, hexadecimal."""
+    paused: bool
+    extras: Mapping[str, Any] = field(default_factory=dict)
+    """Anything else worth keeping with the frame; plain JSON values, not needed to run the session again."""
+
+    def to_json(self) -> str:
+        """The exact text: keys in fixed order, floats in the shortest form that reads back to the same bits.
+
+        Raises SessionError for NaN, infinities, and values that JSON has no form for.
+        """
+        content: dict[str, Any] = {
+            "frame": self.frame,
+            "time": self.time,
+            "events": [dict(event) for event in self.events],
+            "integrator": self.integrator,
+            "tolerance": self.tolerance,
+            "steps": self.steps,
+            "digest": self.digest,
+            "paused": self.paused,
+        }
+        if self.extras:
+            content["extras"] = dict(self.extras)
+        try:
+            return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+        except (ValueError, TypeError) as error:
+            raise SessionError(f"frame {self.frame} cannot be recorded: {error}") from error
+
+    @classmethod
+    def from_json(cls, text: str) -> FrameRecord:
+        """Read `to_json`'s text. Raises SessionError for anything else, naming what is wrong."""
+        try:
+            content = json.loads(
+                text, parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_unique_keys
+            )
+        except ValueError as error:
+            raise SessionError(f"a frame record is not readable: {error}") from error
+        if not isinstance(content, dict):
+            raise SessionError(f"a frame record is a JSON object, not {text[:40]!r}")
+        absent = [key for key in _REQUIRED if key not in content]
+        unknown = [key for key in content if key not in _REQUIRED and key != "extras"]
+        if absent or unknown:
+            raise SessionError(f"a frame record lacks {absent} or has unknown keys {unknown}")
+        _check_types(content)
+        return cls(
+            frame=content["frame"],
+            time=float(content["time"]),
+            events=tuple(content["events"]),
+            integrator=content["integrator"],
+            tolerance=None if content["tolerance"] is None else float(content["tolerance"]),
+            steps=content["steps"],
+            digest=content["digest"],
+            paused=content["paused"],
+            extras=content.get("extras", {}),
+        )
+
+
+def _check_types(content: dict[str, Any]) -> None:
+    wanted: dict[str, tuple[type, ...]] = {
+        "frame": (int,),
+        "time": (int, float),
+        "events": (list,),
+        "integrator": (str,),
+        "tolerance": (int, float, type(None)),
+        "steps": (int,),
+        "digest": (str,),
+        "paused": (bool,),
+        "extras": (dict,),
+    }
+    for key, value in content.items():
+        if not isinstance(value, wanted[key]) or (isinstance(value, bool) and key != "paused"):
+            raise SessionError(f"a frame record's {key} is {value!r}, expected {wanted[key][0].__name__}")
+    if not all(isinstance(event, dict) for event in content["events"]):
+        raise SessionError("a frame record's events are JSON objects")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is beyond the range of a float")
+    return value
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) != len(pairs):
+        raise ValueError(f"a key appears twice among {[key for key, _ in pairs]}")
+    return content

@@ -1,0 +1,78 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What an MCAP channel of the ``ros2`` profile says about itself: message definition, type hash, quality of service.
+
+The texts and hashes of the standard message types come from rosbags, so that no ROS installation is needed.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from cloth_sim_ros.session.errors import SessionError
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+SCHEMA_ENCODING = "ros2msg"
+MESSAGE_ENCODING = "cdr"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TypeDescription:
+    """A message type as an MCAP schema carries it."""
+
+    name: str
+    """Full name, e.g. ``std_msgs/msg/String``."""
+    definition: str
+    """The .msg text followed by those of every type it uses (schema encoding ``ros2msg``)."""
+    type_hash: str
+    """REP 2016 hash, ``RIHS01_`` and 64 hexadecimal digits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Qos:
+    """Quality of service a topic was offered with; deadline, lifespan and lease are infinite, liveliness automatic."""
+
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    durability: Literal["volatile", "transient_local"] = "volatile"
+    depth: int = 10
+
+    def to_yaml(self) -> str:
+        """The text rosbag2 (metadata version 9, Jazzy) keeps in a channel's ``offered_qos_profiles``."""
+        infinite = "    sec: 9223372036\n    nsec: 854775807\n"
+        return (
+            f"- history: keep_last\n  depth: {self.depth}\n  reliability: {self.reliability}\n"
+            f"  durability: {self.durability}\n  deadline:\n{infinite}  lifespan:\n{infinite}  liveliness: automatic\n"
+            f"  liveliness_lease_duration:\n{infinite}  avoid_ros_namespace_conventions: false"
+        )
+
+
+@functools.cache
+def standard_types() -> Typestore:
+    """The message types of ROS 2 Jazzy's common interfaces; takes about 70 ms the first time."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@functools.cache
+def describe(type_name: str) -> TypeDescription:
+    """Definition and hash of a standard message type, e.g. ``sensor_msgs/msg/PointCloud2``.
+
+    Raises SessionError for a type that is not among the standard ones.
+    """
+    store = standard_types()
+    if type_name not in store.fielddefs:
+        raise SessionError(
+            f"message type {type_name!r} is not a standard ROS 2 Jazzy type; a session holds standard types only"
+        )
+    definition, _ = store.generate_msgdef(type_name, ros_version=2)
+    return TypeDescription(name=type_name, definition=definition, type_hash=store.hash_rihs01(type_name))
+
+
+def channel_metadata(type_name: str, qos: Qos) -> dict[str, str]:
+    """The metadata of a channel, as rosbag2's own storage writes it."""
+    return {"offered_qos_profiles": qos.to_yaml(), "topic_type_hash": describe(type_name).type_hash}

@@ -1,0 +1,337 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bytes of an MCAP file, written chunk by chunk.
+
+The records' own layouts come from the mcap package. Its Writer is not used, for three needs of a session: a chunk
+that could not be written must leave file, indexes and statistics as if it had never been tried, so that a full disk
+still ends in a finished file; large messages are not copied on the way; and the compression level is ours to choose.
+Format: https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from cloth_sim_ros.session.errors import SessionError
+
+MAGIC = b"\x89MCAP0\r\n"
+Compression = Literal["none", "lz4", "zstd"]
+
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_CHUNK_HEAD = struct.Struct("<BQQQQI")
+_INDEX_HEAD = struct.Struct("<BQHI")
+
+
+def compressor(compression: Compression) -> Callable[[bytes], bytes]:
+    """A function that packs one chunk. Raises SessionError for a name it does not know or a package that is absent."""
+    if compression == "none":
+        return bytes
+    if compression == "lz4":
+        try:
+            import lz4.frame
+        except ImportError:
+            raise SessionError("compression lz4 needs the Python package lz4; choose none, or install it") from None
+        pack_lz4: Callable[[bytes], bytes] = lz4.frame.compress
+        return pack_lz4
+    if compression == "zstd":
+        try:
+            import zstandard
+        except ImportError:
+            raise SessionError(
+                "compression zstd needs the Python package zstandard; choose none, or install it"
+            ) from None
+        # Level 1: on float32 positions higher levels cost much more and save almost nothing (docs/session.md).
+        return zstandard.ZstdCompressor(level=1).compress
+    raise SessionError(f"compression {compression!r} is unknown; choose none, lz4 or zstd")
+
+
+def encode_record(record: McapRecord) -> bytes:
+    """The bytes of one record."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+@dataclass(slots=True)
+class _OpenChunk:
+    """What has been added since the last chunk was closed."""
+
+    parts: list[bytes] = field(default_factory=list)
+    size: int = 0
+    message_count: int = 0
+    first_time: int = 0
+    last_time: int = 0
+    indexes: dict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
+    """For each channel: log time, offset, log time, offset ..."""
+
+    def add(self, raw: bytes) -> None:
+        self.parts.append(raw)
+        self.size += len(raw)
+
+
+@dataclass(frozen=True, slots=True)
+class PackedChunk:
+    """A chunk ready to be written, and what the file's indexes must learn once it has been."""
+
+    parts: tuple[bytes, ...]
+    """Chunk record and message index records."""
+    index: ChunkIndex
+    """Offsets relative to the start of `parts`."""
+    counts: dict[int, int]
+    """Messages of each channel."""
+
+
+class McapBuilder:
+    """Turns records into the byte strings of one MCAP file, in order, and keeps its indexes.
+
+    The caller writes what `opening`, `pack_chunk`, `metadata` and `closing` return, and says `commit` when the bytes
+    are in the file. Nothing here touches a file.
+    """
+
+    def __init__(self, *, compression: Compression) -> None:
+        self._pack = compressor(compression)
+        self._compression = "" if compression == "none" else compression
+        self._schemas: dict[str, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._written = (0, 0)
+        """How many schemas and channels the committed chunks declare."""
+        self._chunk = _OpenChunk()
+        self._chunk_indexes: list[ChunkIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
+        self._metadata_indexes: list[MetadataIndex] = []
+        self._counts: dict[int, int] = defaultdict(int)
+        self._times: tuple[int, int] | None = None
+
+    @property
+    def chunk_size(self) -> int:
+        """Bytes waiting in the open chunk, before compression."""
+        return self._chunk.size
+
+    @property
+    def chunk_messages(self) -> int:
+        """Messages waiting in the open chunk."""
+        return self._chunk.message_count
+
+    @property
+    def message_times(self) -> tuple[int, int] | None:
+        """Earliest and latest log time [ns] of the chunks committed; None before the first."""
+        return self._times
+
+    def opening(self, *, library: str, metadata: list[Metadata], attachments: list[Attachment]) -> bytes:
+        """Magic, header, metadata and attachments: the beginning of the file."""
+        parts = [MAGIC, encode_record(Header(profile="ros2", library=library))]
+        offset = sum(map(len, parts))
+        for record in [*metadata, *attachments]:
+            raw = encode_record(record)
+            if isinstance(record, Metadata):
+                self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(raw), name=record.name))
+            else:
+                self._attachment_indexes.append(_attachment_index(record, offset, len(raw)))
+            parts.append(raw)
+            offset += len(raw)
+        return b"".join(parts)
+
+    def add_channel(
+        self, *, topic: str, schema: tuple[str, str, bytes], encoding: str, metadata: dict[str, str]
+    ) -> int:
+        """Declare a channel (schema: name, encoding, data), inside the open chunk; its id."""
+        name, schema_encoding, schema_data = schema
+        if name not in self._schemas:
+            self._schemas[name] = Schema(
+                id=len(self._schemas) + 1, name=name, encoding=schema_encoding, data=schema_data
+            )
+            self._chunk.add(encode_record(self._schemas[name]))
+        channel = Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding=encoding,
+            metadata=metadata,
+            schema_id=self._schemas[name].id,
+        )
+        self._channels[channel.id] = channel
+        self._chunk.add(encode_record(channel))
+        return channel.id
+
+    def add_message(self, channel: int, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
+        """Put a message into the open chunk; times in nanoseconds since the epoch."""
+        chunk = self._chunk
+        chunk.first_time = min(chunk.first_time, log_time) if chunk.message_count else log_time
+        chunk.last_time = max(chunk.last_time, log_time)
+        chunk.indexes[channel] += (log_time, chunk.size)
+        chunk.message_count += 1
+        chunk.parts.append(_MESSAGE_HEAD.pack(5, 22 + len(data), channel, sequence, log_time, publish_time))
+        chunk.parts.append(data)
+        chunk.size += _MESSAGE_HEAD.size + len(data)
+
+    def pack_chunk(self) -> PackedChunk:
+        """Compress and checksum the open chunk. It stays open until `commit`."""
+        chunk = self._chunk
+        raw = b"".join(chunk.parts)
+        return pack_chunk_record(
+            payload=self._pack(raw),
+            compression=self._compression,
+            raw_size=len(raw),
+            crc=zlib.crc32(raw),
+            times=(chunk.first_time, chunk.last_time),
+            indexes=chunk.indexes,
+        )
+
+    def commit(self, packed: PackedChunk, offset: int) -> None:
+        """Note that a packed chunk now lies at `offset` of the file, and open the next."""
+        self.note_chunk(packed, offset)
+        self._written = (len(self._schemas), len(self._channels))
+        self._chunk = _OpenChunk()
+
+    def note_chunk(self, packed: PackedChunk, offset: int) -> None:
+        """Note a chunk that did not come from the open one."""
+        index = packed.index
+        index.chunk_start_offset += offset
+        index.message_index_offsets = {key: value + offset for key, value in index.message_index_offsets.items()}
+        self._chunk_indexes.append(index)
+        for channel, count in packed.counts.items():
+            self._counts[channel] += count
+        first, last = index.message_start_time, index.message_end_time
+        self._times = (first, last) if self._times is None else (min(first, self._times[0]), max(last, self._times[1]))
+
+    def note_declarations(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+        """Take over the declarations of chunks that did not come from the open one."""
+        self._schemas = {str(key): schema for key, schema in schemas.items()}
+        self._channels = dict(channels)
+        self._written = (len(schemas), len(channels))
+
+    def metadata(self, record: Metadata, offset: int) -> bytes:
+        """A metadata record that will lie at `offset`."""
+        raw = encode_record(record)
+        self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(raw), name=record.name))
+        return raw
+
+    def closing(self, offset: int) -> bytes:
+        """Everything from the end of the data section to the end of the file, which will lie at `offset`.
+
+        What the open chunk still holds is left out, its declarations included.
+        """
+        schemas = list(self._schemas.values())[: self._written[0]]
+        channels = list(self._channels.values())[: self._written[1]]
+        end = encode_record(DataEnd(data_section_crc=0))
+        start = offset + len(end)
+        first, last = self._times or (0, 0)
+        statistics = Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunk_indexes),
+            message_count=sum(self._counts.values()),
+            message_start_time=first,
+            message_end_time=last,
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(schemas),
+        )
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, [*schemas]),
+            (Opcode.CHANNEL, [*channels]),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
+            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indexes]),
+            (Opcode.METADATA_INDEX, [*self._metadata_indexes]),
+        ]
+        summary = RecordBuilder()
+        offsets = []
+        for opcode, records in groups:
+            group_start = summary.count
+            for record in records:
+                record.write(summary)
+            if records:
+                offsets.append(
+                    SummaryOffset(
+                        group_opcode=int(opcode),
+                        group_start=start + group_start,
+                        group_length=summary.count - group_start,
+                    )
+                )
+        offset_start = start + summary.count
+        for summary_offset in offsets:
+            summary_offset.write(summary)
+        raw = summary.end()
+        # The summary's checksum covers the footer up to the checksum itself.
+        footer_head = struct.pack("<BQQQ", int(Opcode.FOOTER), 20, start, offset_start)
+        crc = zlib.crc32(footer_head, zlib.crc32(raw))
+        footer = encode_record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
+        return b"".join((end, raw, footer, MAGIC))
+
+
+def pack_chunk_record(
+    *,
+    payload: bytes,
+    compression: str,
+    raw_size: int,
+    crc: int,
+    times: tuple[int, int],
+    indexes: dict[int, list[int]],
+) -> PackedChunk:
+    """The records of a chunk whose contents are already compressed; `indexes` as in the open chunk."""
+    name = compression.encode()
+    tail = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(payload))
+    body = _CHUNK_HEAD.size - 9 + len(tail) + len(payload)
+    head = _CHUNK_HEAD.pack(6, body, *times, raw_size, crc) + tail
+    index_parts = []
+    index_offsets = {}
+    length = len(head) + len(payload)
+    position = length
+    for channel, entries in indexes.items():
+        raw = _INDEX_HEAD.pack(7, 6 + 8 * len(entries), channel, 8 * len(entries)) + struct.pack(
+            f"<{len(entries)}Q", *entries
+        )
+        index_offsets[channel] = position
+        index_parts.append(raw)
+        position += len(raw)
+    return PackedChunk(
+        parts=(head, payload, b"".join(index_parts)),
+        index=ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=0,
+            compression=compression,
+            compressed_size=len(payload),
+            message_end_time=times[1],
+            message_index_length=position - length,
+            message_index_offsets=index_offsets,
+            message_start_time=times[0],
+            uncompressed_size=raw_size,
+        ),
+        counts={channel: len(entries) // 2 for channel, entries in indexes.items()},
+    )
+
+
+def _attachment_index(record: McapRecord, offset: int, length: int) -> AttachmentIndex:
+    assert isinstance(record, Attachment)
+    return AttachmentIndex(
+        offset=offset,
+        length=length,
+        create_time=record.create_time,
+        log_time=record.log_time,
+        data_size=len(record.data),
+        name=record.name,
+        media_type=record.media_type,
+    )

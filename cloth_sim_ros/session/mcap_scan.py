@@ -1,0 +1,269 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reading the records of an MCAP file from front to back, trusting nothing that is not whole and checked."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import BinaryIO, NamedTuple, TypeVar
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, ChunkIndex, Footer, McapRecord, Metadata, Schema, Statistics
+
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.mcap_builder import MAGIC
+
+_RECORD_HEAD = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_MESSAGE = struct.Struct("<HIQQ")
+_FOOTER_SIZE = 9 + 20 + len(MAGIC)
+_LARGEST_CHUNK = 2 << 30
+_KNOWN_OPCODES = range(1, 16)
+_PRIVATE_OPCODES = range(0x80, 0x100)
+
+_Record = TypeVar("_Record", bound=McapRecord)
+
+
+class DamagedRecordError(SessionError):
+    """A record's bytes do not parse or fail their checksum."""
+
+
+class RawMessage(NamedTuple):
+    """A message as it lies in a chunk."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RecordPlace:
+    """Where a whole record lies."""
+
+    opcode: int
+    offset: int
+    """Of its opcode byte."""
+    body_size: int
+
+    @property
+    def end(self) -> int:
+        """Offset of the byte after it."""
+        return self.offset + _RECORD_HEAD.size + self.body_size
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """The contents of a chunk, decompressed and checked."""
+
+    place: RecordPlace
+    compression: str
+    payload: bytes
+    """As it lies in the file."""
+    raw: bytes
+    crc: int
+    checked: bool
+    """False where the file carries no checksum for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The indexes at the end of a finished file, their checksum verified."""
+
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    statistics: Statistics | None
+    chunks: list[ChunkIndex]
+    records: list[tuple[int, int]]
+    """Offset and length of every attachment and metadata record."""
+
+
+def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
+    """The record at an offset, if all of it is there. Raises DamagedRecordError where no record can begin like that."""
+    size = file.seek(0, 2)
+    file.seek(offset)
+    head = file.read(_RECORD_HEAD.size)
+    if not head:
+        return None
+    if head[0] not in _KNOWN_OPCODES and head[0] not in _PRIVATE_OPCODES:
+        raise DamagedRecordError(f"byte {offset} begins no record (opcode {head[0]})")
+    if len(head) < _RECORD_HEAD.size:
+        return None
+    opcode, body_size = _RECORD_HEAD.unpack(head)
+    place = RecordPlace(opcode, offset, body_size)
+    return place if place.end <= size else None
+
+
+def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
+    """The bytes of a record after its length."""
+    file.seek(place.offset + _RECORD_HEAD.size)
+    body = file.read(place.body_size)
+    if len(body) < place.body_size:
+        raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
+    return body
+
+
+def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
+    """A chunk, decompressed and checked. Raises DamagedRecordError; SessionError without its decompressor."""
+    body = read_body(file, place)
+    try:
+        _, _, raw_size, crc = _CHUNK_HEAD.unpack_from(body)
+        (name_size,) = struct.unpack_from("<I", body, _CHUNK_HEAD.size)
+        start = _CHUNK_HEAD.size + 4 + name_size
+        compression = body[_CHUNK_HEAD.size + 4 : start].decode()
+        (payload_size,) = struct.unpack_from("<Q", body, start)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise DamagedRecordError(f"the chunk at byte {place.offset} has no readable head: {error}") from error
+    payload = body[start + 8 :]
+    if len(payload) != payload_size:
+        raise DamagedRecordError(
+            f"the chunk at byte {place.offset} does not hold the {payload_size} bytes it announces"
+        )
+    raw = _unpack(payload, compression, raw_size, place.offset)
+    checked = crc != 0
+    if len(raw) != raw_size or (checked and zlib.crc32(raw) != crc):
+        raise DamagedRecordError(f"the chunk at byte {place.offset} fails its checksum")
+    return Chunk(place=place, compression=compression, payload=payload, raw=raw, crc=crc, checked=checked)
+
+
+def chunk_records(chunk: Chunk) -> Iterator[Schema | Channel | tuple[int, RawMessage]]:
+    """Declarations and messages (with their offset in the chunk) in order. Raises DamagedRecordError."""
+    raw = chunk.raw
+    position = 0
+    while position < len(raw):
+        if position + _RECORD_HEAD.size > len(raw):
+            raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} ends inside a record")
+        opcode, size = _RECORD_HEAD.unpack_from(raw, position)
+        start = position + _RECORD_HEAD.size
+        end = start + size
+        if end > len(raw) or (opcode == Opcode.MESSAGE and size < _MESSAGE.size):
+            raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of {size} bytes too many")
+        if opcode == Opcode.MESSAGE:
+            yield position, RawMessage._make((*_MESSAGE.unpack_from(raw, start), raw[start + _MESSAGE.size : end]))
+        elif opcode == Opcode.SCHEMA:
+            yield parse_record(Schema, raw[start:end], chunk.place.offset)
+        elif opcode == Opcode.CHANNEL:
+            yield parse_record(Channel, raw[start:end], chunk.place.offset)
+        position = end
+
+
+def read_metadata(file: BinaryIO, place: RecordPlace) -> Metadata:
+    """A metadata record. Raises DamagedRecordError."""
+    return parse_record(Metadata, read_body(file, place), place.offset)
+
+
+def read_attachment(file: BinaryIO, place: RecordPlace) -> Attachment:
+    """An attachment, its checksum verified. Raises DamagedRecordError."""
+    body = read_body(file, place)
+    if len(body) < 4:
+        raise DamagedRecordError(f"the attachment at byte {place.offset} is too short")
+    (crc,) = struct.unpack_from("<I", body, len(body) - 4)
+    if crc and zlib.crc32(body[:-4]) != crc:
+        raise DamagedRecordError(f"the attachment at byte {place.offset} fails its checksum")
+    return parse_record(Attachment, body, place.offset)
+
+
+def read_summary(file: BinaryIO) -> Summary | None:
+    """The indexes of a finished file; None where the file does not end as a finished one does.
+
+    Raises DamagedRecordError where it does, and the indexes fail their checksum.
+    """
+    size = file.seek(0, 2)
+    if size < len(MAGIC) + _FOOTER_SIZE:
+        return None
+    file.seek(size - _FOOTER_SIZE)
+    tail = file.read(_FOOTER_SIZE)
+    if tail[-len(MAGIC) :] != MAGIC or _RECORD_HEAD.unpack_from(tail) != (Opcode.FOOTER, 20):
+        return None
+    footer = parse_record(Footer, tail[9:29], size - _FOOTER_SIZE)
+    if not footer.summary_start:
+        return None
+    if not len(MAGIC) <= footer.summary_start <= size - _FOOTER_SIZE:
+        raise DamagedRecordError(f"the footer names byte {footer.summary_start} of a file of {size} bytes")
+    file.seek(footer.summary_start)
+    raw = file.read(size - _FOOTER_SIZE - footer.summary_start)
+    if footer.summary_crc and zlib.crc32(tail[:25], zlib.crc32(raw)) != footer.summary_crc:
+        raise DamagedRecordError("the indexes at the file's end fail their checksum")
+    return _collect_summary(raw, footer.summary_start)
+
+
+def _collect_summary(raw: bytes, offset: int) -> Summary:
+    from mcap.records import AttachmentIndex, MetadataIndex
+
+    summary = Summary(schemas={}, channels={}, statistics=None, chunks=[], records=[])
+    statistics = None
+    position = 0
+    while position + _RECORD_HEAD.size <= len(raw):
+        opcode, size = _RECORD_HEAD.unpack_from(raw, position)
+        body = raw[position + _RECORD_HEAD.size : position + _RECORD_HEAD.size + size]
+        place = offset + position
+        if opcode == Opcode.SCHEMA:
+            schema = parse_record(Schema, body, place)
+            summary.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = parse_record(Channel, body, place)
+            summary.channels[channel.id] = channel
+        elif opcode == Opcode.CHUNK_INDEX:
+            summary.chunks.append(parse_record(ChunkIndex, body, place))
+        elif opcode == Opcode.STATISTICS:
+            statistics = parse_record(Statistics, body, place)
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            attachment = parse_record(AttachmentIndex, body, place)
+            summary.records.append((attachment.offset, attachment.length))
+        elif opcode == Opcode.METADATA_INDEX:
+            metadata = parse_record(MetadataIndex, body, place)
+            summary.records.append((metadata.offset, metadata.length))
+        position += _RECORD_HEAD.size + size
+    summary.chunks.sort(key=lambda index: index.chunk_start_offset)
+    summary.records.sort()
+    return Summary(summary.schemas, summary.channels, statistics, summary.chunks, summary.records)
+
+
+def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
+    """A record from its bytes; `offset` is for the message. Raises DamagedRecordError."""
+    stream = ReadDataStream(BytesIO(body))
+    try:
+        return kind.read(stream)  # type: ignore[attr-defined]
+    except (McapError, ValueError, struct.error, OverflowError) as error:
+        raise DamagedRecordError(f"the {kind.__name__} record at byte {offset} does not parse: {error}") from error
+
+
+def _unpack(payload: bytes, compression: str, raw_size: int, offset: int) -> bytes:
+    """Decompress. The announced size is compared first, so that damage cannot ask for absurd amounts of memory."""
+    if raw_size > _LARGEST_CHUNK:
+        raise DamagedRecordError(
+            f"the chunk at byte {offset} announces {raw_size} bytes, the limit is {_LARGEST_CHUNK}"
+        )
+    if compression == "":
+        return payload
+    if compression == "lz4":
+        try:
+            import lz4.frame
+        except ImportError:
+            raise SessionError("the session is compressed with lz4; install the Python package lz4") from None
+        try:
+            announced = lz4.frame.get_frame_info(payload)["content_size"]
+            raw: bytes = lz4.frame.decompress(payload) if announced in (0, raw_size) else b""
+        except RuntimeError as error:
+            raise DamagedRecordError(f"the chunk at byte {offset} does not decompress: {error}") from error
+        return raw
+    if compression == "zstd":
+        try:
+            import zstandard
+        except ImportError:
+            raise SessionError("the session is compressed with zstd; install the Python package zstandard") from None
+        try:
+            announced = zstandard.get_frame_parameters(payload).content_size
+            if announced not in (raw_size, zstandard.CONTENTSIZE_UNKNOWN):
+                return b""
+            return zstandard.decompress(payload, max_output_size=raw_size)
+        except zstandard.ZstdError as error:
+            raise DamagedRecordError(f"the chunk at byte {offset} does not decompress: {error}") from error
+    raise DamagedRecordError(f"the chunk at byte {offset} is compressed with {compression!r}, known are lz4 and zstd")

@@ -1,0 +1,356 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recording without ever holding up the one who records: a bounded queue and a thread of its own around the writer."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from cloth_sim_ros.session.errors import RecordingError, SessionError
+from cloth_sim_ros.session.layouts import Qos
+from cloth_sim_ros.session.storage import AppendFile
+from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+
+RecorderState = Literal["opening", "recording", "closed", "failed"]
+
+_ITEM_OVERHEAD = 400
+"""Memory that Python keeps for a queued message beyond its bytes; estimated on the high side [bytes]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderStatus:
+    """What a recording is doing, as of one moment."""
+
+    state: RecorderState
+    path: Path | None
+    """The file being written, or written last; None before it exists."""
+    bytes_written: int
+    """Over all files of the session."""
+    messages: int
+    """That are in the files."""
+    dropped: int
+    """Droppable messages that found the queue full."""
+    queue_depth: int
+    """Messages waiting to be written."""
+    queue_bytes: int
+    error: str
+    """Why the recording ended early, in one sentence; empty if it did not."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderOptions:
+    """How a session is recorded; the file's own layout is in `writer`."""
+
+    writer: WriterOptions = field(default_factory=WriterOptions)
+    queue_bytes: int = 256 << 20
+    """Droppable messages are dropped while this much waits [bytes]."""
+    backlog_bytes: int = 512 << 20
+    """Where even the others pile up to this much, the recording ends: bounded memory, and nothing lost unseen."""
+    split_bytes: int = 0
+    """Ask for a new file when one holds this much [bytes]; 0 never."""
+    split_seconds: float = 0.0
+    """Ask for a new file when one spans this much session time [s]; 0 never."""
+
+
+class _Message(NamedTuple):
+    topic: str
+    type_name: str
+    data: bytes
+    log_time: int
+    publish_time: int
+    sequence: int
+    qos: Qos | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    snapshot: Snapshot
+    log_time: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Stop:
+    reason: str
+
+
+def session_stem(name: str, start: datetime.datetime) -> str:
+    """Stem of a session's files, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
+    return f"{name}_{start:%Y-%m-%dT%H-%M-%S}"
+
+
+class Recorder:
+    """Records a session from any thread, without blocking: `record` and `split` only put into a queue.
+
+    All work on the disk, the file's creation included, is done by the recorder's own thread. When the disk cannot
+    follow, droppable messages are dropped and counted; the others are kept, in memory of at most ``backlog_bytes``.
+    An error of the disk ends the recording, with what was written intact, and shows in `status`; nothing is raised at
+    the one who records.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        snapshot: Snapshot,
+        log_time: int,
+        stem: str | None = None,
+        options: RecorderOptions | None = None,
+        open_file: Callable[[Path, str, str, bytes], AppendFile] = AppendFile,
+    ) -> None:
+        """Start recording into a new file under `folder` (created if absent); see `wait_until_open` for errors.
+
+        `log_time` [ns] is the time of the snapshot. `stem` names the files; by default ``cloth_sim_<start in UTC>``.
+        """
+        self._folder = Path(folder)
+        self._options = options or RecorderOptions()
+        self._open_file = open_file
+        self._stem = stem or session_stem("cloth_sim", datetime.datetime.now(datetime.UTC))
+        self._queue: queue.SimpleQueue[_Message | _Split | _Stop] = queue.SimpleQueue()
+        # Counters with one writing side each, so that neither side waits for the other.
+        self._put_count = self._put_bytes = 0
+        self._taken_count = self._taken_bytes = 0
+        self._dropped = 0
+        self._sequences: dict[str, int] = {}
+        self._put_lock = threading.Lock()
+        self._splits_asked = 0
+        self._full_part = -1
+        """The newest part that has reached its limit."""
+        self._stop_asked = False
+        self._opened = threading.Event()
+        self._status = RecorderStatus(
+            state="opening", path=None, bytes_written=0, messages=0, dropped=0, queue_depth=0, queue_bytes=0, error=""
+        )
+        self._part = 0
+        self._finished_bytes = self._finished_messages = 0
+        self._latched: dict[str, _Message] = {}
+        self._thread = threading.Thread(target=self._run, args=(snapshot, log_time), name="recorder", daemon=True)
+        self._thread.start()
+
+    def wait_until_open(self, timeout: float = 10.0) -> Path:
+        """Wait until the first file exists; its path. Raises RecordingError with the reason if it cannot be made."""
+        if not self._opened.wait(timeout):
+            raise RecordingError(f"{self._folder} did not take a new file within {timeout:g} s; is its disk stuck?")
+        status = self.status()
+        if status.path is None:
+            raise RecordingError(status.error)
+        return status.path
+
+    def record(
+        self,
+        topic: str,
+        type_name: str,
+        data: bytes,
+        *,
+        log_time: int,
+        publish_time: int | None = None,
+        droppable: bool,
+        qos: Qos | None = None,
+    ) -> bool:
+        """Queue a message (CDR bytes); never blocks. False if it was dropped or the recording has ended.
+
+        Times in nanoseconds since the epoch. `qos` counts with the first message of a topic; the newest message of a
+        transient local topic is repeated at the beginning of each further file.
+        """
+        with self._put_lock:
+            if self._stop_asked or self._status.state in ("failed", "closed"):
+                return False
+            # The number counts dropped messages too, so that the file itself shows the gaps.
+            sequence = self._sequences.get(topic, 0)
+            self._sequences[topic] = sequence + 1
+            waiting = self._put_bytes - self._taken_bytes
+            if droppable and waiting + len(data) > self._options.queue_bytes:
+                self._dropped += 1
+                return False
+            self._put(
+                _Message(
+                    topic, type_name, data, log_time, log_time if publish_time is None else publish_time, sequence, qos
+                )
+            )
+            return True
+
+    @property
+    def wants_split(self) -> bool:
+        """Whether the file has reached its limit; then call `split` with a snapshot at the next frame boundary."""
+        return self._full_part == self._splits_asked and not self._stop_asked
+
+    def split(self, snapshot: Snapshot, *, log_time: int) -> None:
+        """Let everything recorded from now on go to a new file that opens with this snapshot; never blocks."""
+        with self._put_lock:
+            if not self._stop_asked and self._status.state != "failed":
+                self._splits_asked += 1
+                self._put(_Split(snapshot, log_time))
+
+    def status(self) -> RecorderStatus:
+        """What the recording is doing."""
+        status = replace(
+            self._status,
+            dropped=self._dropped,
+            queue_depth=self._put_count - self._taken_count,
+            queue_bytes=self._put_bytes - self._taken_bytes,
+        )
+        if status.state in ("opening", "recording") and not self._thread.is_alive():
+            # Read again: the thread may have ended properly in between.
+            state = self._status.state
+            if state in ("opening", "recording"):
+                return replace(
+                    status, state="failed", error="the recorder's thread ended unexpectedly, see its traceback"
+                )
+            return self.status()
+        return status
+
+    def close(self, *, timeout: float = 10.0, reason: str = "stopped") -> RecorderStatus:
+        """Write what is queued, finish the file, and say how it went. Safe to call again, also after an interruption.
+
+        Where the disk is stuck for longer than `timeout` [s] the file is left as it is, intact but unfinished.
+        """
+        with self._put_lock:
+            if not self._stop_asked:
+                self._stop_asked = True
+                self._put(_Stop(reason))
+        self._thread.join(timeout)
+        status = self.status()
+        if self._thread.is_alive():
+            waiting = f"{status.queue_depth} messages were not written within {timeout:g} s; is the disk stuck?"
+            return replace(status, state="failed", error=waiting)
+        return status
+
+    def _put(self, item: _Message | _Split | _Stop) -> None:
+        self._put_count += 1
+        self._put_bytes += _weight(item)
+        self._queue.put(item)
+
+    # What follows runs in the recorder's thread.
+
+    def _run(self, snapshot: Snapshot, log_time: int) -> None:
+        try:
+            writer = self._new_writer(snapshot, log_time)
+        except (OSError, SessionError) as error:
+            self._status = replace(self._status, state="failed", error=_sentence(error, self._folder))
+            self._opened.set()
+            return
+        self._report(writer, "recording")
+        self._opened.set()
+        self._write_until_stopped(writer)
+
+    def _write_until_stopped(self, writer: SessionWriter) -> None:
+        while True:
+            try:
+                item = self._next_item(writer)
+                if isinstance(item, _Message):
+                    self._write(writer, item)
+                elif isinstance(item, _Split):
+                    writer = self._next_file(writer, item)
+                elif isinstance(item, _Stop):
+                    writer.finish(reason=item.reason, notes=self._notes())
+                    self._report(writer, "closed")
+                    return
+                writer.maintain()
+                self._check_backlog()
+            except (OSError, SessionError) as error:
+                self._end_early(writer, error)
+                return
+            self._report(writer, "recording")
+            if self._reached_limit(writer):
+                self._full_part = self._part
+
+    def _next_item(self, writer: SessionWriter) -> _Message | _Split | _Stop | None:
+        due = writer.seconds_until_due()
+        try:
+            item = self._queue.get(timeout=None if due is None else max(due, 0.0))
+        except queue.Empty:
+            return None
+        self._taken_count += 1
+        self._taken_bytes += _weight(item)
+        return item
+
+    def _write(self, writer: SessionWriter, item: _Message) -> None:
+        if not writer.is_declared(item.topic):
+            writer.declare(item.topic, item.type_name, item.qos)
+            if item.qos is not None and item.qos.durability == "transient_local":
+                self._latched[item.topic] = item
+        if item.topic in self._latched:
+            self._latched[item.topic] = item._replace(qos=self._latched[item.topic].qos)
+        writer.add(
+            item.topic, item.data, log_time=item.log_time, publish_time=item.publish_time, sequence=item.sequence
+        )
+
+    def _next_file(self, writer: SessionWriter, split: _Split) -> SessionWriter:
+        writer.finish(reason="split", notes=self._notes())
+        self._finished_bytes += writer.bytes_written
+        self._finished_messages += writer.message_count
+        self._part += 1
+        following = self._new_writer(split.snapshot, split.log_time)
+        for item in list(self._latched.values()):
+            self._write(following, item._replace(log_time=split.log_time))
+        return following
+
+    def _new_writer(self, snapshot: Snapshot, log_time: int) -> SessionWriter:
+        return SessionWriter(
+            self._folder,
+            snapshot=snapshot,
+            stem=self._stem,
+            part=self._part,
+            log_time=log_time,
+            options=self._options.writer,
+            open_file=self._open_file,
+        )
+
+    def _reached_limit(self, writer: SessionWriter) -> bool:
+        size, seconds = self._options.split_bytes, self._options.split_seconds
+        return bool(size and writer.bytes_written >= size) or bool(seconds and writer.session_seconds >= seconds)
+
+    def _check_backlog(self) -> None:
+        waiting = self._put_bytes - self._taken_bytes
+        if waiting > self._options.backlog_bytes:
+            raise RecordingError(
+                f"{waiting >> 20} MiB wait to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
+                f"the disk of {self._folder} is too slow"
+            )
+
+    def _end_early(self, writer: SessionWriter, error: OSError | SessionError) -> None:
+        sentence = _sentence(error, writer.path)
+        # The chunk that did not fit is refused again; the file itself is finished or, at worst, intact.
+        with contextlib.suppress(OSError, SessionError):
+            writer.finish(reason=sentence, notes=self._notes())
+        self._report(writer, "failed", sentence)
+        self._empty_queue()
+
+    def _empty_queue(self) -> None:
+        """Give back the memory of what can no longer be written."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                item = self._queue.get_nowait()
+                self._taken_count += 1
+                self._taken_bytes += _weight(item)
+
+    def _notes(self) -> dict[str, str]:
+        return {"dropped": str(self._dropped)}
+
+    def _report(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:
+        self._status = replace(
+            self._status,
+            state=state,
+            path=writer.path,
+            bytes_written=self._finished_bytes + writer.bytes_written,
+            messages=self._finished_messages + writer.message_count,
+            error=error,
+        )
+
+
+def _weight(item: _Message | _Split | _Stop) -> int:
+    if isinstance(item, _Message):
+        return len(item.data) + _ITEM_OVERHEAD
+    return len(item.snapshot.state) + _ITEM_OVERHEAD if isinstance(item, _Split) else _ITEM_OVERHEAD
+
+
+def _sentence(error: OSError | SessionError, path: Path) -> str:
+    if isinstance(error, OSError):
+        return f"cannot write {path}: {error.strerror or error}"
+    return str(error)

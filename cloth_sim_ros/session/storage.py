@@ -1,0 +1,145 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An append-only file that is never overwritten, ends on a whole record, and tells readers that its writer lives."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from cloth_sim_ros.session.errors import RecordingError
+
+_NO_HARD_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+_NAME_LIMIT = 1000
+
+
+class AppendFile:
+    """A new file under `folder`, born with its opening bytes complete.
+
+    The opening is written under a hidden name first and then linked to the final one, so that a file that can be seen
+    always has a readable beginning, whenever the process was killed. An exclusive advisory lock is held while it is
+    open: whoever can take a shared lock knows that the writer is gone (see `is_being_written`).
+
+    Raises OSError as the operating system reports it, RecordingError where no free name is found.
+    """
+
+    def __init__(self, folder: Path, stem: str, suffix: str, opening: bytes) -> None:
+        hidden = folder / f".{stem}{suffix}.{os.getpid()}.opening"
+        self._descriptor = os.open(hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self.size = 0
+        """Bytes written; always the end of a whole append."""
+        try:
+            _lock(self._descriptor)
+            self.append([opening])
+            self.path = _give_name(hidden, folder, stem, suffix)
+        except BaseException:
+            os.close(self._descriptor)
+            raise
+        finally:
+            hidden.unlink(missing_ok=True)
+
+    def append(self, parts: Sequence[bytes]) -> None:
+        """Write all bytes at the end. On an error nothing of them stays in the file, and the error is raised."""
+        try:
+            for part in parts:
+                view = memoryview(part)
+                while view:
+                    view = view[self._write(view) :]
+        except OSError:
+            self._cut()
+            raise
+        self.size += sum(map(len, parts))
+
+    def sync(self) -> None:
+        """Wait until the file's contents would survive a power loss."""
+        os.fdatasync(self._descriptor)
+
+    def sync_name(self) -> None:
+        """Wait until the file's name would survive a power loss."""
+        descriptor = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def free_space(self) -> int:
+        """Bytes that an unprivileged writer may still add to the file system."""
+        status = os.fstatvfs(self._descriptor)
+        return status.f_bavail * status.f_frsize
+
+    def is_linked(self) -> bool:
+        """False once the file's name was removed, after which whatever is written would be lost."""
+        return os.fstat(self._descriptor).st_nlink > 0
+
+    def close(self) -> None:
+        """Give the file back; safe to call twice."""
+        if self._descriptor >= 0:
+            descriptor, self._descriptor = self._descriptor, -1
+            os.close(descriptor)
+
+    def _write(self, view: memoryview) -> int:
+        return os.write(self._descriptor, view)
+
+    def _cut(self) -> None:
+        """Take back a half-written append; where even that fails, readers stop at the last whole record anyway."""
+        try:
+            os.ftruncate(self._descriptor, self.size)
+            os.lseek(self._descriptor, self.size, os.SEEK_SET)
+        except OSError:
+            return
+
+
+def is_being_written(descriptor: int) -> bool:
+    """Whether a living process holds the file open for recording; False on file systems without locks."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False
+
+
+def make_folder(folder: Path) -> None:
+    """Create the folder of a recording. Raises RecordingError with the reason and the remedy."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise RecordingError(f"cannot record into {folder}: it is, or lies under, a file; set record.folder") from None
+    except OSError as error:
+        raise RecordingError(f"cannot create {folder}: {error.strerror}; set record.folder") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise RecordingError(f"cannot write into {folder}: permission denied; set record.folder")
+
+
+def _lock(descriptor: int) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        # Some network file systems have no locks; then a follower goes by the file's growth alone.
+        return
+
+
+def _give_name(hidden: Path, folder: Path, stem: str, suffix: str) -> Path:
+    """Link the hidden file to the first free name of ``stem``, ``stem-2``, ``stem-3`` ..."""
+    for number in range(1, _NAME_LIMIT):
+        path = folder / (f"{stem}{suffix}" if number == 1 else f"{stem}-{number}{suffix}")
+        try:
+            os.link(hidden, path)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            if error.errno not in _NO_HARD_LINKS:
+                raise
+            # A file system without hard links (FAT): reserve the name, then move over the reservation.
+            try:
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
+            except FileExistsError:
+                continue
+            os.replace(hidden, path)
+        return path
+    raise RecordingError(f"{folder} already holds {_NAME_LIMIT - 1} files named {stem}; set record.folder")

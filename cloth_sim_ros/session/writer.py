@@ -1,0 +1,253 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Writing one session file: the session's own contents over the bytes of an MCAP."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.session.errors import RecordingError
+from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, Qos, channel_metadata, describe
+from cloth_sim_ros.session.storage import AppendFile, make_folder
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.mcap_builder import Compression
+
+FORMAT_VERSION = "1"
+METADATA_NAME = "cloth_sim"
+END_METADATA_NAME = "cloth_sim_end"
+SCENE_NAME = "scene.yaml"
+STATE_NAME = "state.npz"
+SUFFIX = ".mcap"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """All that a file opens with: enough to run again whatever follows."""
+
+    scene_yaml: str
+    """A ROS parameter file with every parameter in force."""
+    state: bytes
+    """The full state before the file's first frame, as the bytes of an .npz."""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    """Versions, machine, node (its resolved name, e.g. ``/cloth_sim``), period [s]; all as text."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WriterOptions:
+    """How a session is laid down in its file."""
+
+    compression: Compression = "lz4"
+    chunk_bytes: int = 1 << 20
+    """A chunk is closed when it holds this much before compression ..."""
+    chunk_seconds: float = 0.5
+    """... or when its oldest message has waited this long; a killed process loses no more [s]."""
+    sync_seconds: float = 1.0
+    """A power loss costs at most this much beyond `chunk_seconds` [s]; 0 leaves it to the operating system."""
+    least_free_space: int = 0
+    """Stop before the file system has less room than this [bytes]."""
+
+    def __post_init__(self) -> None:
+        if self.chunk_bytes < 1 or self.least_free_space < 0:
+            raise RecordingError(
+                f"a chunk of {self.chunk_bytes} bytes with {self.least_free_space} bytes kept free: "
+                "the first must be positive, the second must not be negative"
+            )
+        if not (0 < self.chunk_seconds < 60 and 0 <= self.sync_seconds < 3600):
+            raise RecordingError(
+                f"chunks of {self.chunk_seconds} s, synchronised every {self.sync_seconds} s: "
+                "the first must be within (0, 60), the second within [0, 3600)"
+            )
+
+
+class SessionWriter:
+    """One session file, used from one thread. Every method may raise OSError as the system reports it.
+
+    After an error in `add` or `maintain` the file still ends on a whole record, and `finish` can be called to make it
+    a finished file without what could not be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        snapshot: Snapshot,
+        stem: str,
+        part: int = 0,
+        log_time: int,
+        options: WriterOptions | None = None,
+        open_file: Callable[[Path, str, str, bytes], AppendFile] = AppendFile,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Create ``<folder>/<stem>_<part>.mcap`` (or, if that exists, ``...-2.mcap``) with its snapshot in it.
+
+        `log_time` [ns since the epoch] is the time of the snapshot. Raises RecordingError or OSError where it cannot.
+        """
+        from mcap.records import Attachment, Metadata
+
+        from cloth_sim_ros.session.mcap_builder import McapBuilder
+
+        self._options = options or WriterOptions()
+        self._clock = clock
+        self._builder = McapBuilder(compression=self._options.compression)
+        self._channels: dict[str, int] = {}
+        self._chunk_since: float | None = None
+        self._unsynced_since: float | None = None
+        self._finished = False
+        self.message_count = 0
+        """Messages that are in the file."""
+        folder = Path(folder)
+        make_folder(folder)
+        metadata = {
+            **snapshot.metadata,
+            "format": FORMAT_VERSION,
+            "session": stem,
+            "part": str(part),
+        }
+        metadata["checksum"] = metadata_checksum(metadata)
+        opening = self._builder.opening(
+            library="cloth_sim_ros",
+            metadata=[Metadata(name=METADATA_NAME, metadata=metadata)],
+            attachments=[
+                Attachment(create_time=log_time, log_time=log_time, name=name, media_type=media_type, data=data)
+                for name, media_type, data in (
+                    (SCENE_NAME, "application/yaml", snapshot.scene_yaml.encode()),
+                    (STATE_NAME, "application/octet-stream", snapshot.state),
+                )
+            ],
+        )
+        self._file = open_file(folder, f"{stem}_{part:03d}", SUFFIX, opening)
+        if self._options.sync_seconds:
+            self._file.sync()
+            self._file.sync_name()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._file.path
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes that are in the file."""
+        return self._file.size
+
+    @property
+    def session_seconds(self) -> float:
+        """Span of the log times in the file [s]."""
+        times = self._builder.message_times
+        return 0.0 if times is None else (times[1] - times[0]) * 1e-9
+
+    def declare(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
+        """Open a channel; once for each topic. Raises SessionError for a type that is not standard."""
+        description = describe(type_name)
+        self._channels[topic] = self._builder.add_channel(
+            topic=topic,
+            schema=(type_name, SCHEMA_ENCODING, description.definition.encode()),
+            encoding=MESSAGE_ENCODING,
+            metadata=channel_metadata(type_name, qos or Qos()),
+        )
+
+    def is_declared(self, topic: str) -> bool:
+        """Whether the topic has a channel."""
+        return topic in self._channels
+
+    def add(self, topic: str, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
+        """Append a message (CDR bytes) to its topic's channel; times in nanoseconds since the epoch."""
+        if self._chunk_since is None:
+            self._chunk_since = self._clock()
+        self._builder.add_message(
+            self._channels[topic], data, log_time=log_time, publish_time=publish_time, sequence=sequence & 0xFFFFFFFF
+        )
+        if self._builder.chunk_size >= self._options.chunk_bytes:
+            self._write_chunk()
+
+    def seconds_until_due(self) -> float | None:
+        """When `maintain` next has something to do [s from now, may be negative]; None while nothing waits."""
+        due = []
+        if self._chunk_since is not None:
+            due.append(self._chunk_since + self._options.chunk_seconds)
+        if self._unsynced_since is not None and self._options.sync_seconds:
+            due.append(self._unsynced_since + self._options.sync_seconds)
+        return min(due) - self._clock() if due else None
+
+    def maintain(self) -> None:
+        """Close a chunk that is old enough, and synchronise when it is time to."""
+        now = self._clock()
+        if self._chunk_since is not None and now - self._chunk_since >= self._options.chunk_seconds:
+            self._write_chunk()
+        sync = self._options.sync_seconds
+        if sync and self._unsynced_since is not None and now - self._unsynced_since >= sync:
+            self._file.sync()
+            self._unsynced_since = None
+
+    def finish(self, *, reason: str, notes: Mapping[str, str] | None = None) -> None:
+        """Write the last chunk (if it can be), why the file ends here, and the indexes; then close the file.
+
+        An OSError leaves a file that is intact but unfinished, and closed.
+        """
+        if self._finished:
+            return
+        self._finished = True
+        try:
+            refused: OSError | RecordingError | None = None
+            try:
+                self._write_chunk()
+            except (OSError, RecordingError) as error:
+                refused = error
+            self._close_file(reason, notes or {})
+            if refused is not None:
+                raise refused
+        finally:
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is, unfinished but intact."""
+        self._finished = True
+        self._file.close()
+
+    def _close_file(self, reason: str, notes: Mapping[str, str]) -> None:
+        from mcap.records import Metadata
+
+        record = Metadata(
+            name=END_METADATA_NAME, metadata={**notes, "reason": reason, "messages": str(self.message_count)}
+        )
+        end = self._builder.metadata(record, self._file.size)
+        self._file.append([end, self._builder.closing(self._file.size + len(end))])
+        if self._options.sync_seconds:
+            self._file.sync()
+
+    def _write_chunk(self) -> None:
+        if not self._builder.chunk_messages:
+            return
+        self._check_room()
+        packed = self._builder.pack_chunk()
+        offset = self._file.size
+        self._file.append(packed.parts)
+        self._builder.commit(packed, offset)
+        self.message_count += sum(packed.counts.values())
+        self._chunk_since = None
+        if self._unsynced_since is None:
+            self._unsynced_since = self._clock()
+
+    def _check_room(self) -> None:
+        if not self._file.is_linked():
+            raise RecordingError(f"{self.path} was removed while it was being recorded")
+        least = self._options.least_free_space
+        free = self._file.free_space() if least else 0
+        if free < least:
+            raise RecordingError(
+                f"{free // 1_000_000} MB are left on the disk of {self.path.parent}, record.least_free_space is "
+                f"{least // 1_000_000} MB; make room or lower it"
+            )
+
+
+def metadata_checksum(metadata: Mapping[str, str]) -> str:
+    """CRC-32 over the sorted entries: MCAP itself protects attachments and chunks, but not metadata records."""
+    entries = sorted((key, value) for key, value in metadata.items() if key != "checksum")
+    text = "\x00".join(f"{key}\x01{value}" for key, value in entries)
+    return f"{zlib.crc32(text.encode()):08x}"
