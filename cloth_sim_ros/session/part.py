@@ -65,6 +65,8 @@ class SessionPart:
         """Open a file and read its beginning. Raises NotASessionError or DamagedSessionError with the reason."""
         self.path = Path(path)
         self._strict = strict
+        self._data_start = 0
+        self._position = 0
         self._file = _open(self.path)
         try:
             self._read_beginning()
@@ -197,8 +199,6 @@ class SessionPart:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._summary: Summary | None = None
-        self._position = 0
-        self._data_start = 0
         self._check_header()
         try:
             self._summary = read_summary(self._file)
