@@ -97,7 +97,9 @@ class Vectors:
     def shift(self, previous: Any, current: Any, lanes: int) -> Any:
         """The vector whose lane j holds element j - `lanes` of `current`, the first ones coming from the end of `previous`."""
         order = [ir.Constant(ir.IntType(32), self.lanes - lanes + j) for j in range(self.lanes)]
-        return self.builder.shuffle_vector(previous, current, ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), order))
+        return self.builder.shuffle_vector(
+            previous, current, ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), order)
+        )
 
     def inverse_root(self, square: Any) -> Any:
         """1/sqrt(square), to the last bit or two of the element type.

@@ -10,7 +10,14 @@ import numba
 import numpy as np
 
 from cloth_sim_ros.physics.kernels.grid_rows import row_forces
-from cloth_sim_ros.physics.kernels.grid_springs import Array, GridSprings, aligned_zeros, grid_tables, parameters, spring_fields
+from cloth_sim_ros.physics.kernels.grid_springs import (
+    Array,
+    GridSprings,
+    aligned_zeros,
+    grid_tables,
+    parameters,
+    spring_fields,
+)
 
 
 class GridForces:
@@ -49,7 +56,19 @@ class GridForces:
         # Only differences count; near the origin they keep more digits in single precision.
         origin = np.zeros(3) if self._table.dtype == np.float64 else x[:, 0].copy()
         window, ring = self._window, self._ring
-        _add_forces(x, velocity, f, origin, self.springs.columns, self._pitch, window, self._table, self._table_rows, ring, self._params)
+        _add_forces(
+            x,
+            velocity,
+            f,
+            origin,
+            self.springs.columns,
+            self._pitch,
+            window,
+            self._table,
+            self._table_rows,
+            ring,
+            self._params,
+        )
 
 
 def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
@@ -87,7 +106,18 @@ def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring
             continue
         ring0, ring1, ring2 = row % 3 * 3 * pitch, (row + 1) % 3 * 3 * pitch, (row + 2) % 3 * 3 * pitch
         row_forces(
-            window, row % 3 * stride, (row + 1) % 3 * stride, place, pitch, table, table_rows[row], ring, ring0, ring1, ring2, params
+            window,
+            row % 3 * stride,
+            (row + 1) % 3 * stride,
+            place,
+            pitch,
+            table,
+            table_rows[row],
+            ring,
+            ring0,
+            ring1,
+            ring2,
+            params,
         )
         for c in range(3):
             for j in range(columns):

@@ -88,7 +88,11 @@ class _Row:
         """Emit the loop over the row's vectors."""
         fields = self.record.fields
         springs = [
-            (FAMILIES[name], slot, {part: self.param(f"{name}_{slot}_{part}") for part in "kld" if f"{name}_{slot}_{part}" in fields})
+            (
+                FAMILIES[name],
+                slot,
+                {part: self.param(f"{name}_{slot}_{part}") for part in "kld" if f"{name}_{slot}_{part}" in fields},
+            )
             for name, slot in self.families
         ]
         motion = {} if self.mode == "force" else {name: self.param(name) for name in _MOTION if name in fields}
@@ -113,12 +117,13 @@ class _Row:
         forces: dict[tuple[int, int], list[Any]] = {}
         for family, slot, param in springs:
             self.add_spring(forces, family, slot, param, column)
-        deepest = max((end[0] for end in forces), default=0)
+        # Without springs to lower rows the next ring row is started all the same: a grip may add to it.
+        deepest = max((1, *(end[0] for end in forces)))
         total: list[Any] = []
         for row in range(deepest + 1):
             for c in _COMPONENTS:
                 place = self.index(f"ring{row}", c, column)
-                value = vectors.load(self.data["ring"], place) if row < max(deepest, 1) else None
+                value = vectors.load(self.data["ring"], place) if row < deepest else None
                 for end in sorted(end for end in forces if end[0] == row):
                     part = forces[end][c]
                     if end[1] > 0:
@@ -129,7 +134,7 @@ class _Row:
                 if row == 0:
                     total.append(value)
                 else:
-                    vectors.store(value, self.data["ring"], place)
+                    vectors.store(vectors.constant(0.0) if value is None else value, self.data["ring"], place)
         return total
 
     def add_spring(self, forces: Any, family: Family, slot: int, param: Any, column: Any) -> None:
@@ -160,7 +165,9 @@ class _Row:
         if not velocity:
             return positions, []
         slot = 6 if self.mode == "step" else 3
-        return positions, [self.vectors.load(self.data["rows"], self.index(row, slot + c, column, end[1])) for c in _COMPONENTS]
+        return positions, [
+            self.vectors.load(self.data["rows"], self.index(row, slot + c, column, end[1])) for c in _COMPONENTS
+        ]
 
     def accelerations(self, force: list[Any], motion: Any, column: Any, slot: int) -> list[Any]:
         """F/m + gravity - drag times the velocity in `slot`; zero where anchored."""
@@ -172,7 +179,9 @@ class _Row:
             a = vectors.mul(inverse_mass, force[c])
             field = motion.get(f"gravity_{c}")
             if "drag" in motion:
-                drag = vectors.mul(motion["drag"], vectors.load(self.data["rows"], self.index("row0", slot + c, column)))
+                drag = vectors.mul(
+                    motion["drag"], vectors.load(self.data["rows"], self.index("row0", slot + c, column))
+                )
                 field = vectors.neg(drag) if field is None else vectors.sub(field, drag)
             accelerations.append(a if field is None else vectors.fma(free, field, a))
         return accelerations
@@ -199,9 +208,20 @@ class _Row:
 
 
 _MOTION = ("step", "half", "drag", "gravity_0", "gravity_1", "gravity_2")
-_ARGUMENTS = ("rows", "row0", "row1", "row2", "pitch", "table", "table_row", "ring", "ring0", "ring1", "ring2", "params")
-
-
+_ARGUMENTS = (
+    "rows",
+    "row0",
+    "row1",
+    "row2",
+    "pitch",
+    "table",
+    "table_row",
+    "ring",
+    "ring0",
+    "ring1",
+    "ring2",
+    "params",
+)
 
 
 def _emitter(mode: str) -> Any:

@@ -50,7 +50,9 @@ class GridSprings:
             if names.count(family.name) > 1:
                 raise ValueError(f"family '{family.name}' is given {names.count(family.name)} times; give it once")
             if not (np.isfinite(family.rest_length) and family.rest_length > 0.0):
-                raise ValueError(f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0")
+                raise ValueError(
+                    f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0"
+                )
             for what in ("stiffness", "damping", "border"):
                 value = getattr(family, what)
                 if not (np.isfinite(value) and value >= 0.0):

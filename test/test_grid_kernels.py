@@ -1,0 +1,240 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The regular-grid kernels against plain numpy on an index list."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.kernels.grid_forces import GridForces, grid_forces
+from cloth_sim_ros.physics.kernels.grid_leapfrog import GridGrips, GridLeapfrog
+from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
+
+# Offsets (rows, columns) of the far end from the near one, written down again so that the kernel's own table is under test.
+OFFSETS = {
+    "right": (0, 1),
+    "down": (1, 0),
+    "diagonal": (1, 1),
+    "antidiagonal": (1, -1),
+    "right2": (0, 2),
+    "down2": (2, 0),
+}
+SPACING = 0.05
+MASS = 2e-3
+GRAVITY = np.array([0.3, -0.2, -9.81])
+
+ALL = (
+    GridFamily("right", 30.0, SPACING, 0.02, border=0.5),
+    GridFamily("down", 31.0, SPACING, 0.021, border=0.5),
+    GridFamily("diagonal", 12.0, SPACING * np.sqrt(2.0), 0.01),
+    GridFamily("antidiagonal", 13.0, SPACING * np.sqrt(2.0), 0.011),
+    GridFamily("right2", 3.0, 2 * SPACING, 0.004, border=0.5),
+    GridFamily("down2", 3.1, 2 * SPACING, 0.005, border=0.5),
+)
+CHOICES = {
+    "all": ALL,
+    "undamped": tuple(family._replace(damping=0.0) for family in ALL),
+    "edges": ALL[:2],
+    "alternating": (*ALL[:2], ALL[2]._replace(parity=0), ALL[3]._replace(parity=1)),
+    "rows only": ALL[:1],
+    "mixed damping": (ALL[0], ALL[1]._replace(damping=0.0), ALL[5]),
+}
+
+
+def pairs(springs, family):
+    """Ends and factors of a family's springs, one at a time from its definition."""
+    down, right = OFFSETS[family.name]
+    ends, factors = [], []
+    for row in range(springs.rows):
+        for column in range(springs.columns):
+            if not (row + down < springs.rows and 0 <= column + right < springs.columns):
+                continue
+            if family.parity is not None and (row + min(column, column + right)) % 2 != family.parity:
+                continue
+            along_border = (down == 0 and row in (0, springs.rows - 1)) or (
+                right == 0 and column in (0, springs.columns - 1)
+            )
+            ends.append((row * springs.columns + column, (row + down) * springs.columns + column + right))
+            factors.append(family.border if along_border else 1.0)
+    return np.array(ends, dtype=np.int64).reshape(-1, 2).T, np.array(factors)
+
+
+def plain_forces(x, v, springs):
+    """S1 for each spring, scattered."""
+    f = np.zeros_like(x)
+    for family in springs.families:
+        (i, j), factor = pairs(springs, family)
+        d, approach = x[:, j] - x[:, i], v[:, j] - v[:, i]
+        length = np.linalg.norm(d, axis=0)
+        unit = d / length
+        pull = factor * (
+            family.stiffness * (length / family.rest_length - 1.0) + family.damping * (approach * unit).sum(axis=0)
+        )
+        for c in range(3):
+            np.add.at(f[c], i, pull * unit[c])
+            np.add.at(f[c], j, -pull * unit[c])
+    return f
+
+
+def crumpled(rows, columns, seed=1):
+    """Positions and velocities well away from rest."""
+    random = np.random.default_rng(seed)
+    down, right = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    x = SPACING * np.stack([right.ravel(), down.ravel(), 0.0 * down.ravel()]) + 0.3 * SPACING * random.standard_normal(
+        (3, rows * columns)
+    )
+    return np.ascontiguousarray(x), 0.5 * random.standard_normal((3, rows * columns))
+
+
+def close(actual, expected, relative):
+    return np.abs(actual - expected).max() <= relative * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 17), (19, 16), (5, 33)])
+def test_forces_equal_the_plain_sum_over_pairs(choice, shape):
+    springs = GridSprings(*shape, CHOICES[choice])
+    x, v = crumpled(*shape)
+    f = np.ones_like(x)
+    grid_forces(x, v, springs, f)
+    assert np.abs(f - 1.0 - plain_forces(x, v, springs)).max() <= 1e-12 * max(np.abs(f).max(), 1.0)
+
+
+def test_spring_count_is_that_of_the_pairs():
+    for families in CHOICES.values():
+        springs = GridSprings(6, 9, families)
+        assert springs.spring_count() == sum(pairs(springs, family)[0].shape[1] for family in families)
+
+
+def test_float32_forces_round_as_single_precision_does():
+    springs = GridSprings(19, 16, ALL)
+    x, v = crumpled(19, 16)
+    x += 100.0  # a map frame far away must not cost digits
+    f = np.zeros_like(x)
+    GridForces(springs, dtype=np.float32).add(x, v, f)
+    assert close(f, plain_forces(x, v, springs), 3e-6)
+
+
+def test_weak_and_other_families_add_up():
+    springs = GridSprings(9, 11, tuple(family._replace(weak="2" in family.name) for family in ALL))
+    x, v = crumpled(9, 11)
+    f = np.zeros_like(x)
+    for weak in (True, False):
+        GridForces(springs, weak=weak).add(x, v, f)
+    assert close(f, plain_forces(x, v, springs), 1e-12)
+
+
+def test_coincident_particles_stay_finite():
+    springs = GridSprings(4, 5, ALL)
+    for dtype in (np.float64, np.float32):
+        f = np.zeros((3, 20))
+        GridForces(springs, dtype=dtype).add(np.zeros((3, 20)), np.ones((3, 20)), f)
+        assert np.array_equal(f, np.zeros((3, 20)))
+
+
+def plain_leapfrog(x, v, springs, inverse_mass, steps, dt, *, gravity=None, drag=0.0, grips=None):
+    """The scheme as written in the documentation."""
+    free = (inverse_mass > 0.0).astype(float)
+    x, v = x.copy(), v.copy()
+    impulses = None if grips is None else np.zeros_like(grips.impulses)
+
+    def acceleration(t, position, velocity, book):
+        f = plain_forces(position, velocity, springs)
+        for g in range(0 if grips is None else len(grips.particles)):
+            i = grips.particles[g]
+            path = grips.paths[g]
+            point, speed = path @ [1.0, t, t**2, t**3], path @ [0.0, 1.0, 2.0 * t, 3.0 * t**2]
+            pull = grips.stiffness[g] * (position[:, i] - point) + grips.damping[g] * (velocity[:, i] - speed)
+            f[:, i] -= pull
+            if book:
+                impulses[g] += dt * pull
+        a = inverse_mass * f - drag * free * velocity
+        return a if gravity is None else a + free * gravity[:, None]
+
+    a = acceleration(0.0, x, v, False)
+    for step in range(steps):
+        x += 0.5 * dt * v
+        a = acceleration((step + 0.5) * dt, x, v + 0.5 * dt * a, True)
+        v += dt * a
+        x += 0.5 * dt * v
+    return x, v, impulses
+
+
+def some_masses(count):
+    inverse = np.full(count, 1.0 / MASS)
+    inverse[::7] = 0.5 / MASS
+    inverse[[0, count - 1]] = 0.0
+    return inverse
+
+
+def some_grips():
+    random = np.random.default_rng(4)
+    return GridGrips(
+        particles=np.array([3, 18, 19, 130]),
+        paths=0.1 * random.standard_normal((4, 3, 4)),
+        stiffness=np.array([20.0, 10.0, 30.0, 25.0]),
+        damping=np.array([0.1, 0.2, 0.0, 0.1]),
+        impulses=np.full((4, 3), 7.0),
+        moments=np.full((4, 3), 7.0),
+    )
+
+
+@pytest.mark.parametrize("choice", ["all", "undamped", "edges"])
+@pytest.mark.parametrize("extras", [{}, {"gravity": GRAVITY}, {"drag": 1.5}, {"gravity": GRAVITY, "drag": 1.5}])
+def test_fused_leapfrog_equals_the_plain_scheme(choice, extras):
+    springs = GridSprings(11, 13, CHOICES[choice])
+    inverse = some_masses(143)
+    x, v = crumpled(11, 13)
+    expected_x, expected_v, _ = plain_leapfrog(x, v, springs, inverse, 20, 2e-4, **extras)
+    GridLeapfrog(springs, inverse, **extras).advance(x, v, 20, 2e-4)
+    assert close(x, expected_x, 1e-12)
+    assert close(v, expected_v, 1e-11)
+
+
+@pytest.mark.parametrize("dtype, relative", [(np.float64, 1e-11), (np.float32, 2e-5)])
+@pytest.mark.parametrize("choice", ["all", "undamped"])
+def test_grips_pull_and_feel_the_pull(choice, dtype, relative):
+    springs = GridSprings(11, 13, CHOICES[choice])
+    inverse = some_masses(143)
+    x, v = crumpled(11, 13)
+    grips = some_grips()
+    expected_x, expected_v, impulses = plain_leapfrog(x, v, springs, inverse, 20, 2e-4, gravity=GRAVITY, grips=grips)
+    GridLeapfrog(springs, inverse, gravity=GRAVITY, dtype=dtype).advance(x, v, 20, 2e-4, grips=grips)
+    assert close(x, expected_x, relative)
+    assert close(v, expected_v, relative)
+    assert close(grips.impulses, impulses, 10 * relative)
+
+
+def test_moment_of_a_grip_is_about_the_origin():
+    """One particle held far from the origin: its moment is the point times the impulse."""
+    springs = GridSprings(1, 2, ())
+    point = np.array([5.0, -2.0, 1.0])
+    for dtype in (np.float64, np.float32):
+        grips = GridGrips(
+            np.array([1]), np.zeros((1, 3, 4)), np.array([10.0]), np.array([0.1]), np.zeros((1, 3)), np.zeros((1, 3))
+        )
+        grips.paths[0, :, 0] = point
+        x = np.array([point, point + [0.0, 0.1, 0.2]]).T.copy()
+        GridLeapfrog(springs, np.full(2, 100.0), dtype=dtype).advance(x, np.zeros((3, 2)), 10, 1e-3, grips=grips)
+        assert np.abs(grips.impulses).max() > 1e-3
+        assert close(grips.moments[0], np.cross(point, grips.impulses[0]), 1e-5 if dtype == np.float32 else 1e-13)
+
+
+def test_anchored_particles_keep_their_velocity():
+    springs = GridSprings(5, 5, ALL)
+    inverse = some_masses(25)
+    x, v = crumpled(5, 5)
+    start, speed = x.copy(), v.copy()
+    GridLeapfrog(springs, inverse, gravity=GRAVITY, drag=1.0).advance(x, v, 10, 1e-4)
+    assert np.array_equal(v[:, [0, 24]], speed[:, [0, 24]])
+    assert np.allclose(x[:, [0, 24]], start[:, [0, 24]] + 1e-3 * speed[:, [0, 24]], rtol=0.0, atol=1e-15)
+
+
+def test_errors_name_the_value():
+    with pytest.raises(ValueError, match="no spring family 'left'"):
+        GridSprings(2, 2, [GridFamily("left", 1.0, 1.0)])
+    with pytest.raises(ValueError, match="rest length of 'down' is 0.0 m"):
+        GridSprings(2, 2, [GridFamily("down", 1.0, 0.0)])
+    with pytest.raises(ValueError, match=r"x has shape \(3, 5\)"):
+        grid_forces(np.zeros((3, 5)), np.zeros((3, 4)), GridSprings(2, 2, ALL), np.zeros((3, 4)))
