@@ -17,7 +17,9 @@ def _floats(value: Any) -> Vector:
 
 @attrs.frozen
 class Target:
-    """A gripper is commanded to a pose by the end of the frame; without an orientation it keeps its present target's."""
+    """A gripper is commanded to a pose by the end of the frame; without an orientation it keeps its present
+    target's.
+    """
 
     gripper: str
     #: Position [m], 3 numbers.

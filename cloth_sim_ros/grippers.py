@@ -128,7 +128,8 @@ class Grippers:
             model: for the masses of the held particles.
             t: time at which the frame starts [s].
             duration: length of the frame [s].
-            stiffness: stiffness of the spring that holds the heaviest particle [N/m]; others in proportion to their mass.
+            stiffness: stiffness of the spring that holds the heaviest particle [N/m]; others in proportion to their
+            mass.
             damping: dimensionless damping k_d0 of it.
         """
         memory = self._state.memory
@@ -142,7 +143,8 @@ class Grippers:
             memory["gripper.turn"][g] = turn
             memory["gripper.pose"][g] = target
         particles = memory["grip.particles"]
-        # Border particles carry half or a quarter of the mass, and so of the grip, as they do of the threads: they don't set the step.
+        # Border particles carry half or a quarter of the mass, and so of the grip, as they do of the threads: they
+        # don't set the step.
         each = stiffness * model.masses[particles] / model.masses.max()
         damping_each = lecture_damping(damping, each, model.masses[particles])
         term.hold(memory["grip.starts"], particles, memory["grip.offsets"], each, damping_each)

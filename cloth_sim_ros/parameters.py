@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters: flat, typed, described, ranged names for the fields of frozen configuration classes.
 
-A field is declared once, with `parameter`; its default, unit, limits and whether it may change while running are read from there by the scene, the YAML
+A field is declared once, with `parameter`; its default, unit, limits and whether it may change while running are read
+from there by the scene, the YAML
 reader and the node's parameter descriptors.
 """
 
@@ -22,7 +23,9 @@ KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": s
 
 
 class ParameterError(ValueError):
-    """A parameter that is unknown, of the wrong type, out of range, or may not change; the message says which and why."""
+    """A parameter that is unknown, of the wrong type, out of range, or may not change; the message says which and
+    why.
+    """
 
 
 @attrs.frozen(kw_only=True)
@@ -64,7 +67,7 @@ class Parameter:
         """
         if not self.is_array:
             return self._check_one(value)
-        if isinstance(value, str) or not isinstance(value, Sequence) and not hasattr(value, "__array__"):
+        if isinstance(value, str) or (not isinstance(value, Sequence) and not hasattr(value, "__array__")):
             raise ParameterError(f"{self.name} is {value!r}; it must be an array of {self.element}")
         values = tuple(self._check_one(_item(entry)) for entry in value)
         if self.length is not None and len(values) != self.length:
@@ -77,7 +80,7 @@ class Parameter:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
         if type(value) is not kind:
             raise ParameterError(f"{self.name} is {value!r}, of type {type(value).__name__}; it must be {self.kind}")
-        if kind in (int, float):
+        if isinstance(value, int | float) and kind is not bool:
             self._check_range(value)
         if self.choices and value not in self.choices:
             raise ParameterError(f"{self.name} is '{value}'; it must be one of {', '.join(self.choices)}")

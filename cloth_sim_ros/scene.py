@@ -53,7 +53,7 @@ class Cloth:
     orientation: tuple[float, ...] = parameter(
         "double[]",
         (0.7071067811865476, 0.0, 0.0, 0.7071067811865476),
-        "Quaternion x, y, z, w that turns the sheet from the x-y plane, top edge towards +y; the default hangs it, top edge up",
+        "Quaternion x, y, z, w that turns the sheet from the x-y plane, top edge towards +y; the default hangs it",
         length=4,
     )
     anchors: tuple[str, ...] = parameter(
@@ -202,7 +202,7 @@ class Scene:
         rows, columns = self.cloth.resolution
         if rows * columns > MOST_PARTICLES:
             raise ParameterError(
-                f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES} are allowed"
+                f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES}"
             )
         if not self.frame_id:
             raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")

@@ -45,7 +45,8 @@ class Frame:
     integrator: str
     #: Steps, evaluations and step sizes; None where no time passed.
     advance: Advance | None
-    #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape (gripper_count, 6).
+    #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape
+    #: (gripper_count, 6).
     wrenches: Array
 
 

@@ -35,7 +35,9 @@ class Dynamics:
         return sum(term.dissipation(t, x, v) for term in self.model.terms)
 
     def rates(self, x: Array) -> tuple[float, float]:
-        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
+        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
+        x.
+        """
         bounds = []
         for kind in ("add_stiffness", "add_damping"):
             self._blocks.fill(0.0)

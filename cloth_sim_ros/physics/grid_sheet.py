@@ -70,7 +70,8 @@ class GridSheet:
     def springs(self, threads: Threads, *, k_d0: float, density: float) -> list[PairSprings]:
         """Return the terms `structural`, `shear` and, with bending threads, `bend`.
 
-        Border threads carry half of k_s; damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet, so that it scales with the
+        Border threads carry half of k_s; damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet,
+        so that it scales with the
         border's half stiffness and half mass as the springs do.
         """
         hx, hy = self.spacing

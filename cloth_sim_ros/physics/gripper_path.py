@@ -68,7 +68,8 @@ def path_row(
 ) -> tuple[Array, Array, Array]:
     """Return the path over one frame, the twist at its end, and this frame's displacement and turn.
 
-    A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the last frame had too:
+    A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the last
+    frame had too:
     a steady stream of targets is followed without ripple, a jump arrives at rest without overshoot. See docs/design.md.
 
     Args:

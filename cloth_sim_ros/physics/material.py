@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the moduli of a sheet to the threads of a grid.
 
-A family of threads with stiffness k_s [N], direction d and spacing w acts like a sheet with the modulus tensor (k_s / w) d d d d. Summed over the
+A family of threads with stiffness k_s [N], direction d and spacing w acts like a sheet with the modulus tensor (k_s /
+w) d d d d. Summed over the
 families of a grid with spacings hx, hy and diagonals of length l (docs/springs.md has the derivation):
 
-- diagonals `both` or `alternating`: C66 = C12 = G, C11 = E_x + G (hx/hy)^2, C22 = E_y + G (hy/hx)^2, so that a Young's modulus Y along both axes needs
+- diagonals `both` or `alternating`: C66 = C12 = G, C11 = E_x + G (hx/hy)^2, C22 = E_y + G (hy/hx)^2, so that a Young's
+modulus Y along both axes needs
   C11 = C22 = (Y + sqrt(Y^2 + 4 G^2)) / 2;
 - diagonals `left` or `right`: an axial pull also shears, which unloads the one diagonal family wholly: Y = E_x = E_y.
 """
@@ -21,14 +23,17 @@ from cloth_sim_ros.physics.surface import Layout
 
 @attrs.frozen(kw_only=True)
 class Threads:
-    """Spring stiffnesses of a grid, force per strain k_s [N], for threads inside the sheet; border threads carry half."""
+    """Spring stiffnesses of a grid, force per strain k_s [N], for threads inside the sheet; border threads carry
+    half.
+    """
 
     along_rows: float
     along_columns: float
     diagonal: float
     bend_along_rows: float
     bend_along_columns: float
-    #: Poisson's ratio of the sheet along its axes: it follows from the moduli, a network of springs does not leave it free.
+    #: Poisson's ratio of the sheet along its axes: it follows from the moduli, a network of springs does not leave it
+    #: free.
     poisson_ratio: float
 
 
@@ -47,7 +52,8 @@ def grid_threads(
         shear_modulus: shear modulus G [N/m], at least 0.
         spacing: distance of neighbours along a row and along a column, hx and hy [m].
         layout: which diagonals of the cells are springs.
-        bend_stiffness: stiffness B [N/m] of the springs two apart along both axes (bending `axial`), k_s = B times the thread spacing. Two of them lie
+        bend_stiffness: stiffness B [N/m] of the springs two apart along both axes (bending `axial`), k_s = B times the
+        thread spacing. Two of them lie
             over each stretch of thread, so they add 2 B to the axial stiffness: it is taken off the edge springs.
 
     Raises:
@@ -69,8 +75,8 @@ def grid_threads(
     axial_y -= 2.0 * bend_stiffness
     if not min(axial_x, axial_y) > 0.0:
         raise ValueError(
-            f"no edge springs are left at stretch_modulus {stretch_modulus} N/m with shear_modulus {shear_modulus} N/m, bending stiffness "
-            f"{bend_stiffness} N/m and cells of {hx:.4g} m x {hy:.4g} m; raise the stretch modulus or lower the others"
+            f"no edge springs are left at stretch_modulus {stretch_modulus} N/m with shear_modulus {shear_modulus} N/m, "
+            f"bending stiffness {bend_stiffness} N/m and cells of {hx:.4g} m x {hy:.4g} m; raise the stretch modulus or lower the others"
         )
     return Threads(
         along_rows=axial_x * hy,

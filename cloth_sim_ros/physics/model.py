@@ -39,7 +39,7 @@ class Model:
             if names.count(name) > 1:
                 raise ValueError(f"two terms are named '{name}'; give each its own name")
         self.anchors = np.unique(np.fromiter(anchors, dtype=np.int64))
-        if self.anchors.size and not (0 <= self.anchors[0] and self.anchors[-1] < self.particle_count):
+        if self.anchors.size and not (self.anchors[0] >= 0 and self.anchors[-1] < self.particle_count):
             raise ValueError(f"anchors {self.anchors.tolist()} must lie between 0 and {self.particle_count - 1}")
         #: 1/m [1/kg], zero for anchored particles, shape (particle_count,).
         self.inverse_masses: Array = 1.0 / self.masses

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bounds of the highest frequency and damping rate of a model, from particle blocks.
 
-For a spring u'Ku = k (d . (u_b - u_a))^2 <= 2 k ((d . u_a)^2 + (d . u_b)^2), so the sum over particles of u_i' B_i u_i with
-B_i = sum of 2 k dd' bounds u'Ku, and the largest eigenvalue of M^-1 K is at most the largest of eig(B_i) / m_i. On a flat regular grid the bound is
+For a spring u'Ku = k (d . (u_b - u_a))^2 <= 2 k ((d . u_a)^2 + (d . u_b)^2), so the sum over particles of u_i' B_i u_i
+with
+B_i = sum of 2 k dd' bounds u'Ku, and the largest eigenvalue of M^-1 K is at most the largest of eig(B_i) / m_i. On a
+flat regular grid the bound is
 a few per cent above the true value, because the shortest wave moves neighbours in opposite directions.
 """
 

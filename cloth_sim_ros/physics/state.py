@@ -106,7 +106,7 @@ class State:
     def to_bytes(self) -> bytes:
         """Return the state as the bytes of an .npz file; the same state gives the same bytes."""
         buffer = io.BytesIO()
-        np.savez(buffer, **self.arrays())
+        np.savez(buffer, allow_pickle=False, **self.arrays())
         return buffer.getvalue()
 
     @classmethod

@@ -10,8 +10,10 @@ A *hinge* is an interior edge with its two triangles, written as four particles 
            \\  |  /
             edge0
 
-The triangles are `(edge0, edge1, wing0)` and `(edge1, edge0, wing1)`, both counter-clockwise here. The opposite vertices
-`wing0, wing1` are the ends of the lecture's bending spring (S7); together with the edge they are a tetrahedron (S8, S9).
+The triangles are `(edge0, edge1, wing0)` and `(edge1, edge0, wing1)`, both counter-clockwise here. The opposite
+vertices
+`wing0, wing1` are the ends of the lecture's bending spring (S7); together with the edge they are a tetrahedron (S8,
+S9).
 """
 
 from __future__ import annotations
@@ -197,7 +199,9 @@ def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
 
 
 def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Shear springs of a grid: one diagonal a cell, for layout `both` two (left, then right), in order of cells, (d, 2)."""
+    """Shear springs of a grid: one diagonal a cell, for layout `both` two (left, then right), in order of cells, (d,
+    2).
+    """
     p00, p01, p10, p11, left = _cells(rows, columns, layout)
     if layout == "both":
         return np.stack((p00, p11, p01, p10), axis=1).reshape(-1, 2)

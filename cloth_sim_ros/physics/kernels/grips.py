@@ -1,9 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of grips: gripper pose on its path, and zero-length springs (S4) from held particles to points of the gripper.
+"""Kernels of grips: gripper pose on its path, and zero-length springs (S4) from held particles to points of the
+gripper.
 
-A path is a row of PATH_COLUMNS numbers: its start time t0; position coefficients p0, p1, p2, p3 of p0 + p1 s + p2 s^2 + p3 s^3 with
-s = t - t0; the orientation q0 (x, y, z, w) at s = 0; rotation vector coefficients r1, r2, r3. The orientation is exp(r1 s + r2 s^2 + r3 s^3) q0.
+A path is a row of PATH_COLUMNS numbers: its start time t0; position coefficients p0, p1, p2, p3 of p0 + p1 s + p2 s^2 +
+p3 s^3 with
+s = t - t0; the orientation q0 (x, y, z, w) at s = 0; rotation vector coefficients r1, r2, r3. The orientation is exp(r1
+s + r2 s^2 + r3 s^3) q0.
 """
 
 from __future__ import annotations
@@ -74,7 +77,8 @@ def pose_at(path, t, position, velocity, rotation, spin):  # type: ignore[no-unt
 
 @numba.njit(**_JIT)
 def grip_forces(paths, starts, particles, offsets, stiffness, damping, t, x, v, f, wrenches):  # type: ignore[no-untyped-def]
-    """Add grip forces to f (3, n) and set wrenches (g, 7): force and torque on each gripper about its pose, and power put in.
+    """Add grip forces to f (3, n) and set wrenches (g, 7): force and torque on each gripper about its pose, and power
+    put in.
 
     Grips of gripper g are ``particles[starts[g]:starts[g + 1]]`` with ``offsets`` (m, 3) in the gripper's frame.
     """

@@ -3,7 +3,8 @@
 """Kernels of springs given as a list of pairs (S1 and, at rest length zero, S4 of the model).
 
 Force on the far end b of a spring from a to b, with s = x_b - x_a, L = |s|, d = s / L:
-``F = -k_s (L / l0 - 1) d - k_d (Dv . d) d``. The stiffness stored is k = k_s / l0 [N/m], so that the law reads ``-k (L - l0) d`` and keeps its
+``F = -k_s (L / l0 - 1) d - k_d (Dv . d) d``. The stiffness stored is k = k_s / l0 [N/m], so that the law reads ``-k (L
+- l0) d`` and keeps its
 meaning at l0 = 0, where it is the linear ``-k s - k_d Dv`` (isotropic damping) and passes through s = 0 unharmed.
 """
 
@@ -17,7 +18,9 @@ _JIT = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"cont
 
 @numba.njit(**_JIT)
 def add_pair_forces(pairs, rest, stiffness, damping, x, v, f):  # type: ignore[no-untyped-def]
-    """Add forces of springs ``pairs`` (m, 2) with rest lengths, stiffnesses k and damping coefficients (m,) to f (3, n)."""
+    """Add forces of springs ``pairs`` (m, 2) with rest lengths, stiffnesses k and damping coefficients (m,) to f (3,
+    n).
+    """
     for e in range(pairs.shape[0]):
         a = pairs[e, 0]
         b = pairs[e, 1]

@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Empty members below are meant (noqa: B027): a term without stiffness or damping adds none.
+
 
 class Term(ABC):
     """One force of a model.
 
-    Positions ``x`` [m], velocities ``v`` [m/s] and forces ``f`` [N] are component-major, shape (3, particle_count), float64 and
-    C-contiguous. Times ``t`` [s] are simulated time. Blocks have shape (6, particle_count): the entries xx, yy, zz, xy, xz, yz of one
+    Positions ``x`` [m], velocities ``v`` [m/s] and forces ``f`` [N] are component-major, shape (3, particle_count),
+    float64 and
+    C-contiguous. Times ``t`` [s] are simulated time. Blocks have shape (6, particle_count): the entries xx, yy, zz, xy,
+    xz, yz of one
     symmetric 3x3 matrix a particle.
     """
 
@@ -39,11 +43,11 @@ class Term(ABC):
         """Return the power that damping takes out of the motion [W]."""
         return 0.0
 
-    def add_stiffness(self, x: Array, blocks: Array) -> None:
+    def add_stiffness(self, x: Array, blocks: Array) -> None:  # noqa: B027
         """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
 
-    def add_damping(self, x: Array, blocks: Array) -> None:
+    def add_damping(self, x: Array, blocks: Array) -> None:  # noqa: B027
         """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
 
-    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:  # noqa: B027
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""

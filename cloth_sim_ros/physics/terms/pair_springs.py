@@ -23,7 +23,8 @@ class PairSprings(Term):
         weak: whether it may be evaluated less often than every step.
 
     Raises:
-        ValueError: for a shape that does not fit, a spring from a particle to itself, or a negative or non-finite value.
+        ValueError: for a shape that does not fit, a spring from a particle to itself, or a negative or non-finite
+        value.
     """
 
     def __init__(
@@ -67,13 +68,13 @@ class PairSprings(Term):
         kernels.add_pair_damping(self.pairs, self.rest_length, self.damping, x, blocks)
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
-        kernels.add_pair_jacobian_product(
-            self.pairs, self.rest_length, self.stiffness, self.damping, x, v, dx, dv, out
-        )
+        kernels.add_pair_jacobian_product(self.pairs, self.rest_length, self.stiffness, self.damping, x, v, dx, dv, out)
 
 
 def lecture_damping(k_d0: ArrayLike, stiffness: ArrayLike, mass: ArrayLike) -> Array:
-    """Return k_d = k_d0 sqrt(m k) [N s/m] for the dimensionless k_d0, k = k_s / l0 [N/m] and mass [kg] (S1; S4 at l0 = 0)."""
+    """Return k_d = k_d0 sqrt(m k) [N s/m] for the dimensionless k_d0, k = k_s / l0 [N/m] and mass [kg] (S1; S4 at l0 =
+    0).
+    """
     return np.asarray(k_d0) * np.sqrt(np.asarray(mass, dtype=float) * np.asarray(stiffness, dtype=float))
 
 
