@@ -1,0 +1,84 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+#
+# Two commands for everybody:
+#   make run     a live cloth, grasped through ROS topics, recorded; ends by itself
+#   make test    the tests
+# Both make the environment when it is missing, and start at once when it is there.
+#
+# For those who work on it: make check (what CI runs: format, lint, types, tests), format, soak, bench, screenshots,
+# colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), ARGS (more arguments), as in
+#   make test ARGS="-k walls"
+#   make check VENV=.venv-3.12 PYTHON=python3.12
+
+SHELL := /bin/sh
+VENV ?= .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+# Each set of packages (extras of setup.py) has a stamp in the environment, written last.
+DEMO := $(VENV)/has_demo
+DEV := $(VENV)/has_dev
+INPUTS := setup.py setup.cfg constraints.txt
+# An environment names its folder in every script: one that was moved, or has lost its Python, is made anew.
+ifneq ($(shell test -x $(BIN)/python && cat $(VENV)/made_in 2>/dev/null),$(realpath .))
+INPUTS += anew
+endif
+
+# The environment brings its own ROS 2. A shell that has sourced another one points Python and the linker at that.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO
+unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE FASTRTPS_DEFAULT_PROFILES_FILE FASTDDS_DEFAULT_PROFILES_FILE
+unexport ROS_DISCOVERY_SERVER ROS_LOCALHOST_ONLY
+export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
+# A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+.PHONY: help run test check format soak bench screenshots colcon clean
+.DEFAULT_GOAL := help
+
+help:
+	@sed -n 's/^# \{0,1\}//; 3,13p' Makefile
+
+run: $(DEMO)
+	@$(BIN)/python -m cloth_sim_ros.ros.demo $(ARGS)
+
+test: $(DEV)
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: $(DEV)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	@$(MAKE) --no-print-directory test
+
+format: $(DEV)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+# A real hour of grasping; CLOTH_SIM_ROS_SOAK_SECONDS sets another length.
+soak: export CLOTH_SIM_ROS_SOAK_SECONDS ?= 3600
+soak: $(DEV)
+	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
+
+bench: $(DEV)
+	@$(BIN)/cloth_bench $(ARGS)
+
+# The layout that `ros2 run` and `ros2 launch` expect, into install/.
+colcon: $(DEV)
+	@$(BIN)/colcon build --base-paths . --packages-select cloth_sim_ros $(ARGS)
+
+clean:
+	rm -rf $(VENV) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.PHONY: anew
+anew:
+
+$(DEMO): $(INPUTS)
+	@python=$$(scripts/find_python.sh) && \
+	    "$$python" scripts/environment.py --folder $(VENV) --extras demo --stamp $(DEMO)
+
+# The second set holds the first.
+$(DEV): $(INPUTS)
+	@python=$$(scripts/find_python.sh) && \
+	    "$$python" scripts/environment.py --folder $(VENV) --extras dev --stamp $(DEV) --stamp $(DEMO)

@@ -1,0 +1,129 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Makes the project's environment, or adds to it what is missing. Run by the Makefile, with any supported Python.
+
+Works with the standard library alone. Sure to be whole when it says so: a stamp is written last, and an environment
+whose making was interrupted is made anew. Two at a time wait for each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+INPUTS = ("setup.py", "setup.cfg", "constraints.txt")
+PURPOSES = {"demo": "`make run`", "dev": "the tests and tools"}
+
+
+def fingerprint() -> str:
+    """What a stamp holds: the folder, and the content of the files that say what is installed."""
+    digest = hashlib.sha256(f"{ROOT}\n".encode())
+    for name in INPUTS:
+        digest.update((ROOT / name).read_bytes())
+    return digest.hexdigest()
+
+
+def is_sound(folder: Path) -> bool:
+    """Whether the environment can be added to: whole, made here, and its Python still there and supported."""
+    if (folder / "unfinished").exists():
+        return False
+    made_in = folder / "made_in"
+    if made_in.exists() and made_in.read_text().strip() != str(ROOT):
+        return False  # the project was moved: every script in the environment names the old place
+    probe = "import sys, pip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))"
+    try:
+        return subprocess.run([folder / "bin" / "python", "-c", probe], check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def install(folder: Path, extras: str) -> None:
+    """Make or complete the environment; raises CalledProcessError when a step fails."""
+    purpose = PURPOSES[extras]
+    unfinished = folder / "unfinished"
+    if is_sound(folder):
+        unfinished.touch()
+        say(f"adding to {folder.name} what {purpose} need from PyPI; a minute or two, once ...")
+    else:
+        version = ".".join(map(str, sys.version_info[:3]))
+        say(f"making {folder.name} with Python {version} for {purpose}: real ROS 2 and the rest from PyPI,")
+        say("some 400 MB, one to five minutes with a fast connection, once ...")
+        if folder.exists():
+            shutil.rmtree(folder)
+        folder.mkdir()
+        unfinished.touch()
+        subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+    (folder / "made_in").write_text(f"{ROOT}\n")
+    command = [str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    command += ["--no-input", "--constraint", str(ROOT / "constraints.txt"), "--editable", f"{ROOT}[{extras}]"]
+    before = packages(folder)
+    try:
+        subprocess.run(command, check=True, cwd=ROOT)
+    finally:
+        # What failed on the way to PyPI has touched nothing; a working environment must not be lost for it.
+        if before == packages(folder):
+            unfinished.unlink()
+    unfinished.unlink(missing_ok=True)
+
+
+def packages(folder: Path) -> set[tuple[str, int]]:
+    """Name and date of all that is installed at the top level of the environment."""
+    return {(path.name, path.stat().st_mtime_ns) for path in folder.glob("lib/python*/site-packages/*")}
+
+
+def say(text: str) -> None:
+    """Tell the user at once, also through a pipe."""
+    print(f"cloth_sim_ros: {text}", flush=True)
+
+
+def main() -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--folder", type=Path, required=True, help="the environment")
+    parser.add_argument("--extras", choices=PURPOSES, required=True, help="which extra of setup.py it shall have")
+    parser.add_argument("--stamp", type=Path, action="append", required=True, help="written last, when all is there")
+    arguments = parser.parse_args()
+    folder: Path = arguments.folder.absolute()
+
+    # The lock is on the project's folder itself, so that no file is left behind.
+    lock = os.open(ROOT, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        say("another `make` is at work on the environment; waiting for it ...")
+        fcntl.flock(lock, fcntl.LOCK_EX)
+
+    stamps: list[Path] = arguments.stamp
+    if is_sound(folder) and all(stamp.exists() and stamp.read_text() == fingerprint() for stamp in stamps):
+        # Files with a newer date and the old content (another branch and back), or another `make` has just done it.
+        for stamp in stamps:
+            stamp.touch()
+        return 0
+
+    start = time.monotonic()
+    try:
+        install(folder, arguments.extras)
+    except subprocess.CalledProcessError as error:
+        command = " ".join(map(str, error.cmd))
+        say(f"could not make {folder.name}: `{command}` ended with status {error.returncode} (see above; is PyPI")
+        say("within reach, the disk full?). The next `make` tries again.")
+        return 1
+    except KeyboardInterrupt:
+        say("interrupted; the next `make` goes on, or begins anew where it must.")
+        return 130
+    for stamp in stamps:
+        stamp.write_text(fingerprint())
+    say(f"{folder.name} is ready, after {time.monotonic() - start:.0f} s.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
