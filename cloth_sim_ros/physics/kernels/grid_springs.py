@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,7 +126,7 @@ def grid_tables(springs: GridSprings, inverse_masses: Array, dtype: Any) -> Grid
     slots = FIRST_WEIGHT_SLOT + len(springs.families)
     starts: dict[bytes, int] = {}
     table_rows = np.empty(springs.rows, dtype=np.intp)
-    entries = []
+    entries: list[NDArray[Any]] = []
     for row in range(springs.rows):
         entry = np.zeros((slots, pitch), dtype=dtype)
         inverse = inverse_masses[row * springs.columns : (row + 1) * springs.columns]
@@ -154,9 +157,22 @@ def spring_fields(springs: GridSprings, *, factors: dict[bool, float]) -> dict[s
     return fields
 
 
+@cache
+def _emitter_digest() -> str:
+    """Digest of the sources that emit the row kernels."""
+    from cloth_sim_ros.physics.kernels import grid_emit, grid_rows
+
+    sources = b"".join(Path(str(module.__file__)).read_bytes() for module in (grid_emit, grid_rows))
+    return hashlib.blake2b(sources, digest_size=8).hexdigest()
+
+
 def parameters(fields: dict[str, float], dtype: Any) -> NDArray[Any]:
-    """One record with those fields: its type tells numba which kernel to compile."""
-    record = np.zeros(1, dtype=[(name, dtype) for name in fields] or [("none", dtype)])
+    """One record with those fields: its type tells numba which kernel to compile.
+
+    Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls. One more field,
+    named after their digest, keeps it from serving a kernel that older emitters made.
+    """
+    record = np.zeros(1, dtype=[(name, dtype) for name in (*fields, f"build_{_emitter_digest()}")])
     for name, value in fields.items():
         record[name] = value
     return record
