@@ -1,0 +1,176 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Chains of springs (S1, S2), joints (S4), and the law by which a lattice is refined (S3)."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+
+
+@attrs.frozen(kw_only=True)
+class SpringLaw:
+    """One spring of a lattice and the mass that goes with it, in the lecture's terms.
+
+    Damping is given as the dimensionless k_d0, the lecture's material property, or as the viscosity eta = k_d l0, whose
+    damping of slow modes
+    converges under refinement; not both.
+    """
+
+    #: Mass of one particle inside the lattice [kg].
+    mass: float
+    #: Rest length l0 [m].
+    rest_length: float
+    #: k_s: force per unit strain [N].
+    stiffness: float
+    #: Dimensionless damping.
+    k_d0: float = 0.0
+    #: k_d l0 [N s]; 0 takes the damping from k_d0.
+    viscosity: float = 0.0
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse values that make no spring."""
+        for name in ("mass", "rest_length", "stiffness"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value}; it must be finite and above 0")
+        for name in ("k_d0", "viscosity"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} is {value}; it must be finite and at least 0")
+        if self.k_d0 and self.viscosity:
+            raise ValueError(f"both k_d0 {self.k_d0} and viscosity {self.viscosity} N s are given; give one of them")
+
+    @property
+    def damping(self) -> float:
+        """k_d = k_d0 sqrt(k_s m / l0), or viscosity / l0 [N s/m]."""
+        if self.viscosity:
+            return self.viscosity / self.rest_length
+        return float(lecture_damping(self.k_d0, self.stiffness / self.rest_length, self.mass))
+
+    @property
+    def frequency(self) -> float:
+        """The lecture's lambda = sqrt(k_s / (m l0)) [rad/s]; a chain's highest mode has twice that."""
+        return math.sqrt(self.stiffness / (self.mass * self.rest_length))
+
+    @property
+    def sound_speed(self) -> float:
+        """C = l0 lambda = sqrt(k_s l0 / m) [m/s]."""
+        return self.rest_length * self.frequency
+
+    @property
+    def stable_step(self) -> float:
+        """Largest stable step of an undamped chain by a leapfrog, 1 / lambda [s]."""
+        return 1.0 / self.frequency
+
+    def refined(self, *, factor: int = 2, dimension: int = 1) -> SpringLaw:
+        """Return the law of the lattice with `factor` times the resolution, of the same total size and mass (S3).
+
+        In one dimension m and l0 are divided by the factor, k_s stays. In a sheet (dimension 2) m is divided by its
+        square, and k_s by the factor
+        too: the same material is shared by more threads. k_d0, or the viscosity as a share of the sheet's, is the
+        material's.
+
+        Raises:
+            ValueError: for another dimension or a factor below 1.
+        """
+        if dimension not in (1, 2) or factor < 1:
+            raise ValueError(f"dimension {dimension} must be 1 or 2, and factor {factor} at least 1")
+        share = factor ** (dimension - 1)
+        return attrs.evolve(
+            self,
+            mass=self.mass / factor**dimension,
+            rest_length=self.rest_length / factor,
+            stiffness=self.stiffness / share,
+            viscosity=self.viscosity / share,
+        )
+
+
+@attrs.frozen(kw_only=True)
+class Chain:
+    """A line of particles joined by equal springs (S2); a simple spring (S1) where it has two.
+
+    Free ends carry half a particle's mass, so that mass and length stay exact under refinement.
+    """
+
+    law: SpringLaw
+    particle_count: int
+    #: Ends that hold their place: none, first, last, both.
+    anchored: str = "first"
+    #: Free ends carry half a mass (True) or a whole one.
+    half_ends: bool = True
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse what is no chain."""
+        if self.particle_count < 2:
+            raise ValueError(f"particle_count is {self.particle_count}; a chain has at least 2")
+        if self.anchored not in ("none", "first", "last", "both"):
+            raise ValueError(f"anchored is '{self.anchored}'; it must be none, first, last or both")
+
+    @property
+    def length(self) -> float:
+        """Rest length of the whole chain [m]."""
+        return (self.particle_count - 1) * self.law.rest_length
+
+    @property
+    def anchors(self) -> list[int]:
+        """Indices of the anchored particles."""
+        last = self.particle_count - 1
+        return {"none": [], "first": [0], "last": [last], "both": [0, last]}[self.anchored]
+
+    def masses(self) -> Array:
+        """Particle masses [kg], shape (particle_count,)."""
+        masses = np.full(self.particle_count, self.law.mass)
+        if self.half_ends:
+            masses[[0, -1]] *= 0.5
+        return masses
+
+    def positions(self) -> Array:
+        """Rest positions along x [m], shape (particle_count, 3)."""
+        positions = np.zeros((self.particle_count, 3))
+        positions[:, 0] = np.arange(self.particle_count) * self.law.rest_length
+        return positions
+
+    def model(self, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), further: tuple[Term, ...] = ()) -> Model:
+        """Build the physics; `further` terms are listed behind the springs and gravity [m/s^2]."""
+        first = np.arange(self.particle_count - 1)
+        pairs = np.stack([first, first + 1], axis=1)
+        law = self.law
+        terms: list[Term] = [PairSprings(pairs, law.rest_length, law.stiffness / law.rest_length, law.damping)]
+        if any(gravity):
+            terms.append(Gravity(self.masses(), gravity))
+        return Model(self.masses(), [*terms, *further], anchors=self.anchors)
+
+    def state(self) -> State:
+        """The chain at rest along x."""
+        return State(self.positions())
+
+    def refined(self, factor: int = 2) -> Chain:
+        """Return the chain with `factor` times as many springs, of the same length and mass."""
+        return attrs.evolve(
+            self,
+            law=self.law.refined(factor=factor),
+            particle_count=(self.particle_count - 1) * factor + 1,
+        )
+
+
+def joint(pair: tuple[int, int], *, stiffness: float, k_d0: float, mass: float, name: str = "joint") -> PairSprings:
+    """Return a zero-length spring (S4) between two particles: F = -k s - k_d ds/dt with k_d = k_d0 sqrt(m k).
+
+    Args:
+        pair: the particles that it joins.
+        stiffness: k = k_s / l0 [N/m].
+        k_d0: dimensionless damping; critical: 2 with one end fixed, sqrt(2) between two free particles of the given
+        mass.
+        mass: mass of one particle [kg].
+        name: the term's name.
+    """
+    return PairSprings([pair], 0.0, stiffness, lecture_damping(k_d0, stiffness, mass), name=name)
