@@ -187,7 +187,8 @@ def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
     - `left`: (r, c) to (r + 1, c + 1)
     - `right`: (r, c + 1) to (r + 1, c)
     - `alternating`: left where r + c is even, right where it is odd (a checkerboard)
-    - `both`: springs on both diagonals, the surface is cut along the left one.
+    - `both`: springs on both diagonals; the surface is cut as `alternating`, because a surface cut along one family of
+      diagonals twists when it is bent (docs/bending.md).
 
     The normal is (direction of rising column) x (direction of rising row). Triangles 2 q and 2 q + 1 are those of cell
     q = r (columns - 1) + c.
@@ -216,7 +217,7 @@ def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
         raise ValueError(f"layout {layout!r} is none of {', '.join(LAYOUTS)}")
     row, column = (index.ravel() for index in np.mgrid[: rows - 1, : columns - 1])
     p00 = row * columns + column
-    if layout == "alternating":
+    if layout in ("alternating", "both"):
         left = (row + column) % 2 == 0
     else:
         left = np.full(p00.shape, layout != "right")
