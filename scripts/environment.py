@@ -66,7 +66,8 @@ def install(folder: Path, extras: str) -> None:
     command += ["--no-input", "--constraint", str(ROOT / "constraints.txt"), "--editable", f"{ROOT}[{extras}]"]
     before = packages(folder)
     try:
-        subprocess.run(command, check=True, cwd=ROOT)
+        # setuptools warns of every editable install that it is one.
+        subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, "PYTHONWARNINGS": "ignore"})
     finally:
         # What failed on the way to PyPI has touched nothing; a working environment must not be lost for it.
         if before == packages(folder):

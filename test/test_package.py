@@ -1,0 +1,208 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The package as a package: what it declares, what each file says of its licence, what colcon installs."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+HEADER = "# Copyright 2026 the cloth_sim_ros authors\n# SPDX-License-Identifier: Apache-2.0\n"
+FOLDERS = ("cloth_sim_ros", "launch", "scripts", "test")
+SOURCES = [
+    ROOT / "setup.py",
+    *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py") if "__pycache__" not in path.parts),
+]
+SHELL = [ROOT / "Makefile", ROOT / ".ci" / "run", *sorted((ROOT / "scripts").glob("*.sh"))]
+COMMANDS = {"cloth_sim", "cloth_gripper", "cloth_replay", "cloth_verify", "cloth_session", "cloth_bench"}
+
+
+@pytest.fixture(scope="module")
+def setup_arguments() -> dict[str, object]:
+    """What setup.py hands to setuptools, as data."""
+    script = (
+        "import json, runpy, setuptools\n"
+        "setuptools.setup = lambda **arguments: print(json.dumps(arguments))\n"
+        "runpy.run_path('setup.py')\n"
+    )
+    pytest.importorskip("setuptools")
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True)
+
+    arguments: dict[str, object] = json.loads(done.stdout.splitlines()[-1])
+    return arguments
+
+
+@pytest.mark.parametrize("path", [*SOURCES, *SHELL], ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_file_names_its_copyright_and_licence(path: Path) -> None:
+    text = path.read_text()
+    if text.startswith("#!"):
+        text = text.split("\n", 1)[1]
+    assert text.startswith(HEADER)
+
+
+def test_licence_is_whole() -> None:
+    text = (ROOT / "LICENSE").read_text()
+    assert "Apache License" in text
+    assert "END OF TERMS AND CONDITIONS" in text
+
+
+def test_package_xml_is_valid() -> None:
+    catkin_package = pytest.importorskip("catkin_pkg.package")
+    warnings: list[str] = []
+    package = catkin_package.parse_package(str(ROOT / "package.xml"), warnings=warnings)
+    package.validate(warnings=warnings)
+    assert warnings == []
+    assert package.package_format == 3
+    assert package.get_build_type() == "ament_python"
+    assert package.licenses == ["Apache-2.0"]
+
+
+def test_package_xml_has_every_ros_package_that_is_imported() -> None:
+    declared = {
+        element.text for element in ElementTree.parse(ROOT / "package.xml").getroot() if "depend" in element.tag
+    }
+    # The import tf2_ros comes from the package tf2_ros_py.
+    renamed = {"tf2_ros": "tf2_ros_py"}
+    ros = re.compile(r".*_(msgs|srvs|interfaces|ros)$|^(rclpy|launch|ament_index_python)$")
+    imported = set()
+    for path in [*(ROOT / "cloth_sim_ros").rglob("*.py"), *(ROOT / "launch").glob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            names = (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module]
+                if isinstance(node, ast.ImportFrom) and node.module and not node.level
+                else []
+            )
+            imported |= {name.split(".")[0] for name in names}
+    needed = {renamed.get(name, name) for name in imported if ros.match(name) and name != "cloth_sim_ros"}
+    assert needed <= declared
+
+
+def test_name_and_version_agree_everywhere(setup_arguments: dict[str, object]) -> None:
+    root = ElementTree.parse(ROOT / "package.xml").getroot()
+    version = root.findtext("version")
+    assert setup_arguments["version"] == version
+    assert setup_arguments["name"] == root.findtext("name")
+    assert setup_arguments["license"] == root.findtext("license")
+    assert re.search(rf"^{re.escape(str(version))} \(", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)
+
+
+def test_every_room_is_a_package(setup_arguments: dict[str, object]) -> None:
+    folders = {path.parent for path in (ROOT / "cloth_sim_ros").rglob("*.py")}
+    expected = {str(folder.relative_to(ROOT)).replace(os.sep, ".") for folder in folders}
+    assert expected == set(setup_arguments["packages"])  # type: ignore[call-overload]
+
+
+def test_every_data_file_is_declared(setup_arguments: dict[str, object]) -> None:
+    declared = {file for _, files in setup_arguments["data_files"] for file in files}  # type: ignore[attr-defined]
+    present = {
+        str(path.relative_to(ROOT))
+        for folder in ("config", "launch", "resource")
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert present | {"package.xml"} == declared
+
+
+def test_commands_are_there_and_lead_to_functions(setup_arguments: dict[str, object]) -> None:
+    scripts = setup_arguments["entry_points"]["console_scripts"]  # type: ignore[index,call-overload]
+    found = set()
+    for script in scripts:
+        name, _, target = script.replace(" ", "").partition("=")
+        module, _, function = target.partition(":")
+        found.add(name)
+        # By reading, not importing: the commands must be declared rightly also where rclpy or rerun is not installed.
+        source = ROOT.joinpath(*module.split(".")).with_suffix(".py")
+        definitions = {node.name for node in ast.parse(source.read_bytes()).body if isinstance(node, ast.FunctionDef)}
+        assert function in definitions, f"{name} leads to {target}, which is not defined in {source}"
+    assert found == COMMANDS
+
+
+def test_executables_go_where_ros2_run_looks() -> None:
+    settings = configparser.ConfigParser(interpolation=None)
+    settings.read(ROOT / "setup.cfg")
+    assert settings["develop"]["script_dir"] == "$base/lib/cloth_sim_ros"
+    assert settings["install"]["install_scripts"] == "$base/lib/cloth_sim_ros"
+
+
+def test_core_needs_neither_ros_nor_viewer_nor_tools(setup_arguments: dict[str, object]) -> None:
+    def names(requirements: object) -> set[str]:
+        return {re.split(r"[^A-Za-z0-9_-]", requirement)[0].lower() for requirement in requirements}  # type: ignore[attr-defined]
+
+    extras: dict[str, object] = setup_arguments["extras_require"]  # type: ignore[assignment]
+    assert names(setup_arguments["install_requires"]) <= {
+        "numpy", "scipy", "numba", "attrs", "pyyaml", "xxhash", "tqdm",
+    }  # fmt: skip
+    for extra, requirements in extras.items():
+        assert ("rerun-sdk" in names(requirements)) == (extra in {"replay", "demo", "dev"})
+        ros = {name for name in names(requirements) if name.startswith("ros-") or name in {"rclpy", "sensor_msgs"}}
+        assert all(name.startswith("ros-jazzy-") for name in ros), "the bare names also carry later distributions"
+        assert bool(ros) == (extra in {"ros", "demo", "dev"})
+
+
+def test_every_requirement_is_pinned_for_make(setup_arguments: dict[str, object]) -> None:
+    pinned = {
+        line.split("==")[0].lower().replace("_", "-")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if line and not line.startswith("#")
+    }
+    required = [*setup_arguments["install_requires"]]  # type: ignore[misc]
+    for requirements in setup_arguments["extras_require"].values():  # type: ignore[attr-defined]
+        required += requirements
+    names = {re.split(r"[^A-Za-z0-9_-]", requirement)[0].lower().replace("_", "-") for requirement in required}
+    assert names <= pinned
+
+
+def test_pyproject_holds_tools_only() -> None:
+    # colcon takes a package with a [project] table for another kind than ament_python's setup.py.
+    assert set(tomllib.loads((ROOT / "pyproject.toml").read_text())) == {"tool"}
+
+
+def test_launch_file_is_well_formed() -> None:
+    tree = ast.parse((ROOT / "launch" / "cloth_sim.launch.py").read_text())
+    assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    declared = {
+        node.args[0].value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "DeclareLaunchArgument"
+        and isinstance(node.args[0], ast.Constant)
+    }  # fmt: skip
+    assert declared == {"params_file", "namespace", "name"}
+    assert (ROOT / "config" / "cloth_sim.yaml").is_file(), "the launch file's default parameters"
+
+
+def test_colcon_builds_the_layout_of_ros2_run(tmp_path: Path) -> None:
+    for module in ("colcon_core", "colcon_ros", "colcon_python_setup_py"):
+        if importlib.util.find_spec(module) is None:
+            pytest.skip(f"{module} is not installed")
+    install = tmp_path / "install"
+    done = subprocess.run(
+        [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build", "--base-paths", ROOT,
+         "--packages-select", "cloth_sim_ros", "--build-base", tmp_path / "build", "--install-base", install],
+        cwd=tmp_path, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    prefix = install / "cloth_sim_ros"
+    executables = prefix / "lib" / "cloth_sim_ros"
+    assert {path.name for path in executables.iterdir()} == COMMANDS
+    assert all(os.access(path, os.X_OK) for path in executables.iterdir())
+    share = prefix / "share" / "cloth_sim_ros"
+    for folder in ("config", "launch"):
+        assert {path.name for path in (share / folder).iterdir()} == {
+            path.name for path in (ROOT / folder).iterdir() if path.is_file()
+        }
+    assert (share / "package.xml").is_file()
+    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "cloth_sim_ros").is_file()

@@ -1,0 +1,117 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The walls between the rooms (docs/design.md), seen from outside: who loads what, in a fresh interpreter."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "cloth_sim_ros"
+
+ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
+VIEWER = {"rerun", "rerun_sdk", "rerun_bindings", "pyarrow"}
+# What takes long to load, or is not there on a robot: only loaded where it is first needed.
+LATE = {"matplotlib", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", *VIEWER}
+FILES = {"mcap", "rosbags", "yaml"}
+ROOMS = ("physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
+
+# Each room: the rooms it may load, and the libraries that must not come with it.
+WALLS: dict[str, tuple[set[str], set[str]]] = {
+    # numba itself loads yaml where it finds it; that physics does not is seen below.
+    "physics": (set(), ROS | LATE | {"mcap", "rosbags", "tqdm"}),
+    "scene": ({"physics"}, ROS | LATE | {"mcap", "rosbags"}),
+    "simulation": ({"physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
+    "session": (set(), ROS | LATE | {"numba", "scipy"}),
+    "replay": ({"session"}, ROS | {"numba", "scipy"}),
+    "verify": ({"physics", "scene", "simulation", "session"}, ROS | LATE),
+    "bench": ({"physics", "scene", "simulation"}, ROS | LATE),
+    "ros": ({"physics", "scene", "simulation", "session"}, LATE),
+}
+
+
+def modules_of(room: str) -> list[str]:
+    """Names of all modules of a room."""
+    if (PACKAGE / f"{room}.py").is_file():
+        return [f"cloth_sim_ros.{room}"]
+    names = []
+    for path in sorted((PACKAGE / room).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        names.append(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+    return [name for name in names if not name.endswith("__main__")]
+
+
+def loaded_by(modules: list[str]) -> set[str]:
+    """Names of all modules that are loaded once these have been imported, in an interpreter of their own."""
+    script = (
+        "import importlib, json, sys\n"
+        "before = set(sys.modules)\n"
+        f"for name in {modules!r}: importlib.import_module(name)\n"
+        "print(json.dumps(sorted(set(sys.modules) - before)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def skip_without(room: str) -> None:
+    """Skip where a room's own libraries are not installed: a robot without a viewer, a desktop without ROS."""
+    own = {"ros": ["rclpy"], "replay": ["mcap", "rerun"], "session": ["mcap", "rosbags"], "verify": ["mcap", "rosbags"]}
+    for library in own.get(room, []):
+        pytest.importorskip(library)
+
+
+@pytest.mark.parametrize("room", WALLS)
+def test_room_loads_only_what_it_may(room: str) -> None:
+    skip_without(room)
+    allowed, forbidden = WALLS[room]
+    loaded = loaded_by(modules_of(room))
+    neighbours = {other for other in ROOMS if f"cloth_sim_ros.{other}" in loaded} - {room}
+    assert neighbours <= allowed
+    assert not loaded & forbidden
+
+
+def test_importing_the_package_loads_next_to_nothing() -> None:
+    loaded = loaded_by(["cloth_sim_ros"])
+    heavy = ROS | LATE | FILES | {"numpy", "scipy", "numba"}
+    assert not loaded & heavy
+    assert not {room for room in ROOMS if f"cloth_sim_ros.{room}" in loaded}
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
+    # What is imported late is not in sys.modules above, and binds the rooms no less.
+    room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    imported = set()
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports name their module in full"
+            imported |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
+    if room != "ros":
+        assert not {name for name in imported if name.split(".")[0] in ROS}, "only the room ros imports ROS"
+    if room != "replay":
+        assert not {name for name in imported if name.split(".")[0] in VIEWER}, "only the room replay imports a viewer"
+    if room == "physics":
+        assert not {name for name in imported if name.split(".")[0] in FILES | {"os", "pathlib", "time", "logging"}}
+        assert "print(" not in path.read_text(encoding="utf-8")
+    if room in WALLS:
+        neighbours = {other for other in ROOMS if f"cloth_sim_ros.{other}" in imported} - {room}
+        assert neighbours <= WALLS[room][0]
+
+
+def test_rooms_named_here_are_the_ones_there_are() -> None:
+    # Modules outside the rooms (events, parameters, ...) are the core, and the core is below session and ros.
+    folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and (path / "__init__.py").is_file()}
+    assert folders <= set(ROOMS)
+    core = [f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if path.stem not in {"__init__", *ROOMS}]
+    loaded = loaded_by(core)
+    assert not loaded & (ROS | LATE | {"mcap", "rosbags"})
+    assert not {room for room in ("ros", "replay", "session", "bench", "verify") if f"cloth_sim_ros.{room}" in loaded}
