@@ -1,0 +1,113 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Gripper paths and the grips on them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix, rotation_vector
+from cloth_sim_ros.physics.kernels.grips import pose_at
+from cloth_sim_ros.physics.terms.grips import Grips
+
+T = 1 / 60
+
+
+def at(row, t):
+    position, velocity, rotation, spin = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3)
+    pose_at(row, t, position, velocity, rotation, spin)
+    return position, velocity, rotation, spin
+
+
+def random_pose(rng):
+    return np.concatenate([rng.standard_normal(3), Rotation.random(random_state=rng.integers(1 << 30)).as_quat()])
+
+
+def follow(targets, start):
+    """Rows of consecutive frames through the targets, and the twist at the end."""
+    pose, twist, turn, rows = start, np.zeros(6), np.zeros(6), []
+    for k, target in enumerate(targets):
+        row, twist, turn = path_row(k * T, T, pose, twist, turn, target)
+        rows.append(row)
+        pose = target
+    return rows, twist
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_velocity_and_spin_are_the_derivatives_of_the_pose(seed):
+    rng = np.random.default_rng(seed)
+    row = path_row(0.5, T, random_pose(rng), rng.standard_normal(6), rng.standard_normal(6), random_pose(rng))[0]
+    h = 1e-7
+    for t in 0.5 + T * np.array([0.1, 0.5, 0.9]):
+        (p0, _, r0, _), (p1, _, r1, _) = at(row, t - h), at(row, t + h)
+        _, velocity, rotation, spin = at(row, t)
+        assert velocity == pytest.approx((p1 - p0) / (2 * h), rel=1e-5, abs=1e-4)
+        assert spin == pytest.approx(Rotation.from_matrix(r1 @ r0.T).as_rotvec() / (2 * h), rel=1e-5, abs=1e-4)
+        assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_path_is_continuous_in_pose_and_velocity_and_meets_its_targets(seed):
+    rng = np.random.default_rng(seed)
+    targets = [random_pose(rng) for _ in range(6)]
+    rows, _ = follow(targets[1:], targets[0])
+    for k in range(len(rows) - 1):
+        end, begin = at(rows[k], (k + 1) * T), at(rows[k + 1], (k + 1) * T)
+        for one, two in zip(end, begin, strict=True):
+            assert one == pytest.approx(two, abs=1e-9 * max(1.0, np.abs(one).max()))
+        assert end[0] == pytest.approx(targets[k + 1][:3], abs=1e-12)
+        assert end[2] == pytest.approx(rotation_matrix(targets[k + 1][3:]), abs=1e-12)
+
+
+def test_a_steady_stream_is_followed_without_ripple():
+    step = np.array([0.01, -0.02, 0.005])
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.03])
+    poses = [np.concatenate([k * step, (turn**k).as_quat()]) for k in range(8)]
+    rows, _ = follow(poses[1:], poses[0])
+    for t in 6 * T + T * np.linspace(0, 1, 7):
+        _, velocity, _, spin = at(rows[6], t)
+        assert velocity == pytest.approx(step / T, rel=1e-9)
+        assert spin == pytest.approx([0.0, 0.0, 0.03 / T], abs=1e-9)
+
+
+def test_a_jump_arrives_at_rest_without_overshoot():
+    start, end = np.array([0.0, 0, 0, 0, 0, 0, 1]), np.array([0.3, 0, 0, 0, 0, 0, 1.0])
+    rows, twist = follow([end, end], start)
+    path = [at(rows[0], t)[0][0] for t in T * np.linspace(0, 1, 101)]
+    assert max(path) <= 0.3
+    assert (np.diff(path) >= 0).all()
+    assert at(rows[1], 1.5 * T)[0][0] == 0.3
+    assert not twist.any()
+
+
+def test_a_half_turn_takes_the_shortest_way():
+    start = np.array([0.0, 0.0, 0.0, 1.0])
+    end = -Rotation.from_rotvec([0.2, 0.0, 0.0]).as_quat()  # the same turn by the other quaternion
+    assert rotation_vector(start, end) == pytest.approx([0.2, 0.0, 0.0], abs=1e-15)
+    assert rotation_vector(start, start) == pytest.approx([0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [0, 0, 1]])
+def test_a_quaternion_without_direction_is_refused(bad):
+    with pytest.raises(ValueError, match="no quaternion"):
+        normalised(bad)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_grip_work_is_what_springs_store_and_damping_loses(seed):
+    """d(energy)/dt + dissipation = power of the gripper + power into the particle, the gripper moving and turning."""
+    rng = np.random.default_rng(seed)
+    term = Grips(1)
+    term.paths[0] = path_row(0.0, T, random_pose(rng), rng.standard_normal(6), np.zeros(6), random_pose(rng))[0]
+    term.hold(np.array([0, 2]), np.array([1, 2]), rng.standard_normal((2, 3)), np.full(2, 40.0), np.full(2, 3.0))
+    x, v, t, h = rng.standard_normal((3, 4)), rng.standard_normal((3, 4)), 0.4 * T, 1e-7
+    rate = (term.energy(t + h, x + h * v) - term.energy(t - h, x - h * v)) / (2 * h)
+    f = np.zeros_like(x)
+    term.add_force(t, x, v, f)
+    assert rate + term.dissipation(t, x, v) == pytest.approx(term.wrenches[0, 6] - np.sum(f * v), rel=1e-6)
+    # Wrench: the reaction to the forces on the particles, its torque about the gripper's pose.
+    position, _, rotation, _ = at(term.paths[0], t)
+    points = (rotation @ term.offsets.T).T
+    assert term.wrenches[0, :3] == pytest.approx(-f.sum(axis=1))
+    assert term.wrenches[0, 3:6] == pytest.approx(np.cross(points, -f[:, [1, 2]].T).sum(axis=0))
+    assert position.shape == (3,)
