@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.events import Grasp, Pause, Reset, SetParameters, Step, Target, from_dict, ordered, to_dict
+from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import EventError, Simulation
@@ -230,3 +231,30 @@ def test_every_bit_of_the_state_is_in_its_digest():
             bits[-1] ^= 1
     state.frame += 1
     assert state.digest() != digest
+
+
+def test_a_frame_that_fails_leaves_state_and_scene_as_they_were(monkeypatch):
+    simulation = Simulation(small())
+    simulation.advance([Target("left", corner(simulation))])
+    before, scene = simulation.state.digest(), simulation.scene
+
+    def fail(self, dynamics, state, *rest):
+        state.x[:] = np.nan
+        raise UnstableError("on purpose")
+
+    monkeypatch.setattr(type(simulation.scene.build_integrator()), "advance", fail)
+    with pytest.raises(UnstableError):
+        simulation.advance([Grasp("left", True), SetParameters({"air.drag": 3.0})])
+    monkeypatch.undo()
+    assert simulation.state.digest() == before
+    assert simulation.scene is scene
+    assert simulation.advance().index == 2
+
+
+def test_a_gripper_led_steadily_moves_at_a_steady_velocity():
+    simulation = Simulation(small())
+    for k in range(5):
+        simulation.advance([Target("left", (0.01 * k, 0.0, 0.0))])
+    assert simulation.state.memory["gripper.twist"][0, :3] == pytest.approx([0.6, 0.0, 0.0])
+    simulation.advance()
+    assert not simulation.state.memory["gripper.twist"].any(), "without a new target it comes to rest"
