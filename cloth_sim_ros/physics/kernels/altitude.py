@@ -11,7 +11,15 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from cloth_sim_ros.physics.kernels.tetrahedron import JIT, dot, gather, hessian_product, length_and_gradient
+from cloth_sim_ros.physics.kernels.tetrahedron import (
+    FACES,
+    JIT,
+    cross,
+    dot,
+    gather,
+    hessian_product,
+    length_and_gradient,
+)
 
 
 @numba.njit(**JIT)
@@ -122,45 +130,71 @@ def add_gradient_blocks(hinges, weight, crossed, x, blocks):  # type: ignore[no-
 
 @numba.njit(**JIT)
 def add_curvature_blocks(hinges, rest, stiffness, crossed, x, blocks):  # type: ignore[no-untyped-def]
-    """Add blocks that bound k (h - h0) u'Hu, H the Hessian of h: k |h - h0| (sum over j of |H_ij|) I for particle i.
+    """Add blocks that bound the part k (h - h0) h'' of the stiffness, h'' the second derivative of h along u.
 
-    |u_i' H_ij u_j| <= |H_ij| (|u_i|^2 + |u_j|^2) / 2, with the Frobenius norm of each 3x3 block. H comes from twelve directions.
+    S8: with P = [-a, b] of smallest singular value sigma, r = (-n.da, n.db) and u_in the in-plane motion of the two feet,
+    h'' = -2 r'(P'P)^-1 P'u_in - h r'(P'P)^-1 r, at most (2 sqrt(2) |w| / sigma + 2 |h| / sigma^2) |u|^2.
+
+    S9: h'' = 6V''/M - 2 M'h'/M - h M''/M. |6V''| <= sum of |opposite edge| |u_i||u_j|; |M'h'| <= |G||g|/M |u|^2; and, c the
+    area vectors of the faces, M M'' <= |c'|^2 + |c.c''| <= sum over faces of (squared sides + 2 |c|) |u|^2.
     """
     w = np.empty((8, 3))
     p = np.empty((4, 3))
     g = np.empty((4, 3))
     ga = np.empty((4, 3))
     gv = np.empty((4, 3))
-    u = np.zeros((4, 3))
-    column = np.empty((4, 3))
-    work = np.empty((4, 3))
-    squares = np.empty((4, 4))
+    bound = np.empty(4)
     for e in range(hinges.shape[0]):
         gather(x, hinges, e, p)
         defined, h, square = length_and_gradient(p, crossed, g, ga, gv, w)
-        if not defined or h == rest[e]:
+        if not defined:
             continue
-        squares[:] = 0.0
+        weights = 0.0
+        turning = 0.0
         for k in range(4):
+            weights += dot(g[k], g[k])
+            turning += dot(ga[k], ga[k])
+        if crossed:
+            aa = 0.0
+            bb = 0.0
             for i in range(3):
-                u[k, i] = 1.0
-                hessian_product(p, u, crossed, h, square, g, ga, gv, column, work, w)
-                u[k, i] = 0.0
-                for j in range(4):
-                    squares[k, j] += dot(column[j], column[j])
+                aa += (p[1, i] - p[0, i]) ** 2
+                bb += (p[3, i] - p[2, i]) ** 2
+            # both eigenvalues of P'P from its trace and determinant, the smaller without cancellation
+            half = 0.5 * (aa + bb)
+            sigma2 = square / (half + np.sqrt(max(half * half - square, 0.0)))
+            bound[:] = 2.0 * np.sqrt(2.0 * weights / sigma2) + 2.0 * abs(h) / sigma2
+        else:
+            root = np.sqrt(square)
+            bound[:] = 2.0 * np.sqrt(turning * weights) / square
+            for f in range(4):
+                o = FACES[f, 0]
+                q = FACES[f, 1]
+                r = FACES[f, 2]
+                one = 0.0
+                two = 0.0
+                three = 0.0
+                for i in range(3):
+                    w[0, i] = p[q, i] - p[o, i]
+                    w[1, i] = p[r, i] - p[o, i]
+                    one += w[0, i] ** 2
+                    two += w[1, i] ** 2
+                    three += (p[r, i] - p[q, i]) ** 2
+                cross(w[0], w[1], w[2])
+                turn = abs(h) * (one + two + three + 2.0 * np.sqrt(dot(w[2], w[2]))) / square
+                around = (np.sqrt(one) + np.sqrt(two) + np.sqrt(three)) / root
+                for k in range(4):
+                    bound[k] += turn if k == o or k == q or k == r else around
         for k in range(4):
-            bound = np.sqrt(squares[k, 0]) + np.sqrt(squares[k, 1]) + np.sqrt(squares[k, 2]) + np.sqrt(squares[k, 3])
-            bound *= stiffness[e] * abs(h - rest[e])
             q = hinges[e, k]
-            blocks[0, q] += bound
-            blocks[1, q] += bound
-            blocks[2, q] += bound
+            add = bound[k] * stiffness[e] * abs(h - rest[e])
+            blocks[0, q] += add
+            blocks[1, q] += add
+            blocks[2, q] += add
 
 
 @numba.njit(**JIT)
-def add_tetrahedron_jacobian_product(
-    hinges, rest, stiffness, damping, crossed, x, v, dx, dv, out
-):  # type: ignore[no-untyped-def]
+def add_tetrahedron_jacobian_product(hinges, rest, stiffness, damping, crossed, x, v, dx, dv, out):  # type: ignore[no-untyped-def]
     """Add the exact derivative of the forces along (dx, dv) to out (3, n)."""
     w = np.empty((8, 3))
     p = np.empty((4, 3))

@@ -132,9 +132,7 @@ def length_and_gradient(x, crossed, gradient, area_gradient, volume_gradient, w)
 
 
 @numba.njit(**JIT)
-def hessian_product(
-    x, u, crossed, h, square, gradient, area_gradient, volume_gradient, out, work, w
-):  # type: ignore[no-untyped-def]
+def hessian_product(x, u, crossed, h, square, gradient, area_gradient, volume_gradient, out, work, w):  # type: ignore[no-untyped-def]
     """Set out (4, 3) to the derivative of grad h along u (4, 3), from what `length_and_gradient` gave. work: (4, 3), w: (8, 3)."""
     a, b, c, t, s, da, db, dc = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]
     work[:] = 0.0
