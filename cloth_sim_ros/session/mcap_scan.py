@@ -80,7 +80,8 @@ class Summary:
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
     statistics: Statistics | None
-    chunks: list[ChunkIndex]
+    chunks: dict[int, ChunkIndex]
+    """By the offset of the chunk, ascending."""
     records: list[tuple[int, int]]
     """Offset and length of every attachment and metadata record."""
 
@@ -133,8 +134,8 @@ def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
     return Chunk(place=place, compression=compression, payload=payload, raw=raw, crc=crc, checked=checked)
 
 
-def chunk_records(chunk: Chunk) -> Iterator[Schema | Channel | tuple[int, RawMessage]]:
-    """Declarations and messages (with their offset in the chunk) in order. Raises DamagedRecordError."""
+def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawMessage]]:
+    """Declarations and messages in order, each with its place in the chunk. Raises DamagedRecordError."""
     raw = chunk.raw
     position = 0
     while position < len(raw):
@@ -146,11 +147,12 @@ def chunk_records(chunk: Chunk) -> Iterator[Schema | Channel | tuple[int, RawMes
         if end > len(raw) or (opcode == Opcode.MESSAGE and size < _MESSAGE.size):
             raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of {size} bytes too many")
         if opcode == Opcode.MESSAGE:
-            yield position, RawMessage._make((*_MESSAGE.unpack_from(raw, start), raw[start + _MESSAGE.size : end]))
+            fields = (*_MESSAGE.unpack_from(raw, start), raw[start + _MESSAGE.size : end])
+            yield slice(position, end), RawMessage._make(fields)
         elif opcode == Opcode.SCHEMA:
-            yield parse_record(Schema, raw[start:end], chunk.place.offset)
+            yield slice(position, end), parse_record(Schema, raw[start:end], chunk.place.offset)
         elif opcode == Opcode.CHANNEL:
-            yield parse_record(Channel, raw[start:end], chunk.place.offset)
+            yield slice(position, end), parse_record(Channel, raw[start:end], chunk.place.offset)
         position = end
 
 
@@ -197,7 +199,7 @@ def read_summary(file: BinaryIO) -> Summary | None:
 def _collect_summary(raw: bytes, offset: int) -> Summary:
     from mcap.records import AttachmentIndex, MetadataIndex
 
-    summary = Summary(schemas={}, channels={}, statistics=None, chunks=[], records=[])
+    summary = Summary(schemas={}, channels={}, statistics=None, chunks={}, records=[])
     statistics = None
     position = 0
     while position + _RECORD_HEAD.size <= len(raw):
@@ -211,7 +213,8 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
             channel = parse_record(Channel, body, place)
             summary.channels[channel.id] = channel
         elif opcode == Opcode.CHUNK_INDEX:
-            summary.chunks.append(parse_record(ChunkIndex, body, place))
+            index = parse_record(ChunkIndex, body, place)
+            summary.chunks[index.chunk_start_offset] = index
         elif opcode == Opcode.STATISTICS:
             statistics = parse_record(Statistics, body, place)
         elif opcode == Opcode.ATTACHMENT_INDEX:
@@ -221,9 +224,9 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
             metadata = parse_record(MetadataIndex, body, place)
             summary.records.append((metadata.offset, metadata.length))
         position += _RECORD_HEAD.size + size
-    summary.chunks.sort(key=lambda index: index.chunk_start_offset)
-    summary.records.sort()
-    return Summary(summary.schemas, summary.channels, statistics, summary.chunks, summary.records)
+    return Summary(
+        summary.schemas, summary.channels, statistics, dict(sorted(summary.chunks.items())), sorted(summary.records)
+    )
 
 
 def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:

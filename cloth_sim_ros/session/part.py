@@ -11,13 +11,14 @@ from types import MappingProxyType
 from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from cloth_sim_ros.session.errors import DamagedSessionError, NotASessionError, SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.mcap_scan import (
     Chunk,
     DamagedRecordError,
+    RawMessage,
     RecordPlace,
     Summary,
     chunk_records,
@@ -48,8 +49,9 @@ class Message(NamedTuple):
     data: bytes
     """CDR bytes."""
     log_time: int
-    """Nanoseconds since the epoch."""
+    """When it was recorded [ns since the epoch]."""
     publish_time: int
+    """The time it belongs to [ns since the epoch]; for what a frame produced, when the frame was due."""
     sequence: int
     """Number of the message on its topic, counting those that were dropped."""
 
@@ -57,22 +59,36 @@ class Message(NamedTuple):
 class SessionPart:
     """One file of a session.
 
-    `chunks` may be called again while the file grows; it goes on where it stopped. Damage is skipped and noted in
-    `damage`, or raised where `strict`.
+    `chunks` and `messages` may be called again while the file grows; they go on where they stopped. What is damaged is
+    passed over and noted in `damage`, or raised as DamagedSessionError where `strict`.
     """
 
     def __init__(self, path: Path | str, *, strict: bool = False) -> None:
         """Open a file and read its beginning. Raises NotASessionError or DamagedSessionError with the reason."""
         self.path = Path(path)
+        self.metadata: Mapping[str, str] = {}
+        """Versions, machine, node, period ... as the recording began."""
+        self.end_notes: Mapping[str, str] = {}
+        """Why the file ends where it ends, how many messages were dropped; empty before its end has been read."""
+        self.attachments: dict[str, Attachment] = {}
+        """By name; ``scene.yaml`` and ``state.npz`` are always there."""
         self._strict = strict
+        self._summary: Summary | None = None
+        self._summary_damage: list[str] = []
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
         self._data_start = 0
-        self._position = 0
+        self._at_end = False
         self._file = _open(self.path)
         try:
-            self._read_beginning()
+            self._data_start = self._check_header()
+            self._read_summary()
+            self._read_contents()
+            self._check_contents()
         except BaseException:
             self._file.close()
             raise
+        self.rewind()
 
     def close(self) -> None:
         """Give the file back."""
@@ -81,30 +97,35 @@ class SessionPart:
     @property
     def number(self) -> int:
         """Place of this file among those of its session, from 0."""
-        return int(self.metadata.get("part", "0"))
+        return int(self.metadata["part"])
 
     @property
     def session(self) -> str:
         """What all files of one session have in common."""
-        return self.metadata.get("session", self.path.stem)
+        return self.metadata["session"]
+
+    @property
+    def scene_yaml(self) -> str:
+        """The parameters in force at the file's beginning, a ROS parameter file."""
+        return self.attachments[SCENE_NAME].data.decode()
+
+    @property
+    def state(self) -> bytes:
+        """The full state before the file's first frame, the bytes of an .npz."""
+        return self.attachments[STATE_NAME].data
 
     @property
     def finished(self) -> bool:
-        """Whether the file was closed properly, its indexes intact."""
+        """Whether the file was closed properly and its indexes are intact."""
+        if self._summary is None and self._at_end and not self._summary_damage:
+            # A file that was growing when it was opened has them now.
+            self._read_summary()
         return self._summary is not None
 
     @property
     def summary(self) -> Summary | None:
         """The indexes of a finished file."""
         return self._summary
-
-    def is_being_written(self) -> bool:
-        """Whether a living process is recording into it."""
-        return is_being_written(self._file.fileno())
-
-    def size(self) -> int:
-        """Bytes of the file now."""
-        return os.fstat(self._file.fileno()).st_size
 
     @property
     def position(self) -> int:
@@ -119,31 +140,37 @@ class SessionPart:
     @property
     def damage(self) -> tuple[str, ...]:
         """What was found damaged and left out, as far as the file has been read."""
-        return tuple(self._damage)
+        return (*self._summary_damage, *self._damage)
 
-    @property
-    def end_notes(self) -> Mapping[str, str]:
-        """Why the file ends where it ends, and how many messages were dropped; empty before its end has been read."""
-        return MappingProxyType(self._end_notes)
+    def size(self) -> int:
+        """Bytes of the file now."""
+        return os.fstat(self._file.fileno()).st_size
+
+    def is_being_written(self) -> bool:
+        """Whether a living process is recording into it."""
+        return is_being_written(self._file.fileno())
 
     def rewind(self) -> None:
         """Start over with the first chunk."""
         self._position = self._data_start
         self._at_end = False
-        self._damage.clear()
+        self._damage: list[str] = []
 
     def missing(self) -> str | None:
         """What the file lacks, as far as it has been read, in one sentence; None if nothing."""
-        found = list(self._damage)
-        if not self.finished and not self._at_end:
+        found = []
+        if not self.finished and self.is_being_written():
+            found.append("it is still being recorded")
+        elif not self.finished and not self._at_end:
             left = self.size() - self._position
-            cut = f", {left} bytes of an unfinished chunk are left out" if left and self._position else ""
-            if self.is_being_written():
-                found.insert(0, "it is still being recorded")
-            else:
-                found.insert(0, f"the recording was cut off (at most its last second is lost){cut}")
-        elif self._end_notes.get("dropped", "0") != "0":
-            found.append(f"{self._end_notes['dropped']} clouds were dropped because the disk was too slow")
+            torn = f" ({left} bytes of a torn chunk are left out)" if left and self._position > self._data_start else ""
+            found.append(f"the recording was cut off, what its last second held is lost{torn}")
+        elif not self.finished:
+            found.append("its indexes are missing, its messages are all there")
+        found += self.damage
+        dropped = self.end_notes.get("dropped", "0")
+        if dropped != "0":
+            found.append(f"{dropped} clouds were dropped, the disk was too slow")
         return f"{self.path.name}: {'; '.join(found)}" if found else None
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
@@ -157,10 +184,9 @@ class SessionPart:
                 place = place_at(self._file, self._position)
                 if place is None:
                     return
-                chunk = self._step(place, start, end)
+                chunk = self._read_record(place, start, end)
             except DamagedRecordError as error:
-                if not self._skip_damage(error):
-                    return
+                self._pass_over(error)
                 continue
             self._position = place.end
             if chunk is not None:
@@ -171,61 +197,42 @@ class SessionPart:
     ) -> Iterator[Message]:
         """The messages from the present position to the end of what is whole, in the order they were recorded."""
         for chunk in self.chunks(start=start, end=end):
-            wanted: dict[int, tuple[str, str] | None] = {}
-            for item in chunk_records(chunk):
-                if not isinstance(item, tuple):
-                    self._declare(item)
-                    wanted.clear()
+            known: dict[int, tuple[str, str] | None] = {}
+            for _, raw in chunk_records(chunk):
+                if not isinstance(raw, RawMessage):
+                    self.declare(raw)
+                    known.clear()
                     continue
-                raw = item[1]
-                if raw.channel not in wanted:
-                    wanted[raw.channel] = self._topic(raw.channel, topics, chunk.place)
-                known = wanted[raw.channel]
-                if (
-                    known is None
-                    or (start is not None and raw.log_time < start)
-                    or (end is not None and raw.log_time >= end)
-                ):
+                if raw.channel not in known:
+                    known[raw.channel] = self._wanted(raw.channel, topics, chunk.place)
+                channel = known[raw.channel]
+                if channel is None or _outside(raw.log_time, raw.log_time, start, end):
                     continue
-                yield Message(known[0], known[1], raw.data, raw.log_time, raw.publish_time, raw.sequence)
+                yield Message(*channel, raw.data, raw.log_time, raw.publish_time, raw.sequence)
 
-    def _read_beginning(self) -> None:
-        self.metadata: Mapping[str, str] = {}
-        self.scene_yaml = ""
-        self.state = b""
-        self._damage: list[str] = []
-        self._end_notes: dict[str, str] = {}
-        self._at_end = False
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
-        self._summary: Summary | None = None
-        self._check_header()
-        try:
-            self._summary = read_summary(self._file)
-        except DamagedRecordError as error:
-            self._note(error)
-        if self._summary is not None:
-            self._schemas.update(self._summary.schemas)
-            self._channels.update(self._summary.channels)
-        try:
-            self._read_contents()
-        except DamagedRecordError as error:
-            raise DamagedSessionError(f"{self.path}: {error}; the session cannot be read without it") from error
-        if METADATA_NAME not in self._seen:
-            raise NotASessionError(
-                f"{self.path} is an MCAP without the metadata record {METADATA_NAME!r}: cloth_sim did not record it"
-            )
-        if self.metadata.get("checksum") != metadata_checksum(self.metadata):
-            raise DamagedSessionError(f"{self.path}: the metadata record {METADATA_NAME!r} fails its checksum")
-        if self.metadata.get("format") != FORMAT_VERSION:
-            raise NotASessionError(
-                f"{self.path} has session format {self.metadata.get('format')!r}, "
-                f"this version reads {FORMAT_VERSION!r}; use the version that recorded it"
-            )
-        if not self.scene_yaml or not self.state:
-            raise DamagedSessionError(f"{self.path} ends inside its opening: nothing was recorded")
+    def declare(self, record: Schema | Channel) -> None:
+        """Learn a declaration found in a chunk; for those who go through `chunks` themselves."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        else:
+            self._channels[record.id] = record
 
-    def _check_header(self) -> None:
+    def channel(self, number: int) -> tuple[str, str] | None:
+        """Topic and type of a channel; None where its declaration was not read or lost."""
+        record = self._channels.get(number)
+        schema = None if record is None else self._schemas.get(record.schema_id)
+        return None if record is None or schema is None else (record.topic, schema.name)
+
+    def note_undeclared(self, number: int, place: RecordPlace) -> None:
+        """Note that messages are left out because the chunk that declared their channel is lost."""
+        self._damage.append(f"the chunk at byte {place.offset} has messages of channel {number}, never declared")
+
+    def records(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
+        """The declarations read so far, by number."""
+        return dict(self._schemas), dict(self._channels)
+
+    def _check_header(self) -> int:
+        """Check magic and header; where what follows begins."""
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             raise NotASessionError(f"{self.path} is not an MCAP file")
@@ -238,107 +245,110 @@ class SessionPart:
             raise DamagedSessionError(f"{self.path} ends inside its opening: nothing was recorded")
         if place.opcode != Opcode.HEADER or header.profile != "ros2":
             raise NotASessionError(f"{self.path} has MCAP profile {header.profile!r}, a session has 'ros2'")
-        self._data_start = place.end
-        self._position = place.end
+        return place.end
+
+    def _read_summary(self) -> None:
+        try:
+            self._summary = read_summary(self._file)
+        except DamagedRecordError as error:
+            if self._strict:
+                raise DamagedSessionError(f"{self.path}: {error}") from error
+            self._summary_damage.append(str(error))
+        if self._summary is not None:
+            self._schemas.update(self._summary.schemas)
+            self._channels.update(self._summary.channels)
 
     def _read_contents(self) -> None:
         """Metadata and attachments: by the index of a finished file (tools may move them), else before the chunks."""
-        self._seen: set[str] = set()
-        if self._summary is not None and self._summary.records:
-            for offset, _ in self._summary.records:
-                place = place_at(self._file, offset)
-                if place is not None:
-                    self._read_content(place)
-            return
-        position = self._data_start
-        while (place := place_at(self._file, position)) is not None and place.opcode != Opcode.CHUNK:
-            self._read_content(place)
-            position = place.end
+        try:
+            if self._summary is not None and self._summary.records:
+                for offset, _ in self._summary.records:
+                    place = place_at(self._file, offset)
+                    if place is not None:
+                        self._read_content(place)
+                return
+            position = self._data_start
+            while (place := place_at(self._file, position)) is not None and place.opcode != Opcode.CHUNK:
+                self._read_content(place)
+                position = place.end
+        except DamagedRecordError as error:
+            raise DamagedSessionError(f"{self.path}: {error}; the session cannot be read without it") from error
+
+    def _check_contents(self) -> None:
+        if not self.metadata:
+            raise NotASessionError(
+                f"{self.path} is an MCAP without the metadata record {METADATA_NAME!r}: cloth_sim did not record it"
+            )
+        if self.metadata.get("checksum") != metadata_checksum(self.metadata):
+            raise DamagedSessionError(f"{self.path}: the metadata record {METADATA_NAME!r} fails its checksum")
+        if self.metadata.get("format") != FORMAT_VERSION:
+            raise NotASessionError(
+                f"{self.path} has session format {self.metadata.get('format')!r}, this version reads "
+                f"{FORMAT_VERSION!r}; use the version that recorded it"
+            )
+        absent = [name for name in (SCENE_NAME, STATE_NAME) if name not in self.attachments]
+        if absent:
+            raise DamagedSessionError(f"{self.path} lacks its {' and '.join(absent)}: nothing can be run again")
 
     def _read_content(self, place: RecordPlace) -> None:
         if place.opcode == Opcode.METADATA:
             record = read_metadata(self._file, place)
-            self._seen.add(record.name)
             if record.name == METADATA_NAME:
                 self.metadata = MappingProxyType(record.metadata)
             elif record.name == END_METADATA_NAME:
-                self._end_notes = record.metadata
+                self._read_end_notes(record, place)
         elif place.opcode == Opcode.ATTACHMENT:
             attachment = read_attachment(self._file, place)
-            if attachment.name == SCENE_NAME:
-                self.scene_yaml = attachment.data.decode()
-            elif attachment.name == STATE_NAME:
-                self.state = attachment.data
+            self.attachments[attachment.name] = attachment
 
-    def _step(self, place: RecordPlace, start: int | None, end: int | None) -> Chunk | None:
+    def _read_end_notes(self, record: Metadata, place: RecordPlace) -> None:
+        if record.metadata.get("checksum") != metadata_checksum(record.metadata):
+            raise DamagedRecordError(f"the metadata record at byte {place.offset} fails its checksum")
+        self.end_notes = MappingProxyType(record.metadata)
+
+    def _read_record(self, place: RecordPlace, start: int | None, end: int | None) -> Chunk | None:
         """Deal with one record of the data section."""
         if place.opcode == Opcode.CHUNK:
-            return None if self._lies_outside(place, start, end) else read_chunk(self._file, place)
+            # Passed over by the indexes alone: they have a checksum, the head of a chunk has none.
+            index = None if self._summary is None else self._summary.chunks.get(place.offset)
+            if index is not None and _outside(index.message_start_time, index.message_end_time, start, end):
+                return None
+            return read_chunk(self._file, place)
         if place.opcode == Opcode.METADATA:
             self._read_content(place)
         elif place.opcode in (Opcode.DATA_END, Opcode.FOOTER):
             self._at_end = True
-            if self._summary is None and not self._damage:
-                self._summary = read_summary(self._file)
         return None
 
-    def _lies_outside(self, place: RecordPlace, start: int | None, end: int | None) -> bool:
-        """By the checked index alone: the chunk's own head has no checksum."""
-        if self._summary is None or (start is None and end is None):
-            return False
-        index = next((index for index in self._summary.chunks if index.chunk_start_offset == place.offset), None)
-        return index is not None and (
-            (start is not None and index.message_end_time < start)
-            or (end is not None and index.message_start_time >= end)
-        )
-
-    def _skip_damage(self, error: DamagedRecordError) -> bool:
-        """Note it and go on with the next chunk that the indexes, or the damaged record's own length, lead to."""
+    def _pass_over(self, error: DamagedRecordError) -> None:
+        """Note damage and go on with the next chunk, by the indexes or by the damaged record's own length."""
         if self._strict:
             raise DamagedSessionError(f"{self.path}: {error}") from error
-        self._note(error)
-        following: int | None = None
+        self._damage.append(str(error))
+        following = None
         if self._summary is not None:
-            following = next(
-                (
-                    index.chunk_start_offset
-                    for index in self._summary.chunks
-                    if index.chunk_start_offset > self._position
-                ),
-                None,
-            )
-            if following is None:
-                self._at_end = True
-                return False
+            following = next((offset for offset in self._summary.chunks if offset > self._position), None)
         else:
             try:
                 place = place_at(self._file, self._position)
+                following = None if place is None else place.end
             except DamagedRecordError:
-                place = None
-            following = None if place is None else place.end
+                self._damage.append(f"{self.size() - self._position} bytes from there on cannot be read")
         if following is None:
             self._at_end = True
-            return False
-        self._position = following
-        return True
-
-    def _note(self, error: DamagedRecordError) -> None:
-        self._damage.append(str(error))
-
-    def _declare(self, record: Schema | Channel) -> None:
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record
         else:
-            self._channels[record.id] = record
+            self._position = following
 
-    def _topic(self, channel: int, topics: frozenset[str] | None, place: RecordPlace) -> tuple[str, str] | None:
-        """Topic and type of a channel, None where it is not wanted or its declaration was lost with a damaged chunk."""
-        record = self._channels.get(channel)
-        schema = None if record is None else self._schemas.get(record.schema_id)
-        if record is None or schema is None:
-            self._note(DamagedRecordError(f"the chunk at byte {place.offset} has messages of an undeclared channel"))
+    def _wanted(self, number: int, topics: frozenset[str] | None, place: RecordPlace) -> tuple[str, str] | None:
+        channel = self.channel(number)
+        if channel is None:
+            self.note_undeclared(number, place)
             return None
-        return None if topics is not None and record.topic not in topics else (record.topic, schema.name)
+        return None if topics is not None and channel[0] not in topics else channel
+
+
+def _outside(first: int, last: int, start: int | None, end: int | None) -> bool:
+    return (start is not None and last < start) or (end is not None and first >= end)
 
 
 def _open(path: Path) -> BinaryIO:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -116,7 +117,7 @@ class SessionReader:
             yield read_frame(message)
 
     def clouds(self, *, start: int | None = None, end: int | None = None) -> Iterator[RecordedCloud]:
-        """The clouds, each with the record of its frame, which has the same log time and lies before it."""
+        """The clouds, each with the record of its frame, which lies before it and has the same publish time."""
         topics = [f"{self.node}/frame", f"{self.node}/points"]
         yield from pair_clouds(self.messages(topics, start=start, end=end), self.node)
 
@@ -151,17 +152,15 @@ class SessionReader:
             yield from part.messages(topics=wanted)
             if index + 1 < len(self._parts):
                 index += 1
-            elif part.at_end and part.end_notes.get("reason") == "split":
-                following = _following_file(part)
-                if following is not None:
-                    self._parts.append(SessionPart(following, strict=self._strict))
-                    index += 1
-                    continue
-            elif part.at_end or not alive:
-                return
-            if index + 1 >= len(self._parts):
-                if not keep_waiting():
+            elif part.at_end:
+                following = _following_part(part, strict=self._strict)
+                if following is None:
                     return
+                self._parts.append(following)
+                index += 1
+            elif not alive or not keep_waiting():
+                return
+            else:
                 time.sleep(poll)
 
 
@@ -176,14 +175,14 @@ def pair_clouds(messages: Iterable[Message], node: str) -> Iterator[RecordedClou
     """Clouds with their frames, from a stream that holds both."""
     from cloth_sim_ros.session.cdr import decode_cloud
 
-    frame: tuple[int, Message] | None = None
+    frame: Message | None = None
     for message in messages:
         if message.topic == f"{node}/frame":
-            frame = (message.log_time, message)
+            frame = message
         elif message.topic == f"{node}/points":
-            same = frame is not None and frame[0] == message.log_time
+            same = frame is not None and frame.publish_time == message.publish_time
             yield RecordedCloud(
-                frame=read_frame(frame[1]) if same and frame is not None else None,
+                frame=read_frame(frame) if same and frame is not None else None,
                 cloud=decode_cloud(message.data),
                 log_time=message.log_time,
             )
@@ -201,8 +200,42 @@ def _check_order(parts: Sequence[SessionPart]) -> None:
             )
 
 
-def _following_file(part: SessionPart) -> Path | None:
-    """The next file of the same session, if it is there yet."""
-    for path in sorted(part.path.parent.glob(f"{part.session}_{part.number + 1:03d}*.mcap")):
-        return path
-    return None
+def session_files(path: Path | str) -> list[Path]:
+    """All files of the session that a file belongs to, in order, as far as they lie in the same folder.
+
+    Raises SessionError where the file is no session.
+    """
+    with contextlib.closing(SessionPart(path)) as given:
+        found = {given.number: given.path}
+        for sibling in _siblings(given):
+            found.setdefault(sibling.number, sibling.path)
+            sibling.close()
+    return [found[number] for number in sorted(found)]
+
+
+def _following_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
+    """The next file of a split session, open; None where there is none."""
+    if part.end_notes.get("reason") != "split":
+        return None
+    following = None
+    for sibling in _siblings(part):
+        if sibling.number == part.number + 1 and following is None:
+            following = SessionPart(sibling.path, strict=strict)
+        sibling.close()
+    return following
+
+
+def _siblings(part: SessionPart) -> Iterator[SessionPart]:
+    """The other files of the same session in the same folder, open."""
+    for path in sorted(part.path.parent.glob(f"*{part.path.suffix}")):
+        if path == part.path:
+            continue
+        try:
+            sibling = SessionPart(path)
+        except SessionError:
+            # Anything may lie in the folder of sessions.
+            continue
+        if sibling.session == part.session:
+            yield sibling
+        else:
+            sibling.close()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import queue
+import secrets
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,8 @@ RecorderState = Literal["opening", "recording", "closed", "failed"]
 
 _ITEM_OVERHEAD = 400
 """Memory that Python keeps for a queued message beyond its bytes; estimated on the high side [bytes]."""
+
+_LATEST = 1 << 63
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +105,7 @@ class Recorder:
         log_time: int,
         stem: str | None = None,
         options: RecorderOptions | None = None,
-        open_file: Callable[[Path, str, str, bytes], AppendFile] = AppendFile,
+        open_file: Callable[[Path, str, str], AppendFile] = AppendFile,
     ) -> None:
         """Start recording into a new file under `folder` (created if absent); see `wait_until_open` for errors.
 
@@ -112,6 +115,8 @@ class Recorder:
         self._options = options or RecorderOptions()
         self._open_file = open_file
         self._stem = stem or session_stem("cloth_sim", datetime.datetime.now(datetime.UTC))
+        # The stem has a resolution of one second; the session's own name is never met twice.
+        self._session = f"{self._stem}_{secrets.token_hex(4)}"
         self._queue: queue.SimpleQueue[_Message | _Split | _Stop] = queue.SimpleQueue()
         # Counters with one writing side each, so that neither side waits for the other.
         self._put_count = self._put_bytes = 0
@@ -155,9 +160,14 @@ class Recorder:
     ) -> bool:
         """Queue a message (CDR bytes); never blocks. False if it was dropped or the recording has ended.
 
-        Times in nanoseconds since the epoch. `qos` counts with the first message of a topic; the newest message of a
+        Times in nanoseconds since the epoch (ValueError if they are none). `qos` counts with the first message of a
+        topic; the newest message of a
         transient local topic is repeated at the beginning of each further file.
         """
+        if publish_time is None:
+            publish_time = log_time
+        if not (0 <= log_time < _LATEST and 0 <= publish_time < _LATEST):
+            raise ValueError(f"log time {log_time}, publish time {publish_time}: expected nanoseconds in [0, 2^63)")
         with self._put_lock:
             if self._stop_asked or self._status.state in ("failed", "closed"):
                 return False
@@ -168,11 +178,7 @@ class Recorder:
             if droppable and waiting + len(data) > self._options.queue_bytes:
                 self._dropped += 1
                 return False
-            self._put(
-                _Message(
-                    topic, type_name, data, log_time, log_time if publish_time is None else publish_time, sequence, qos
-                )
-            )
+            self._put(_Message(topic, type_name, data, log_time, publish_time, sequence, qos))
             return True
 
     @property
@@ -230,10 +236,11 @@ class Recorder:
 
     def _run(self, snapshot: Snapshot, log_time: int) -> None:
         try:
-            writer = self._new_writer(snapshot, log_time)
+            writer = self._new_writer(snapshot, log_time, 0)
         except (OSError, SessionError) as error:
             self._status = replace(self._status, state="failed", error=_sentence(error, self._folder))
             self._opened.set()
+            self._empty_queue()
             return
         self._report(writer, "recording")
         self._opened.set()
@@ -282,21 +289,27 @@ class Recorder:
         )
 
     def _next_file(self, writer: SessionWriter, split: _Split) -> SessionWriter:
-        writer.finish(reason="split", notes=self._notes())
+        # The new file first: whoever follows finds it as soon as the old one says that it was split.
+        following = self._new_writer(split.snapshot, split.log_time, self._part + 1)
+        try:
+            writer.finish(reason="split", notes=self._notes())
+        except (OSError, SessionError):
+            following.finish(reason="the file before it could not be finished")
+            raise
+        self._part += 1
         self._finished_bytes += writer.bytes_written
         self._finished_messages += writer.message_count
-        self._part += 1
-        following = self._new_writer(split.snapshot, split.log_time)
         for item in list(self._latched.values()):
             self._write(following, item._replace(log_time=split.log_time))
         return following
 
-    def _new_writer(self, snapshot: Snapshot, log_time: int) -> SessionWriter:
+    def _new_writer(self, snapshot: Snapshot, log_time: int, part: int) -> SessionWriter:
         return SessionWriter(
             self._folder,
             snapshot=snapshot,
             stem=self._stem,
-            part=self._part,
+            session=self._session,
+            part=part,
             log_time=log_time,
             options=self._options.writer,
             open_file=self._open_file,

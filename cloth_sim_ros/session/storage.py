@@ -7,6 +7,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import secrets
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,29 +18,25 @@ _NAME_LIMIT = 1000
 
 
 class AppendFile:
-    """A new file under `folder`, born with its opening bytes complete.
+    """A new file under `folder`, at first under a hidden name.
 
-    The opening is written under a hidden name first and then linked to the final one, so that a file that can be seen
+    `publish` gives it its final name. A session is published with its opening complete, so that a file that can be seen
     always has a readable beginning, whenever the process was killed. An exclusive advisory lock is held while it is
     open: whoever can take a shared lock knows that the writer is gone (see `is_being_written`).
 
-    Raises OSError as the operating system reports it, RecordingError where no free name is found.
+    Methods raise OSError as the operating system reports it.
     """
 
-    def __init__(self, folder: Path, stem: str, suffix: str, opening: bytes) -> None:
-        hidden = folder / f".{stem}{suffix}.{os.getpid()}.opening"
-        self._descriptor = os.open(hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    def __init__(self, folder: Path, stem: str, suffix: str) -> None:
+        self._stem = stem
+        self._suffix = suffix
+        self._hidden: Path | None = folder / f".{stem}{suffix}.{secrets.token_hex(4)}.unfinished"
+        self._descriptor = os.open(self._hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self.path = folder / f"{stem}{suffix}"
+        """The final name; settled once published."""
         self.size = 0
         """Bytes written; always the end of a whole append."""
-        try:
-            _lock(self._descriptor)
-            self.append([opening])
-            self.path = _give_name(hidden, folder, stem, suffix)
-        except BaseException:
-            os.close(self._descriptor)
-            raise
-        finally:
-            hidden.unlink(missing_ok=True)
+        _lock(self._descriptor)
 
     def append(self, parts: Sequence[bytes]) -> None:
         """Write all bytes at the end. On an error nothing of them stays in the file, and the error is raised."""
@@ -52,6 +49,14 @@ class AppendFile:
             self._cut()
             raise
         self.size += sum(map(len, parts))
+
+    def publish(self) -> Path:
+        """Give the file the first free name of ``stem``, ``stem-2``, ``stem-3`` ...; nothing is ever overwritten."""
+        if self._hidden is not None:
+            self.path = _give_name(self._hidden, self._stem, self._suffix)
+            self._hidden.unlink(missing_ok=True)
+            self._hidden = None
+        return self.path
 
     def sync(self) -> None:
         """Wait until the file's contents would survive a power loss."""
@@ -75,10 +80,13 @@ class AppendFile:
         return os.fstat(self._descriptor).st_nlink > 0
 
     def close(self) -> None:
-        """Give the file back; safe to call twice."""
+        """Give the file back; one that was never published is removed. Safe to call twice."""
         if self._descriptor >= 0:
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)
+        if self._hidden is not None:
+            self._hidden.unlink(missing_ok=True)
+            self._hidden = None
 
     def _write(self, view: memoryview) -> int:
         return os.write(self._descriptor, view)
@@ -120,14 +128,13 @@ def _lock(descriptor: int) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        # Some network file systems have no locks; then a follower goes by the file's growth alone.
+        # Some network file systems have no locks; then a follower takes the file for abandoned and reads what is there.
         return
 
 
-def _give_name(hidden: Path, folder: Path, stem: str, suffix: str) -> Path:
-    """Link the hidden file to the first free name of ``stem``, ``stem-2``, ``stem-3`` ..."""
+def _give_name(hidden: Path, stem: str, suffix: str) -> Path:
     for number in range(1, _NAME_LIMIT):
-        path = folder / (f"{stem}{suffix}" if number == 1 else f"{stem}-{number}{suffix}")
+        path = hidden.parent / (f"{stem}{suffix}" if number == 1 else f"{stem}-{number}{suffix}")
         try:
             os.link(hidden, path)
         except FileExistsError:
@@ -142,4 +149,4 @@ def _give_name(hidden: Path, folder: Path, stem: str, suffix: str) -> Path:
                 continue
             os.replace(hidden, path)
         return path
-    raise RecordingError(f"{folder} already holds {_NAME_LIMIT - 1} files named {stem}; set record.folder")
+    raise RecordingError(f"{hidden.parent} already holds {_NAME_LIMIT - 1} files named {stem}; choose another folder")

@@ -78,15 +78,18 @@ class SessionWriter:
         *,
         snapshot: Snapshot,
         stem: str,
+        session: str | None = None,
         part: int = 0,
         log_time: int,
         options: WriterOptions | None = None,
-        open_file: Callable[[Path, str, str, bytes], AppendFile] = AppendFile,
+        open_file: Callable[[Path, str, str], AppendFile] = AppendFile,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Create ``<folder>/<stem>_<part>.mcap`` (or, if that exists, ``...-2.mcap``) with its snapshot in it.
 
-        `log_time` [ns since the epoch] is the time of the snapshot. Raises RecordingError or OSError where it cannot.
+        `log_time` [ns since the epoch] is the time of the snapshot; `session` names what the files of a split session
+        have
+        in common (by default `stem`). Raises RecordingError or OSError where it cannot.
         """
         from mcap.records import Attachment, Metadata
 
@@ -106,7 +109,7 @@ class SessionWriter:
         metadata = {
             **snapshot.metadata,
             "format": FORMAT_VERSION,
-            "session": stem,
+            "session": session or stem,
             "part": str(part),
         }
         metadata["checksum"] = metadata_checksum(metadata)
@@ -121,10 +124,17 @@ class SessionWriter:
                 )
             ],
         )
-        self._file = open_file(folder, f"{stem}_{part:03d}", SUFFIX, opening)
-        if self._options.sync_seconds:
-            self._file.sync()
-            self._file.sync_name()
+        self._file = open_file(folder, f"{stem}_{part:03d}", SUFFIX)
+        try:
+            self._file.append([opening])
+            if self._options.sync_seconds:
+                self._file.sync()
+            self._file.publish()
+            if self._options.sync_seconds:
+                self._file.sync_name()
+        except BaseException:
+            self._file.close()
+            raise
 
     @property
     def path(self) -> Path:
@@ -213,10 +223,9 @@ class SessionWriter:
     def _close_file(self, reason: str, notes: Mapping[str, str]) -> None:
         from mcap.records import Metadata
 
-        record = Metadata(
-            name=END_METADATA_NAME, metadata={**notes, "reason": reason, "messages": str(self.message_count)}
-        )
-        end = self._builder.metadata(record, self._file.size)
+        end_notes = {**notes, "reason": reason, "messages": str(self.message_count)}
+        end_notes["checksum"] = metadata_checksum(end_notes)
+        end = self._builder.metadata(Metadata(name=END_METADATA_NAME, metadata=end_notes), self._file.size)
         self._file.append([end, self._builder.closing(self._file.size + len(end))])
         if self._options.sync_seconds:
             self._file.sync()

@@ -1,0 +1,187 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Particle trajectories out of a session, as .npz or Parquet, without ever holding them all."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.reader import RecordedCloud, SessionReader
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_ROW_GROUP = 1 << 20
+"""Rows that Parquet keeps together; what the export holds in memory."""
+
+
+class _Frame(NamedTuple):
+    number: int
+    time: float
+    log_time: int
+    xyz: NDArray[np.float32]
+
+
+def export(
+    reader: SessionReader,
+    target: Path | str,
+    *,
+    every: int = 1,
+    start: float | None = None,
+    end: float | None = None,
+    progress: Callable[[], None] = lambda: None,
+) -> int:
+    """Write the positions of all particles over time; the number of frames written.
+
+    Args:
+        reader: the session.
+        target: ``*.npz`` or ``*.parquet``; it appears once it is complete and never replaces a file.
+        every: take every n-th cloud.
+        start: first simulated time [s].
+        end: simulated time to stop before [s].
+        progress: called for each cloud read; an .npz needs two passes, the first to count.
+
+    ``.npz`` holds ``frame`` (m,), ``time`` (m,) [s], ``log_time`` (m,) [ns since the epoch], ``positions`` (m, n, 3)
+    float32
+    [m] and, where the session has them, ``triangles`` (k, 3) and ``rest_positions`` (n, 3) [m]. Parquet has one row for
+    each particle of each frame: ``frame``, ``time``, ``particle``, ``x``, ``y``, ``z``.
+
+    Raises SessionError for a target of another kind, or a session without clouds in that span.
+    """
+    target = Path(target)
+    writers: dict[str, Callable[[Path, Callable[[], Iterator[_Frame]], SessionReader], int]] = {
+        ".npz": _write_npz,
+        ".parquet": _write_parquet,
+    }
+    if target.suffix not in writers:
+        raise SessionError(f"cannot export to {target.name}: the name must end in {' or '.join(writers)}")
+    if target.exists():
+        raise SessionError(f"{target} exists; give another name")
+    if every < 1:
+        raise SessionError(f"every {every}th frame cannot be taken; give 1 or more")
+
+    def frames() -> Iterator[_Frame]:
+        return _frames(reader, every, start, end, progress)
+
+    unfinished = target.with_name(f".{target.name}.{os.getpid()}.unfinished")
+    try:
+        count = writers[target.suffix](unfinished, frames, reader)
+        os.link(unfinished, target)
+    except FileExistsError:
+        raise SessionError(f"{target} exists; give another name") from None
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return count
+
+
+def _frames(
+    reader: SessionReader, every: int, start: float | None, end: float | None, progress: Callable[[], None]
+) -> Iterator[_Frame]:
+    taken = 0
+    points: int | None = None
+    for recorded in reader.clouds():
+        progress()
+        if not _within(recorded, start, end):
+            continue
+        taken += 1
+        if (taken - 1) % every:
+            continue
+        frame = recorded.frame
+        xyz = recorded.cloud.xyz
+        if points is not None and len(xyz) != points:
+            raise SessionError(f"a cloud has {len(xyz)} points, those before {points}; export the spans apart")
+        points = len(xyz)
+        number, time = (-1, float("nan")) if frame is None else (frame.frame, frame.time)
+        yield _Frame(number, time, recorded.log_time, xyz)
+
+
+def _within(recorded: RecordedCloud, start: float | None, end: float | None) -> bool:
+    if start is None and end is None:
+        return True
+    if recorded.frame is None:
+        return False
+    time = recorded.frame.time
+    return (start is None or time >= start) and (end is None or time < end)
+
+
+def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: SessionReader) -> int:
+    # The array's shape precedes its data, so the frames are counted first.
+    table = [(frame.number, frame.time, frame.log_time, len(frame.xyz)) for frame in frames()]
+    if not table:
+        raise SessionError("the session has no clouds in that span")
+    shape = (len(table), table[0][3], 3)
+    surface = reader.topology()
+    with zipfile.ZipFile(path, "x", zipfile.ZIP_STORED, allowZip64=True) as archive:
+        columns: dict[str, NDArray[Any]] = {
+            "frame": np.array([row[0] for row in table], np.int64),
+            "time": np.array([row[1] for row in table], np.float64),
+            "log_time": np.array([row[2] for row in table], np.int64),
+        }
+        if surface is not None:
+            columns |= {"triangles": surface.triangles, "rest_positions": surface.vertices}
+        for name, column in columns.items():
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, column, allow_pickle=False)
+            archive.writestr(f"{name}.npy", buffer.getvalue())
+        with archive.open("positions.npy", "w", force_zip64=True) as entry:
+            header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(entry, header)
+            written = 0
+            for frame in frames():
+                entry.write(np.ascontiguousarray(frame.xyz, "<f4").tobytes())
+                written += 1
+    if written != len(table):
+        raise SessionError(f"the session changed while it was read: {len(table)} clouds, then {written}")
+    return written
+
+
+def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], _: SessionReader) -> int:
+    try:
+        import pyarrow as pa  # type: ignore[import-untyped]
+        import pyarrow.parquet as pq  # type: ignore[import-untyped]
+    except ImportError:
+        raise SessionError("Parquet needs the Python package pyarrow; install it, or export to .npz") from None
+    schema = pa.schema(
+        [
+            ("frame", pa.int64()),
+            ("time", pa.float64()),
+            ("particle", pa.int32()),
+            ("x", pa.float32()),
+            ("y", pa.float32()),
+            ("z", pa.float32()),
+        ]
+    )
+    count = 0
+    waiting: list[_Frame] = []
+    with pq.ParquetWriter(path, schema) as writer:
+
+        def write() -> None:
+            points = len(waiting[0].xyz)
+            xyz = np.concatenate([frame.xyz for frame in waiting])
+            columns = [
+                np.repeat(np.array([frame.number for frame in waiting], np.int64), points),
+                np.repeat(np.array([frame.time for frame in waiting], np.float64), points),
+                np.tile(np.arange(points, dtype=np.int32), len(waiting)),
+                *(np.ascontiguousarray(xyz[:, axis], np.float32) for axis in range(3)),
+            ]
+            writer.write_table(pa.table(columns, schema=schema))
+            waiting.clear()
+
+        for frame in frames():
+            waiting.append(frame)
+            count += 1
+            if sum(len(other.xyz) for other in waiting) >= _ROW_GROUP:
+                write()
+        if waiting:
+            write()
+    if not count:
+        raise SessionError("the session has no clouds in that span")
+    return count

@@ -1,0 +1,216 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What happened in a session, in a screenful."""
+
+from __future__ import annotations
+
+import datetime
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cloth_sim_ros.session.cdr import decode_cloud, decode_surface
+from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.session.reader import SessionReader, read_frame
+
+_SHOWN_HAPPENINGS = 12
+_QUIET_EVENTS = ("target",)
+
+
+@dataclass(slots=True)
+class TopicSummary:
+    """One topic's traffic."""
+
+    type_name: str
+    count: int = 0
+    size: int = 0
+    """Bytes of all its messages."""
+    lost: int = 0
+    """Messages whose numbers are absent: dropped, or in a damaged chunk."""
+    next_sequence: int | None = None
+
+
+@dataclass(slots=True)
+class SessionSummary:
+    """What one pass over a session finds."""
+
+    topics: dict[str, TopicSummary] = field(default_factory=dict)
+    first_time: int | None = None
+    """Earliest log time [ns since the epoch]."""
+    last_time: int | None = None
+    advances: int = 0
+    """Frame records, those while paused included."""
+    first_frame: int | None = None
+    last_frame: int | None = None
+    simulated: tuple[float, float] | None = None
+    """Simulated time of the first and the last frame record [s]."""
+    steps: list[int] = field(default_factory=lambda: [0, 0, 0])
+    """Least and most steps a frame, and their sum."""
+    integrators: Counter[str] = field(default_factory=Counter)
+    events: Counter[str] = field(default_factory=Counter)
+    happenings: list[str] = field(default_factory=list)
+    """The first events other than targets, each with its time."""
+    grid: tuple[int, int] | None = None
+    """Height and width of the clouds."""
+    triangles: int | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Span of the log times [s]."""
+        return 0.0 if self.first_time is None or self.last_time is None else (self.last_time - self.first_time) * 1e-9
+
+
+class Summarizer:
+    """Builds a `SessionSummary` from a session's messages, one after the other."""
+
+    def __init__(self, node: str) -> None:
+        self.summary = SessionSummary()
+        self._node = node
+
+    def add(self, message: Message) -> None:
+        """Take one message into account."""
+        summary = self.summary
+        topic = summary.topics.setdefault(message.topic, TopicSummary(message.type_name))
+        topic.count += 1
+        topic.size += len(message.data)
+        if topic.next_sequence is not None and message.sequence > topic.next_sequence:
+            topic.lost += message.sequence - topic.next_sequence
+        topic.next_sequence = message.sequence + 1
+        time = message.log_time
+        summary.first_time = time if summary.first_time is None else min(summary.first_time, time)
+        summary.last_time = time if summary.last_time is None else max(summary.last_time, time)
+        if message.topic == f"{self._node}/frame":
+            self._add_frame(message)
+        elif message.topic == f"{self._node}/points" and summary.grid is None:
+            cloud = decode_cloud(message.data)
+            summary.grid = (cloud.height, cloud.width)
+        elif message.topic == f"{self._node}/topology" and summary.triangles is None:
+            summary.triangles = len(decode_surface(message.data).triangles)
+
+    def _add_frame(self, message: Message) -> None:
+        summary = self.summary
+        frame = read_frame(message)
+        summary.advances += 1
+        if summary.first_frame is None or summary.simulated is None:
+            summary.first_frame = frame.frame
+            summary.simulated = (frame.time, frame.time)
+            summary.steps[0] = frame.steps
+        summary.last_frame = frame.frame
+        summary.simulated = (summary.simulated[0], frame.time)
+        summary.steps[0] = min(summary.steps[0], frame.steps)
+        summary.steps[1] = max(summary.steps[1], frame.steps)
+        summary.steps[2] += frame.steps
+        tolerance = "fixed step" if frame.tolerance is None else f"tolerance {frame.tolerance:g} m"
+        summary.integrators[f"{frame.integrator} ({tolerance})"] += 1
+        for event in frame.events:
+            kind = str(event.get("kind", "?"))
+            summary.events[kind] += 1
+            if kind not in _QUIET_EVENTS and len(summary.happenings) < _SHOWN_HAPPENINGS:
+                summary.happenings.append(f"{frame.time:9.3f} s  {kind} {_words(event)}".rstrip())
+
+
+def render(reader: SessionReader, summary: SessionSummary) -> str:
+    """The screenful, for a session that has been read to its end."""
+    size = sum(part.size() for part in reader.parts)
+    lines = [part.path.name for part in reader.parts[:3]]
+    if len(reader.parts) > 3:
+        lines.append(f"... {len(reader.parts) - 3} more files")
+    lines += [
+        _line("state", "complete" if reader.missing is None else reader.missing),
+        _line("ends", reader.parts[-1].end_notes.get("reason", "cut off")),
+        _line("recorded", _when(summary)),
+        _line("size", f"{size / 1e6:,.1f} MB{_per_hour(size, summary.seconds)}"),
+        _line("by", ", ".join(f"{key} {value}" for key, value in _shown(reader.metadata).items())),
+        "",
+        _line("cloth", _cloth(summary)),
+        _line("frames", _frames(summary)),
+        _line("integrator", ", ".join(f"{name} x {count}" for name, count in summary.integrators.most_common(3))),
+        _line("steps", _steps(summary)),
+        _line("events", ", ".join(f"{kind} {count}" for kind, count in summary.events.most_common()) or "none"),
+        *(" " * 12 + happening for happening in summary.happenings),
+    ]
+    hidden = sum(n for kind, n in summary.events.items() if kind not in _QUIET_EVENTS) - len(summary.happenings)
+    if hidden > 0:
+        lines.append(" " * 12 + f"... and {hidden} more")
+    lines += ["", f"{'topic':36} {'type':34} {'count':>8} {'MB':>9} {'lost':>6}"]
+    for name, topic in sorted(summary.topics.items()):
+        short = topic.type_name.replace("/msg/", "/")
+        lines.append(f"{name:36} {short:34} {topic.count:8} {topic.size / 1e6:9.2f} {topic.lost:6}")
+    return "\n".join(lines)
+
+
+def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
+    """The same for programs; plain JSON values."""
+    return {
+        "files": [str(part.path) for part in reader.parts],
+        "bytes": sum(part.size() for part in reader.parts),
+        "complete": reader.complete,
+        "missing": reader.missing,
+        "metadata": dict(reader.metadata),
+        "end": [dict(part.end_notes) for part in reader.parts],
+        "log_time": [summary.first_time, summary.last_time],
+        "advances": summary.advances,
+        "frames": [summary.first_frame, summary.last_frame],
+        "simulated_time": summary.simulated,
+        "steps": {"least": summary.steps[0], "most": summary.steps[1], "sum": summary.steps[2]},
+        "integrators": dict(summary.integrators),
+        "events": dict(summary.events),
+        "grid": summary.grid,
+        "triangles": summary.triangles,
+        "topics": {
+            name: {"type": topic.type_name, "count": topic.count, "bytes": topic.size, "lost": topic.lost}
+            for name, topic in sorted(summary.topics.items())
+        },
+    }
+
+
+def _line(label: str, text: str) -> str:
+    return f"{label:11} {text}"
+
+
+def _words(event: Mapping[str, Any]) -> str:
+    text = " ".join(f"{key}={value}" for key, value in event.items() if key != "kind")
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _when(summary: SessionSummary) -> str:
+    if summary.first_time is None:
+        return "nothing"
+    start = datetime.datetime.fromtimestamp(summary.first_time * 1e-9, datetime.UTC)
+    return f"{start:%Y-%m-%d %H:%M:%S} UTC (by the node's clock), {summary.seconds:.2f} s"
+
+
+def _per_hour(size: int, seconds: float) -> str:
+    return f", {size / seconds * 3600 / 1e9:,.2f} GB an hour" if seconds > 0 else ""
+
+
+def _shown(metadata: Mapping[str, str]) -> dict[str, str]:
+    hidden = ("checksum", "session", "part", "format")
+    return {key: value for key, value in metadata.items() if key not in hidden and len(value) <= 60}
+
+
+def _cloth(summary: SessionSummary) -> str:
+    if summary.grid is None:
+        return "no clouds"
+    height, width = summary.grid
+    shape = f"{height} x {width}, {height * width} particles" if height > 1 else f"{width} particles"
+    return shape if summary.triangles is None else f"{shape}, {summary.triangles} triangles"
+
+
+def _frames(summary: SessionSummary) -> str:
+    if summary.simulated is None:
+        return "none"
+    first, last = summary.simulated
+    speed = f", {(last - first) / summary.seconds:.2f} x real time" if summary.seconds > 0 else ""
+    return (
+        f"{summary.first_frame} to {summary.last_frame} ({summary.advances} records), "
+        f"{first:.3f} to {last:.3f} s simulated{speed}"
+    )
+
+
+def _steps(summary: SessionSummary) -> str:
+    if not summary.advances:
+        return "none"
+    least, most, total = summary.steps
+    return f"{total / summary.advances:.1f} a frame, {least} to {most}"

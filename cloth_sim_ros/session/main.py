@@ -1,0 +1,150 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command `cloth_session`: info, recover, export."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cloth_sim_ros.session.errors import SessionError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 if all went well, 1 if the session lacks something, 2 if it cannot be done."""
+    options = _parser().parse_args(arguments)
+    try:
+        status: int = options.run(options)
+    except SessionError as error:
+        print(f"cloth_session: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # Whoever reads the output (head, less) has had enough.
+        sys.stderr.close()
+        return 0
+    except OSError as error:
+        print(f"cloth_session: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("cloth_session: interrupted", file=sys.stderr)
+        return 130
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cloth_session", description="Look at, mend and export recorded sessions. No ROS needed."
+    )
+    commands = parser.add_subparsers(required=True, metavar="{info,recover,export}")
+
+    info = commands.add_parser("info", help="what happened in a session", description=_info.__doc__)
+    info.add_argument("files", nargs="+", type=Path, metavar="session.mcap", help="one file, or the parts of a session")
+    info.add_argument("--all-parts", action="store_true", help="with one file given, take its session's others too")
+    info.add_argument("--json", action="store_true", help="for programs")
+    info.set_defaults(run=_info)
+
+    recover = commands.add_parser(
+        "recover", help="mend a session that was cut off or damaged", description=_recover.__doc__
+    )
+    recover.add_argument("file", type=Path, metavar="session.mcap")
+    recover.add_argument(
+        "-o", "--output", type=Path, metavar="mended.mcap", help="default: <name>_recovered.mcap beside it"
+    )
+    recover.set_defaults(run=_recover)
+
+    export = commands.add_parser(
+        "export", help="particle trajectories as .npz or .parquet", description=_export.__doc__
+    )
+    export.add_argument(
+        "files", nargs="+", type=Path, metavar="session.mcap", help="one file, or the parts of a session"
+    )
+    export.add_argument("--all-parts", action="store_true", help="with one file given, take its session's others too")
+    export.add_argument(
+        "-o", "--output", type=Path, metavar="out.npz", help="*.npz or *.parquet; default: <name>.npz beside it"
+    )
+    export.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th cloud")
+    export.add_argument("--start", type=float, metavar="S", help="from this simulated time on [s]")
+    export.add_argument("--end", type=float, metavar="S", help="up to this simulated time [s]")
+    export.set_defaults(run=_export)
+    return parser
+
+
+def _files(options: argparse.Namespace) -> list[Path]:
+    from cloth_sim_ros.session.reader import session_files
+
+    files: list[Path] = options.files
+    return session_files(files[0]) if options.all_parts and len(files) == 1 else files
+
+
+def _info(options: argparse.Namespace) -> int:
+    """Read a session to its end, checking every checksum, and tell what happened. Status 1 if it lacks something."""
+    from tqdm import tqdm
+
+    from cloth_sim_ros.session.info import Summarizer, render, to_json
+    from cloth_sim_ros.session.reader import SessionReader
+
+    with SessionReader(_files(options)) as reader:
+        total = sum(part.size() for part in reader.parts)
+        summarizer = Summarizer(reader.node)
+        with tqdm(total=total, unit="B", unit_scale=True, desc="reading", delay=1.0, leave=False) as bar:
+            for message in reader.messages():
+                summarizer.add(message)
+                bar.update(sum(part.position for part in reader.parts) - bar.n)
+        if options.json:
+            print(json.dumps(to_json(reader, summarizer.summary), indent=2))
+        else:
+            print(render(reader, summarizer.summary))
+        return 0 if reader.missing is None else 1
+
+
+def _recover(options: argparse.Namespace) -> int:
+    """Copy everything that is whole into a new, finished file; the old one is left as it is."""
+    from tqdm import tqdm
+
+    from cloth_sim_ros.session.recover import recover
+
+    with tqdm(unit="B", unit_scale=True, desc="copying", delay=1.0, leave=False) as bar:
+
+        def progress(position: int, size: int) -> None:
+            bar.total = size
+            bar.update(position - bar.n)
+
+        recovery = recover(options.file, options.output, progress=progress)
+    print(
+        f"{recovery.path}: {recovery.messages} messages, {recovery.bytes_written / 1e6:,.1f} MB\n"
+        f"what was missing stays missing: {recovery.missing}"
+    )
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    """Write the positions of all particles over time."""
+    from tqdm import tqdm
+
+    from cloth_sim_ros.session.export import export
+    from cloth_sim_ros.session.reader import SessionReader
+
+    files = _files(options)
+    output = options.output or files[0].with_suffix(".npz")
+    with (
+        SessionReader(files) as reader,
+        tqdm(unit=" clouds", desc="reading", delay=1.0, leave=False) as bar,
+    ):
+        count = export(
+            reader, output, every=options.every, start=options.start, end=options.end, progress=lambda: _tick(bar)
+        )
+        if reader.missing is not None:
+            print(f"cloth_session: {reader.missing}", file=sys.stderr)
+    print(f"{output}: {count} frames, {output.stat().st_size / 1e6:,.1f} MB")
+    return 0
+
+
+def _tick(bar: object) -> None:
+    bar.update()  # type: ignore[attr-defined]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Mending a session that was cut off or damaged: a new, finished file of everything that is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.part import SessionPart
+from cloth_sim_ros.session.storage import AppendFile
+from cloth_sim_ros.session.writer import END_METADATA_NAME, METADATA_NAME, SUFFIX, metadata_checksum
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.mcap_builder import McapBuilder, PackedChunk
+    from cloth_sim_ros.session.mcap_scan import Chunk
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovery:
+    """What came of mending a file."""
+
+    path: Path
+    """The new file."""
+    messages: int
+    bytes_written: int
+    missing: str
+    """What the old file lacked and the new one therefore lacks too."""
+
+
+def recover(
+    source: Path | str, target: Path | str | None = None, *, progress: Callable[[int, int], None] | None = None
+) -> Recovery:
+    """Copy every whole, checked chunk of an unfinished or damaged session into a new, finished file.
+
+    Chunks are copied as they are, so every message keeps its bytes, times and order; indexes are made anew. The new
+    file
+    (by default ``<name>_recovered.mcap`` beside the old one) appears once it is complete; nothing is overwritten, the
+    old file is not touched. `progress` is told bytes read and bytes in all.
+
+    Raises SessionError where there is nothing to mend or the file is still being recorded; OSError for the new file.
+    """
+    source = Path(source)
+    with contextlib.closing(SessionPart(source)) as part:
+        if part.is_being_written():
+            raise SessionError(f"{source} is still being recorded; recover it when its recording has ended")
+        _check_need(part, progress)
+        folder, stem = _target_name(source, target)
+        file = AppendFile(folder, stem, SUFFIX)
+        try:
+            messages = _copy(part, file, progress)
+            file.sync()
+            path = file.publish()
+            file.sync_name()
+        finally:
+            file.close()
+        missing = part.missing()
+        assert missing is not None
+        return Recovery(path=path, messages=messages, bytes_written=file.size, missing=missing)
+
+
+def _check_need(part: SessionPart, progress: Callable[[int, int], None] | None) -> None:
+    """A finished file is read first: without damage it needs no copy."""
+    if not part.finished:
+        return
+    for _ in part.messages():
+        if progress is not None:
+            progress(part.position, part.size())
+    if not part.damage:
+        raise SessionError(f"{part.path} is finished and undamaged; there is nothing to recover")
+    part.rewind()
+
+
+def _target_name(source: Path, target: Path | str | None) -> tuple[Path, str]:
+    if target is None:
+        return source.parent, f"{source.stem}_recovered"
+    target = Path(target)
+    if target.suffix != SUFFIX:
+        raise SessionError(f"the mended file {target} must be named *{SUFFIX}")
+    if target.exists():
+        raise SessionError(f"{target} exists; give another name")
+    return target.parent, target.stem
+
+
+def _copy(part: SessionPart, file: AppendFile, progress: Callable[[int, int], None] | None) -> int:
+    from mcap.records import Metadata
+
+    from cloth_sim_ros.session.mcap_builder import McapBuilder
+
+    builder = McapBuilder(compression="none")
+    file.append(
+        [
+            builder.opening(
+                library="cloth_sim_ros",
+                metadata=[Metadata(name=METADATA_NAME, metadata=dict(part.metadata))],
+                attachments=list(part.attachments.values()),
+            )
+        ]
+    )
+    messages = _copy_chunks(part, file, builder, progress)
+    schemas, channels = part.records()
+    builder.note_declarations(schemas, channels)
+    notes = {
+        **part.end_notes,
+        "reason": "recovered",
+        "messages": str(messages),
+        "missing": part.missing() or "",
+    }
+    notes["checksum"] = metadata_checksum(notes)
+    end = builder.metadata(Metadata(name=END_METADATA_NAME, metadata=notes), file.size)
+    file.append([end, builder.closing(file.size + len(end))])
+    return messages
+
+
+def _copy_chunks(
+    part: SessionPart, file: AppendFile, builder: McapBuilder, progress: Callable[[int, int], None] | None
+) -> int:
+    messages = 0
+    for chunk in part.chunks():
+        packed = _index(part, chunk)
+        offset = file.size
+        file.append(packed.parts)
+        builder.note_chunk(packed, offset)
+        messages += sum(packed.counts.values())
+        if progress is not None:
+            progress(part.position, part.size())
+    return messages
+
+
+def _index(part: SessionPart, chunk: Chunk) -> PackedChunk:
+    """The chunk with fresh indexes; without messages whose channel was declared in a chunk that is lost."""
+    from cloth_sim_ros.session.mcap_builder import compressor, pack_chunk_record
+    from cloth_sim_ros.session.mcap_scan import RawMessage, chunk_records
+
+    indexes: dict[int, list[int]] = defaultdict(list)
+    times: list[int] = []
+    kept: list[bytes] = []
+    undeclared = set()
+    size = 0
+    for place, item in chunk_records(chunk):
+        if not isinstance(item, RawMessage):
+            part.declare(item)
+        elif part.channel(item.channel) is None:
+            undeclared.add(item.channel)
+            continue
+        else:
+            indexes[item.channel] += (item.log_time, size)
+            times.append(item.log_time)
+        kept.append(chunk.raw[place])
+        size += place.stop - place.start
+    payload, content, crc = chunk.payload, chunk.raw, chunk.crc
+    if undeclared:
+        for number in sorted(undeclared):
+            part.note_undeclared(number, chunk.place)
+        content = b"".join(kept)
+        payload = compressor(chunk.compression)(content)
+    if undeclared or not chunk.checked:
+        crc = zlib.crc32(content)
+    return pack_chunk_record(
+        payload=payload,
+        compression=chunk.compression,
+        raw_size=len(content),
+        crc=crc,
+        times=(min(times, default=0), max(times, default=0)),
+        indexes=indexes,
+    )
