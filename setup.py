@@ -21,6 +21,8 @@ EXTRAS = {
     "ros": ["ros-jazzy-rclpy[fastrtps]>=7.1.6", "ros-jazzy-common-interfaces>=5.3.6"],
     "record": SESSION,
     "replay": [*SESSION, "rerun-sdk>=0.41,<0.42"],
+    # Trajectories as Parquet.
+    "export": ["pyarrow>=18.0"],
     "mesh": ["trimesh>=4.0"],
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
     "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "psutil>=5.9"],
@@ -29,6 +31,7 @@ EXTRAS = {
 EXTRAS["demo"] = [*EXTRAS["ros"], *EXTRAS["record"], *EXTRAS["replay"]]
 EXTRAS["dev"] = [
     *EXTRAS["demo"],
+    *EXTRAS["export"],
     *EXTRAS["mesh"],
     *EXTRAS["bench"],
     *EXTRAS["test"],

@@ -16,9 +16,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cloth_sim_ros"
 
 ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
-VIEWER = {"rerun", "rerun_sdk", "rerun_bindings", "pyarrow"}
+VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
 # What takes long to load, or is not there on a robot: only loaded where it is first needed.
-LATE = {"matplotlib", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", *VIEWER}
+LATE = {"matplotlib", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *VIEWER}
 FILES = {"mcap", "rosbags", "yaml"}
 ROOMS = ("physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
 
@@ -47,10 +47,14 @@ def modules_of(room: str) -> list[str]:
     return [name for name in names if not name.endswith("__main__")]
 
 
-def loaded_by(modules: list[str]) -> set[str]:
-    """Names of all modules that are loaded once these have been imported, in an interpreter of their own."""
+def loaded_by(modules: list[str], *, absent: set[str] | None = None) -> set[str]:
+    """Names of all modules that are loaded once these have been imported, in an interpreter of their own.
+
+    Libraries in `absent` are as if they were not installed.
+    """
     script = (
         "import importlib, json, sys\n"
+        f"sys.modules.update(dict.fromkeys({sorted(absent or ())!r}))\n"
         "before = set(sys.modules)\n"
         f"for name in {modules!r}: importlib.import_module(name)\n"
         "print(json.dumps(sorted(set(sys.modules) - before)))\n"
@@ -75,6 +79,17 @@ def test_room_loads_only_what_it_may(room: str) -> None:
     neighbours = {other for other in ROOMS if f"cloth_sim_ros.{other}" in loaded} - {room}
     assert neighbours <= allowed
     assert not loaded & forbidden
+
+
+def test_node_loads_on_a_robot_that_lacks_what_pip_installs() -> None:
+    # Recording, replay, mesh files and transforms are then refused with the reason, when they are asked for.
+    pytest.importorskip("rclpy")
+    loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
+
+
+def test_replay_loads_without_ros_and_without_a_compiler() -> None:
+    skip_without("replay")
+    loaded_by(modules_of("replay"), absent=ROS | {"numba", "scipy"})
 
 
 def test_importing_the_package_loads_next_to_nothing() -> None:
