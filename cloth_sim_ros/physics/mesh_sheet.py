@@ -1,0 +1,71 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A sheet as a triangle mesh of particles and springs."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.surface import Surface
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+
+#: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
+#: the network.
+POISSON_RATIO = 1.0 / 3.0
+SHEAR_OVER_STRETCH = 3.0 / 8.0
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class MeshSheet:
+    """Rest shape and topology of a mesh."""
+
+    #: Rest positions [m], shape (particle_count, 3), every particle in at least one triangle.
+    rest: Array
+    surface: Surface
+
+    def positions(self) -> Array:
+        """Rest positions [m], shape (particle_count, 3)."""
+        return self.rest.copy()
+
+    def triangles(self) -> NDArray[np.int64]:
+        """Triangles of the surface, shape (m, 3)."""
+        return self.surface.triangles
+
+    def areas(self) -> Array:
+        """Area of each triangle at rest [m^2], shape (m,)."""
+        a, b, c = (self.rest[self.surface.triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        return 0.5 * np.sqrt(np.sum(normal * normal, axis=1))
+
+    def masses(self, density: float) -> Array:
+        """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""
+        thirds = np.repeat(self.areas() / 3.0, 3)
+        return density * np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest))
+
+    def springs(
+        self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
+    ) -> PairSprings:
+        """Return edge springs that make a sheet of Young's modulus Y [N/m].
+
+        An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
+        3(2), 1998), half of it at the border by
+        itself. On equilateral triangles it is exact, k = Y sqrt(3)/2, isotropic with Poisson's ratio 1/3 and shear
+        modulus 3/8 Y; elsewhere an
+        approximation whose deviation docs/springs.md gives. Damping is k_d0 sqrt(k m) with the mean mass of the edge's
+        ends, or, with a
+        viscosity [N s/m], k viscosity / Y.
+        """
+        a, b = self.surface.edges.T
+        away = self.rest[b] - self.rest[a]
+        square = np.sum(away * away, axis=1)
+        areas = np.append(self.areas(), 0.0)  # edge_triangles has -1 where there is none
+        stiffness = stretch_modulus * areas[self.surface.edge_triangles].sum(axis=1) / square
+        masses = self.masses(density)
+        if viscosity:
+            damping = stiffness * (viscosity / stretch_modulus)
+        else:
+            damping = lecture_damping(k_d0, stiffness, 0.5 * (masses[a] + masses[b]))
+        return PairSprings(self.surface.edges, np.sqrt(square), stiffness, damping, name=name)
