@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The scene: frozen, checked configuration, and the physics that is built from it. Every default lives here, once."""
+"""The scene: frozen, checked configuration, and the physics that is built from it."""
 
 from __future__ import annotations
 
@@ -20,145 +20,14 @@ from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.material import Threads, grid_threads
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.surface import LAYOUTS
 from cloth_sim_ros.physics.terms.base import Array, Term
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 from cloth_sim_ros.physics.terms.grips import Grips
+from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Gripper, Material, Record
 
 MOST_PARTICLES = 4_000_000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-
-
-@attrs.frozen(kw_only=True)
-class Cloth:
-    """Geometry of the sheet and where it starts."""
-
-    size: tuple[float, ...] = parameter(
-        "double[]",
-        (1.0, 1.0),
-        "Height (along a column) and width (along a row) of the sheet",
-        unit="m",
-        length=2,
-        least=0.0,
-        most=100.0,
-        open_least=True,
-    )
-    resolution: tuple[int, ...] = parameter(
-        "int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096
-    )
-    position: tuple[float, ...] = parameter(
-        "double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4
-    )
-    orientation: tuple[float, ...] = parameter(
-        "double[]",
-        (0.7071067811865476, 0.0, 0.0, 0.7071067811865476),
-        "Quaternion x, y, z, w that turns the sheet from the x-y plane, top edge towards +y; the default hangs it",
-        length=4,
-    )
-    anchors: tuple[str, ...] = parameter(
-        "string[]",
-        ("top",),
-        "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none by ['']",
-    )
-    shear_layout: str = parameter(
-        "string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS
-    )
-
-
-@attrs.frozen(kw_only=True)
-class Material:
-    """The sheet's physical moduli."""
-
-    density: float = parameter(
-        "double", 0.2, "Mass per area", unit="kg/m^2", least=0.0, most=1e3, open_least=True, live=True
-    )
-    stretch_modulus: float = parameter(
-        "double",
-        1000.0,
-        "Young's modulus of the sheet along its threads",
-        unit="N/m",
-        least=0.0,
-        most=1e9,
-        open_least=True,
-        live=True,
-    )
-    shear_modulus: float = parameter(
-        "double", 100.0, "Shear modulus of the sheet", unit="N/m", least=0.0, most=1e9, live=True
-    )
-    damping: float = parameter(
-        "double",
-        0.1,
-        "Dimensionless damping k_d0 of every spring; 1 is critical for the shortest wave",
-        least=0.0,
-        most=10.0,
-        live=True,
-    )
-
-
-@attrs.frozen(kw_only=True)
-class Bending:
-    """Resistance to bending."""
-
-    model: str = parameter(
-        "string",
-        "axial",
-        "Which springs resist bending: none, or axial (two apart along the grid's axes)",
-        choices=("none", "axial"),
-    )
-    stiffness: float = parameter(
-        "double",
-        2.0,
-        "Stiffness of the bending springs as a sheet's, k_s per thread spacing; taken off the edge springs",
-        unit="N/m",
-        least=0.0,
-        most=1e8,
-        live=True,
-    )
-
-
-@attrs.frozen(kw_only=True)
-class Air:
-    """Air at rest."""
-
-    drag: float = parameter(
-        "double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", least=0.0, most=1e4, live=True
-    )
-
-
-@attrs.frozen(kw_only=True)
-class Gripper:
-    """What every gripper is like."""
-
-    radius: float = parameter(
-        "double", 0.05, "Closing grabs the particles within this distance", unit="m", least=0.0, most=100.0, live=True
-    )
-    stiffness: float = parameter(
-        "double",
-        1000.0,
-        "Stiffness of the zero-length spring that holds a particle inside the sheet; in proportion to mass at borders",
-        unit="N/m",
-        least=0.0,
-        most=1e8,
-        open_least=True,
-        live=True,
-    )
-    damping: float = parameter(
-        "double",
-        0.5,
-        "Dimensionless damping of that spring; 2 is critical for a free particle",
-        least=0.0,
-        most=10.0,
-        live=True,
-    )
-
-
-@attrs.frozen(kw_only=True)
-class Record:
-    """Recording of sessions."""
-
-    enabled: bool = parameter("bool", False, "Record a session from the start")
-    folder: str = parameter("string", "sessions", "Folder for session files; made if missing")
 
 
 @attrs.frozen(kw_only=True)
