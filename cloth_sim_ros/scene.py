@@ -10,9 +10,11 @@ from typing import Any
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros import parameter_file, parameters
 from cloth_sim_ros.parameters import ParameterError, parameter, section
+from cloth_sim_ros.physics.bending_calibration import bending_terms, grid_hinge_constants, refuse_bending_modulus
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
@@ -20,10 +22,12 @@ from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.material import Threads, grid_threads
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.surface import Surface
 from cloth_sim_ros.physics.terms.base import Array, Term
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 from cloth_sim_ros.physics.terms.grips import Grips
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
 from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Gripper, Material, Record
 
 MOST_PARTICLES = 4_000_000
@@ -87,6 +91,7 @@ class Scene:
             raise ParameterError(f"cloth.orientation: {error}") from error
         self.anchored_particles()
         self.threads()
+        self._check_bending()
 
     @classmethod
     def declared(cls) -> tuple[parameters.Parameter, ...]:
@@ -187,9 +192,18 @@ class Scene:
     def model(self) -> Model:
         """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
         masses = self.sheet.masses(self.material.density)
+        material = self.material
         terms: list[Term] = [
-            *self.sheet.springs(self.threads(), k_d0=self.material.damping, density=self.material.density)
+            *self.sheet.springs(
+                self.threads(),
+                k_d0=material.damping,
+                density=material.density,
+                retardation=material.viscosity / material.stretch_modulus,
+            )
         ]
+        if self.bending.model in ("opposite", "crossed", "altitude"):
+            shear = [term.pairs for term in terms if term.name == "shear" and isinstance(term, PairSprings)]
+            terms.extend(self._hinge_springs(masses, shear[0] if shear else None))
         if any(self.gravity):
             terms.append(Gravity(masses, self.gravity))
         if self.air.drag:
@@ -197,6 +211,48 @@ class Scene:
         if self.gripper_names:
             terms.append(Grips(len(self.gripper_names)))
         return Model(masses, terms, anchors=self.anchored_particles())
+
+    def _check_bending(self) -> None:
+        model, modulus = self.bending.model, self.material.bending_modulus
+        if model in ("axial", "opposite") and modulus:
+            try:
+                refuse_bending_modulus(model)
+            except ValueError as error:
+                raise ParameterError(f"material.bending_modulus is {modulus} N m: {error}") from error
+        if model in ("crossed", "altitude") and not modulus:
+            raise ParameterError(
+                f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
+            )
+
+    def _hinge_springs(self, masses: Array, existing: NDArray[np.int64] | None) -> list[Term]:
+        """Build the terms of S7, S7 and S8, or S7 and S9; pairs that shear springs join already get no second one."""
+        sheet = self.sheet
+        surface = Surface.from_triangles(sheet.triangles(), particle_count=len(masses))
+        rest = sheet.positions()
+        options: dict[str, Any] = {}
+        if self.bending.model == "opposite":
+            ends = rest[surface.hinges[:, 1]] - rest[surface.hinges[:, 0]]
+            options["spring_stiffness"] = self.bending.stiffness * np.sqrt(np.sum(ends * ends, axis=1))
+        else:
+            options["hinge_constants"] = grid_hinge_constants(
+                surface.hinges,
+                columns=sheet.columns,
+                spacing=sheet.spacing,
+                bending_modulus=self.material.bending_modulus,
+            )
+        return list(
+            bending_terms(
+                self.bending.model,  # type: ignore[arg-type]
+                surface.hinges,
+                rest,
+                rest_angle=self.bending.rest_angle or None,
+                damping=self.material.damping,
+                masses=masses,
+                existing=existing,
+                weak=True,
+                **options,
+            )
+        )
 
     def initial_positions(self) -> Array:
         """Starting positions [m], shape (particle_count, 3)."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sections of a scene: each parameter with its default, unit, limits and description, declared here and nowhere else."""
+"""The sections of a scene: each parameter with its default, unit, limits and words, declared here and nowhere else."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Cloth:
     anchors: tuple[str, ...] = parameter(
         "string[]",
         ("top",),
-        "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none by ['']",
+        "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none: ['']",
     )
     shear_layout: str = parameter(
         "string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS
@@ -66,12 +66,31 @@ class Material:
     shear_modulus: float = parameter(
         "double", 100.0, "Shear modulus of the sheet", unit="N/m", least=0.0, most=1e9, live=True
     )
+    bending_modulus: float = parameter(
+        "double",
+        0.0,
+        "Moment per width and curvature; crossed and altitude bending need it, the other models have none",
+        unit="N m",
+        least=0.0,
+        most=1e6,
+        live=True,
+    )
     damping: float = parameter(
         "double",
         0.1,
         "Dimensionless damping k_d0 of every spring; 1 is critical for the shortest wave",
         least=0.0,
         most=10.0,
+        live=True,
+    )
+    viscosity: float = parameter(
+        "double",
+        0.0,
+        "Viscosity of the sheet along its threads, instead of damping in stretch and shear: k_d = k_s / l0 viscosity / "
+        "stretch_modulus; 0 takes the damping",
+        unit="N s/m",
+        least=0.0,
+        most=1e4,
         live=True,
     )
 
@@ -83,17 +102,26 @@ class Bending:
     model: str = parameter(
         "string",
         "axial",
-        "Which springs resist bending: none, or axial (two apart along the grid's axes)",
-        choices=("none", "axial"),
+        "Springs that resist bending: none; axial (two apart along a grid's axes); opposite (S7); crossed (S7 and S8); "
+        "altitude (S7 and S9)",
+        choices=("none", "axial", "opposite", "crossed", "altitude"),
     )
     stiffness: float = parameter(
         "double",
         2.0,
-        "Stiffness of the bending springs as a sheet's, k_s per thread spacing; taken off the edge springs",
+        "Of axial and opposite springs: k_s per thread spacing; axial springs' share is taken off the edge springs",
         unit="N/m",
         least=0.0,
         most=1e8,
         live=True,
+    )
+    rest_angle: float = parameter(
+        "double",
+        0.0,
+        "Fold of every hinge at rest, for opposite, crossed and altitude; 0 takes each from the rest shape",
+        unit="rad",
+        least=-3.14,
+        most=3.14,
     )
 
 

@@ -43,6 +43,10 @@ def test_every_parameter_is_described_and_its_default_is_valid():
         ({"material.stretch_modulus": 1.0, "material.shear_modulus": 1.0, "bending.stiffness": 5.0}, "no edge springs"),
         ({"grippers": ["a", "a"]}, "two grippers are named 'a'"),
         ({"grippers": ["2 hands"]}, "is no ROS name"),
+        ({"bending.model": "opposite", "material.bending_modulus": 1e-4}, "'opposite' has no bending modulus"),
+        ({"bending.model": "axial", "material.bending_modulus": 1e-4}, "'axial' has no bending modulus"),
+        ({"bending.model": "crossed"}, "'crossed' needs material.bending_modulus above 0"),
+        ({"bending.rest_angle": 4.0}, "bending.rest_angle is 4.0 rad; it must be at most 3.14 rad"),
         ({"frame_id": ""}, "frame_id is empty"),
         ({"gravty": [0.0, 0.0, 0.0]}, "unknown parameter 'gravty'; did you mean 'gravity'"),
     ],
@@ -124,3 +128,29 @@ def test_mass_is_density_times_area_and_the_sheet_hangs_by_its_top():
     top = positions[scene.anchored_particles()]
     assert top[:, 2] == pytest.approx(1.0 + 0.35)
     assert np.ptp(positions, axis=0) == pytest.approx([1.3, 0.0, 0.7], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "names"),
+    [
+        ("none", []),
+        ("axial", ["bend"]),
+        ("opposite", ["opposite"]),
+        ("crossed", ["opposite", "crossed"]),
+        ("altitude", ["opposite", "altitude"]),
+    ],
+)
+def test_a_bending_model_is_its_terms_and_no_more(model, names):
+    modulus = 1e-4 if model in ("crossed", "altitude") else 0.0
+    values = {"bending.model": model, "material.bending_modulus": modulus, "cloth.resolution": [5, 6]}
+    terms = [term.name for term in Scene.from_parameters(values).model().terms]
+    assert terms == ["structural", "shear", *names, "gravity", "drag", "grips"]
+
+
+def test_a_viscosity_replaces_the_dimensionless_damping_and_converges():
+    def damping(rows):
+        values = {"material.viscosity": 0.5, "cloth.resolution": [rows, rows]}
+        return Scene.from_parameters(values).model().terms[0].damping.max()
+
+    # k_d = (k_s / l0) viscosity / Y does not change with the resolution; constant k_d0 would halve it.
+    assert damping(9) == pytest.approx(damping(5), rel=1e-12)

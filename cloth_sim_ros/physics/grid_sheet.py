@@ -67,12 +67,12 @@ class GridSheet:
             raise ValueError(f"'{name}' is no edge or corner of a grid; there are {', '.join(places)}")
         return places[name]
 
-    def springs(self, threads: Threads, *, k_d0: float, density: float) -> list[PairSprings]:
+    def springs(self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0) -> list[PairSprings]:
         """Return the terms `structural`, `shear` and, with bending threads, `bend`.
 
-        Border threads carry half of k_s; damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet,
-        so that it scales with the
-        border's half stiffness and half mass as the springs do.
+        Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet, so
+        that it scales with the border's half stiffness and half mass as the springs do; with a retardation time [s] it is
+        that time times the stiffness k instead.
         """
         hx, hy = self.spacing
         index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
@@ -88,7 +88,8 @@ class GridSheet:
                 ends.append(np.stack([near.ravel(), far.ravel()], axis=1))
                 rest.append(np.full(near.size, length))
                 stiffness.append(weight.ravel() * (k_s / length))
-                damping.append(weight.ravel() * lecture_damping(k_d0, k_s / length, mass))
+                k = k_s / length
+                damping.append(weight.ravel() * (k * retardation or lecture_damping(k_d0, k, mass)))
             return PairSprings(
                 np.concatenate(ends),
                 np.concatenate(rest),
