@@ -1,0 +1,225 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the bending modulus of a sheet to bending springs, calibrated for each mesh pattern.
+
+The modulus D [N m] is what a cantilever test measures: moment per width over curvature of a strip with free long edges. A fold θ of a hinge shall cost
+k_θ θ²/2, with the hinge constant k_θ [N m] from D and the pattern of the mesh.
+
+*Grid.* In a strip along the rows under the moment M per width, the hinge of an edge across it (length hy) carries M hy, and that of a diagonal (length l,
+at an angle to the strip) M hy (hy/l); each turns by its moment over k_θ, the diagonal by (hy/l) of that about the strip's cross direction. Over one cell
+the sum is M hx / D, so hx/(D hy) = 1/k_across + (hy/l)²/k_diagonal, and the same along the columns. Statics fix the moments, so this holds for
+any width and layout. Free is the diagonals' share: k_diagonal = 1.5 D (l²/(2 hx hy))² makes square cells of `alternating` and `both` isotropic (all hinges alike,
+Poisson's ratio of bending -1/3).
+
+*Other meshes.* k_θ = (9/8) D e/h̄, h̄ the mean height of the two triangles: exact for regular triangles (isotropic, Poisson's ratio -1/3). On irregular
+ones the sheet comes out stiffer, because its vertices lock one another; docs/bending.md has the measured figures.
+
+*Springs.* With h(θ) and L(θ) of `HingeShape`, a fold from rest costs ½ (κ̂ h'² + κ7 L'²) Δθ², which fixes κ̂ once S7's κ7 [N/m] is
+κ̂ (h_max / ½ΔL)² / ρ with the stiffness ratio ρ.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.hinge_shape import HingeShape
+from cloth_sim_ros.physics.surface import opposite_kept
+from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.crossed import CrossedSprings
+from cloth_sim_ros.physics.terms.opposite import OppositeSprings
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.terms.tetrahedron import TetrahedronSprings
+
+BendingModel = Literal["opposite", "crossed", "altitude"]
+
+#: Stiffness ratio ρ of S8 to S7 (model `crossed`).
+CROSSED_RATIO = 1.0
+#: Stiffness ratio ρ of S9 to S7 (model `altitude`) for rest folds up to 90 degrees, and above.
+ALTITUDE_RATIO = 0.5
+ALTITUDE_RATIO_FOLDED = 1.0
+
+
+def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_modulus: float) -> Array:
+    """Return k_θ [N m] of hinges (m, 4) of a triangle mesh at rest at `positions` (n, 3), shape (m,).
+
+    Raises:
+        ValueError: for a modulus that is not finite and at least 0, or a triangle without area.
+    """
+    _check_modulus(bending_modulus)
+    shape = HingeShape.of(hinges, positions)
+    return 1.125 * bending_modulus * shape.edge / (0.5 * (shape.height0 + shape.height1))
+
+
+def grid_hinge_constants(
+    hinges: ArrayLike, *, columns: int, spacing: tuple[float, float], bending_modulus: float
+) -> Array:
+    """Return k_θ [N m] of hinges (m, 4) of a grid's surface, any layout, shape (m,).
+
+    Args:
+        hinges: of the grid's `Surface`.
+        columns: number of particles in a row.
+        spacing: distances hx of neighbours in a row and hy in a column [m].
+        bending_modulus: D [N m], along rows and along columns.
+
+    Raises:
+        ValueError: for a modulus that is not finite and at least 0, or a spacing that is not above 0.
+    """
+    _check_modulus(bending_modulus)
+    hx, hy = spacing
+    if not (math.isfinite(hx * hy) and min(hx, hy) > 0.0):
+        raise ValueError(f"spacing is ({hx}, {hy}) m; both must be finite and above 0")
+    quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
+    row, column = np.divmod(quads[:, :2], columns)
+    along_row = row[:, 0] == row[:, 1]
+    along_column = column[:, 0] == column[:, 1]
+    square = hx * hx + hy * hy
+    diagonal = 1.5 * (square / (2.0 * hx * hy)) ** 2
+    constants = np.full(len(quads), diagonal)
+    constants[along_column] = 1.0 / (hx / hy - hy * hy / (square * diagonal))
+    constants[along_row] = 1.0 / (hy / hx - hx * hx / (square * diagonal))
+    return bending_modulus * constants
+
+
+def bending_terms(
+    model: BendingModel,
+    hinges: ArrayLike,
+    positions: ArrayLike,
+    *,
+    hinge_constants: ArrayLike | None = None,
+    spring_stiffness: ArrayLike | None = None,
+    rest_angle: float | None = None,
+    ratio: float | None = None,
+    damping: float = 0.0,
+    masses: ArrayLike | None = None,
+    existing: ArrayLike | None = None,
+    weak: bool = False,
+) -> list[PairSprings | TetrahedronSprings]:
+    """Build the terms of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
+
+    Args:
+        model: the bending model.
+        hinges: of the surface, shape (m, 4).
+        positions: particles of the surface at rest [m], shape (n, 3).
+        hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`, `mesh_hinge_constants`.
+        spring_stiffness: k_s [N] of S7, one number or shape (m,), for `opposite` alone.
+        rest_angle: fold of every hinge at rest [rad], positive to the side of the normal; None takes each from `positions`.
+        ratio: stiffness ratio ρ; None is the one that docs/bending.md recommends.
+        damping: the dimensionless k_d0 of every bending spring.
+        masses: particle masses [kg], shape (n,); needed where there is damping.
+        existing: springs that are there already, (s, 2): S7 leaves their pairs out.
+        weak: whether the terms may be evaluated less often than every step.
+
+    Raises:
+        ValueError: for a parameter that does not belong to the model or is out of range.
+    """
+    quads = np.ascontiguousarray(hinges, dtype=np.int64).reshape(-1, 4)
+    shape = HingeShape.of(quads, positions)
+    if rest_angle is not None:
+        if not abs(rest_angle) < math.pi:
+            raise ValueError(f"rest_angle is {rest_angle} rad; it must lie between -π and π, both excluded")
+        shape = shape.at(rest_angle)
+    if damping and masses is None:
+        raise ValueError(f"damping is {damping} without masses; critical damping depends on them, so give both")
+    mass = np.ones(quads.max(initial=-1) + 1) if masses is None else np.asarray(masses, dtype=np.float64)
+    distance = shape.wing_distance()
+    kept = opposite_kept(quads, existing) & (distance > 0.0)
+    if model == "opposite":
+        if hinge_constants is not None:
+            refuse_bending_modulus(model)
+        if spring_stiffness is None:
+            raise ValueError("bending model 'opposite' needs spring_stiffness, k_s in N")
+        k_s = np.array(np.broadcast_to(np.asarray(spring_stiffness, dtype=np.float64), distance.shape))
+        return [_opposite(quads, distance, k_s, kept, damping, mass, weak)]
+    if spring_stiffness is not None or hinge_constants is None:
+        raise ValueError(f"bending model '{model}' takes hinge_constants (k_θ in N m), not spring_stiffness")
+    stiffness, opposite = spring_constants(model, shape, hinge_constants, ratio=ratio)
+    blend = model == "altitude"
+    rest = shape.length("altitude" if blend else "crossed")
+    k_d = _hinge_damping(damping, stiffness, shape, quads, mass, blend)
+    second: TetrahedronSprings = (
+        AltitudeSprings(quads, rest, stiffness, k_d, weak=weak)
+        if blend
+        else CrossedSprings(quads[:, :2], quads[:, 2:], rest, stiffness, k_d, weak=weak)
+    )
+    return [_opposite(quads, distance, opposite * distance, kept, damping, mass, weak), second]
+
+
+def spring_constants(
+    model: Literal["crossed", "altitude"], shape: HingeShape, hinge_constants: ArrayLike, *, ratio: float | None = None
+) -> tuple[Array, Array]:
+    """Return κ̂ of S8 or S9 and κ7 of S7 [N/m], each (m,), that make a fold from rest cost k_θ Δθ²/2.
+
+    Raises:
+        ValueError: for a hinge constant or ratio out of range.
+    """
+    constants = np.asarray(hinge_constants, dtype=np.float64)
+    wrong = np.flatnonzero(~(np.isfinite(constants) & (constants >= 0.0)))
+    if constants.shape != shape.edge.shape or wrong.size:
+        what = f"{constants[wrong[0]]} at hinge {wrong[0]}" if wrong.size else f"of shape {constants.shape}"
+        raise ValueError(f"hinge constants are {what}; give {shape.edge.shape[0]} finite numbers of at least 0 N m")
+    if ratio is None:
+        folded = np.where(np.abs(shape.angle) > 0.5 * math.pi, ALTITUDE_RATIO_FOLDED, ALTITUDE_RATIO)
+        share = folded if model == "altitude" else np.full_like(constants, CROSSED_RATIO)
+    elif not (math.isfinite(ratio) and ratio > 0.0):
+        raise ValueError(f"ratio is {ratio}; it must be finite and above 0")
+    else:
+        share = np.full_like(constants, ratio)
+    opposite_per_second = shape.half_range_ratio(model) ** 2 / share
+    slope = shape.length_slope(model) ** 2 + opposite_per_second * shape.wing_distance_slope() ** 2
+    stiffness = constants / slope
+    return stiffness, opposite_per_second * stiffness
+
+
+def refuse_bending_modulus(model: str) -> None:
+    """Say why `axial` and `opposite` have no bending modulus.
+
+    Raises:
+        ValueError: always.
+    """
+    raise ValueError(
+        f"bending model '{model}' has no bending modulus: near flat its energy grows with the fourth power of the fold, so its modulus there is zero. "
+        "Give the stiffness of its springs instead, or choose 'crossed' or 'altitude'"
+    )
+
+
+def _opposite(
+    quads: np.ndarray, distance: Array, k_s: Array, kept: np.ndarray, damping: float, mass: Array, weak: bool
+) -> OppositeSprings:
+    pairs = quads[kept][:, 2:]
+    inverse = 1.0 / mass[pairs[:, 0]] + 1.0 / mass[pairs[:, 1]]
+    # the lecture's m of two unequal ends is the reduced mass times two
+    k_d = damping * np.sqrt(2.0 / inverse * k_s[kept] / distance[kept])
+    return OppositeSprings(pairs, distance[kept], k_s[kept], k_d, weak=weak)
+
+
+def _hinge_damping(
+    damping: float, stiffness: Array, shape: HingeShape, quads: np.ndarray, mass: Array, blend: bool
+) -> Array:
+    """k_d = k_d0 sqrt(m κ̂), m twice the reduced mass 1 / Σ |g_i|²/m_i of the length's gradient g at rest."""
+    if not damping:
+        return np.zeros_like(stiffness)
+    from cloth_sim_ros.physics.kernels.altitude import gradient_squares
+
+    c, s = np.cos(0.5 * shape.angle), np.sin(0.5 * shape.angle)
+    zero = np.zeros_like(c)
+    points = np.array(
+        [
+            [zero, zero, -shape.height0 * c, shape.height1 * c],
+            [zero, shape.edge, shape.foot0, shape.foot1],
+            [zero, zero, shape.height0 * s, shape.height1 * s],
+        ]
+    )
+    x = np.ascontiguousarray(points.transpose(0, 2, 1).reshape(3, -1))
+    squares = np.empty((len(quads), 4))
+    gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), not blend, x, squares)
+    return damping * np.sqrt(2.0 * stiffness / (squares / mass[quads]).sum(axis=1))
+
+
+def _check_modulus(bending_modulus: float) -> None:
+    if not (math.isfinite(bending_modulus) and bending_modulus >= 0.0):
+        raise ValueError(f"bending_modulus is {bending_modulus} N m; it must be finite and at least 0")

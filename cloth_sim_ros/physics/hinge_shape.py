@@ -1,0 +1,148 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A hinge as its fold angle changes: the lengths of its springs (S7, S8, S9) in closed form.
+
+Two rigid triangles share an edge of length e; wing i stands at height h_i over it, its foot at f_i along it. Folded by θ, with t = cos θ,
+
+    L² = h0² + h1² + d² + 2 h0 h1 t               the distance of the wings (S7), d = f1 - f0
+    6V = e h0 h1 sin θ
+    M² = e² (h0² + h1² + 2 h0 h1 t)               of the edge and the wings' line (S8)
+    M² = e² (h0² + h1²) + Σ (p_k² q_k² - (α_k - h0 h1 t)²)   of the four faces (S9), k = 0, 1 the ends of the edge,
+
+where p_k, q_k are the distances of the wings from end k and α_k = (f0 - e_k)(f1 - e_k). So every M² is a + b t + c t², and h = 6V / M.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import attrs
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.terms.base import Array
+
+Length = Literal["crossed", "altitude"]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class HingeShape:
+    """The rigid triangles of many hinges; every array has shape (m,), lengths in metres, angles in radians."""
+
+    edge: Array
+    """Length e of the shared edge."""
+    height0: Array
+    """Height of wing 0 over the edge's line."""
+    height1: Array
+    """Height of wing 1 over the edge's line."""
+    foot0: Array
+    """Foot of wing 0 along the edge, counted from its first end."""
+    foot1: Array
+    """Foot of wing 1 along the edge, counted from its first end."""
+    angle: Array
+    """Fold angle in (-π, π], 0 flat, positive where the wings rise to the side of the normal."""
+
+    @classmethod
+    def of(cls, hinges: ArrayLike, positions: ArrayLike) -> HingeShape:
+        """Measure hinges (m, 4) of particles at `positions` (n, 3).
+
+        Raises:
+            ValueError: for an edge without length or a triangle without area.
+        """
+        quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
+        x = np.asarray(positions, dtype=np.float64)
+        start, along = x[quads[:, 0]], x[quads[:, 1]] - x[quads[:, 0]]
+        edge = np.linalg.norm(along, axis=1)
+        if np.any(edge == 0.0):
+            bad = int(np.argmax(edge == 0.0))
+            raise ValueError(f"hinge {bad} {quads[bad].tolist()} has an edge without length; weld its particles")
+        unit = along / edge[:, None]
+        feet, heights, sides = [], [], []
+        for wing in (2, 3):
+            to = x[quads[:, wing]] - start
+            foot = np.einsum("ij,ij->i", to, unit)
+            side = to - foot[:, None] * unit
+            height = np.linalg.norm(side, axis=1)
+            flat = height <= 1e-9 * edge
+            if np.any(flat):
+                bad = int(np.argmax(flat))
+                raise ValueError(f"hinge {bad} {quads[bad].tolist()} has a triangle without area; remove it")
+            feet.append(foot)
+            heights.append(height)
+            sides.append(side / height[:, None])
+        # flat means that the wings stand on opposite sides: sides[0] = -sides[1]
+        sine = np.einsum("ij,ij->i", unit, np.cross(sides[0], sides[1]))
+        cosine = -np.einsum("ij,ij->i", sides[0], sides[1])
+        return cls(
+            edge=edge,
+            height0=heights[0],
+            height1=heights[1],
+            foot0=feet[0],
+            foot1=feet[1],
+            angle=np.arctan2(sine, cosine),
+        )
+
+    def at(self, angle: ArrayLike) -> HingeShape:
+        """Return the same triangles folded by `angle` [rad], one number or shape (m,)."""
+        return attrs.evolve(self, angle=np.array(np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape)))
+
+    def wing_distance(self) -> Array:
+        """Return the distance L of the wings [m]: the length of S7."""
+        return np.sqrt(self._distance2(np.cos(self.angle)))
+
+    def wing_distance_slope(self) -> Array:
+        """Return dL/dθ [m]."""
+        distance = self.wing_distance()
+        turn = self.height0 * self.height1 * np.sin(self.angle)
+        return np.divide(-turn, distance, out=np.zeros_like(turn), where=distance > 0.0)
+
+    def length(self, kind: Length) -> Array:
+        """Return the signed length h [m] of S8 (`crossed`) or S9 (`altitude`)."""
+        a, b, c = self._areas(kind)
+        t = np.cos(self.angle)
+        area = np.sqrt(np.maximum(a + b * t + c * t * t, 0.0))
+        return self._volume() * np.sin(self.angle) / area
+
+    def length_slope(self, kind: Length) -> Array:
+        """Return dh/dθ [m]: e h0 h1 / M when flat."""
+        a, b, c = self._areas(kind)
+        t, s = np.cos(self.angle), np.sin(self.angle)
+        square = a + b * t + c * t * t
+        return self._volume() * (t / np.sqrt(square) + s * s * (b + 2.0 * c * t) / (2.0 * square**1.5))
+
+    def half_range_ratio(self, kind: Length) -> Array:
+        """Return (largest h / half the range of L) over all folds.
+
+        Scaled by it, the closed curve of (L, h) is as wide as it is high, and the energies of S7 and of S8 or S9 have the same depth.
+        """
+        a, b, c = self._areas(kind)
+        # h² = (6V)² (1 - t²) / (a + b t + c t²) is largest where b t² + 2 (a + c) t + b = 0, |t| < 1
+        t = -b / (a + c + np.sqrt(np.maximum((a + c) ** 2 - b * b, 0.0)))
+        one = np.maximum(1.0 - t * t, 0.0)
+        square = a + b * t + c * t * t
+        # S8 of equal heights: both vanish together at t = -1, where h is the height itself
+        shut = square <= 1e-14 * (np.abs(a) + np.abs(b))
+        ratio = np.divide(one, square, out=np.zeros_like(one), where=~shut)
+        highest = np.where(shut, np.minimum(self.height0, self.height1), self._volume() * np.sqrt(ratio))
+        half = 0.5 * (np.sqrt(self._distance2(1.0)) - np.sqrt(self._distance2(-1.0)))
+        return highest / half
+
+    def _volume(self) -> Array:
+        return self.edge * self.height0 * self.height1
+
+    def _distance2(self, t: ArrayLike) -> Array:
+        across = self.height0**2 + self.height1**2 + 2.0 * self.height0 * self.height1 * np.asarray(t)
+        return np.maximum(across + (self.foot1 - self.foot0) ** 2, 0.0)
+
+    def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
+        """Coefficients of M² = a + b t + c t² [m^4]."""
+        a = self.edge**2 * (self.height0**2 + self.height1**2)
+        product = self.height0 * self.height1
+        if kind == "crossed":
+            return a, 2.0 * self.edge**2 * product, np.zeros_like(a)
+        b = np.zeros_like(a)
+        for end in (np.zeros_like(self.edge), self.edge):
+            one, two = self.foot0 - end, self.foot1 - end
+            a = a + (one**2 + self.height0**2) * (two**2 + self.height1**2) - (one * two) ** 2
+            b = b + 2.0 * product * one * two
+        return a, b, -2.0 * product**2
