@@ -113,9 +113,11 @@ def main() -> int:
     try:
         install(folder, arguments.extras)
     except subprocess.CalledProcessError as error:
-        command = " ".join(map(str, error.cmd))
-        say(f"could not make {folder.name}: `{command}` ended with status {error.returncode} (see above; is PyPI")
-        say("within reach, the disk full?). The next `make` tries again.")
+        step = "pip" if "pip" in error.cmd else "venv"
+        say(
+            f"{step} could not make {folder.name}, status {error.returncode}; see above (PyPI out of reach? disk full?)"
+        )
+        say("the next `make` tries again.")
         return 1
     except KeyboardInterrupt:
         say("interrupted; the next `make` goes on, or begins anew where it must.")

@@ -36,10 +36,17 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 }
 
 
+def room_of(path: Path) -> str:
+    """The room that a file of the package belongs to, or the file's own stem where it is in none."""
+    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    return "verify" if first.startswith("verify_") else first
+
+
 def modules_of(room: str) -> list[str]:
     """Names of all modules of a room."""
-    if (PACKAGE / f"{room}.py").is_file():
-        return [f"cloth_sim_ros.{room}"]
+    if not (PACKAGE / room).is_dir():
+        # A room may be a module, with helpers named after it: verify.py, verify_environment.py.
+        return sorted(f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if room_of(path) == room)
     names = []
     for path in sorted((PACKAGE / room).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -102,7 +109,7 @@ def test_importing_the_package_loads_next_to_nothing() -> None:
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
     # What is imported late is not in sys.modules above, and binds the rooms no less.
-    room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    room = room_of(path)
     imported = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
@@ -126,7 +133,7 @@ def test_rooms_named_here_are_the_ones_there_are() -> None:
     # Modules outside the rooms (events, parameters, ...) are the core, and the core is below session and ros.
     folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and (path / "__init__.py").is_file()}
     assert folders <= set(ROOMS)
-    core = [f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if path.stem not in {"__init__", *ROOMS}]
+    core = [f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if room_of(path) not in {"__init__", *ROOMS}]
     loaded = loaded_by(core)
     assert not loaded & (ROS | LATE | {"mcap", "rosbags"})
     assert not {room for room in ("ros", "replay", "session", "bench", "verify") if f"cloth_sim_ros.{room}" in loaded}
