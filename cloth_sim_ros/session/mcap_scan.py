@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -20,12 +21,19 @@ from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 
 _RECORD_HEAD = struct.Struct("<BQ")
+RECORD_HEAD = _RECORD_HEAD.size
+"""Bytes of opcode and length before a record's body."""
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
 _LARGEST_CHUNK = 2 << 30
 _KNOWN_OPCODES = range(1, 16)
 _PRIVATE_OPCODES = range(0x80, 0x100)
+
+# Opcode, length below 4 GiB, times, sizes, checksum, name of the compression.
+_CHUNK_PATTERN = re.compile(rb"(?=\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))", re.DOTALL)
+_CHUNK_PATTERN_SIZE = 48
+_SEARCH_WINDOW = 1 << 20
 
 _Record = TypeVar("_Record", bound=McapRecord)
 
@@ -102,6 +110,36 @@ def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
     return place if place.end <= size else None
 
 
+def find_chunk(file: BinaryIO, offset: int) -> int | None:
+    """Where, at `offset` or later, the next whole chunk begins that passes its checksum; None if there is none.
+
+    For a file whose records were torn apart: the length of a damaged record cannot be trusted to lead to the next.
+    """
+    size = file.seek(0, 2)
+    while offset < size:
+        file.seek(offset)
+        window = file.read(_SEARCH_WINDOW)
+        for match in _CHUNK_PATTERN.finditer(window):
+            candidate = offset + match.start()
+            try:
+                place = place_at(file, candidate)
+                if place is not None and read_chunk(file, place).checked:
+                    return candidate
+            except DamagedRecordError:
+                continue
+        # A head that straddles two windows is met in the next one.
+        offset += max(len(window) - _CHUNK_PATTERN_SIZE, 1)
+    return None
+
+
+def check_index(file: BinaryIO, place: RecordPlace) -> None:
+    """Check that a message index record is one. Raises DamagedRecordError."""
+    body = read_body(file, place)
+    size = int.from_bytes(body[2:6], "little")
+    if len(body) != 6 + size or size % 16:
+        raise DamagedRecordError(f"the message index at byte {place.offset} does not parse")
+
+
 def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
     """The bytes of a record after its length."""
     file.seek(place.offset + _RECORD_HEAD.size)
@@ -113,6 +151,9 @@ def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
 
 def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
     """A chunk, decompressed and checked. Raises DamagedRecordError; SessionError without its decompressor."""
+    file.seek(place.offset)
+    if file.read(RECORD_HEAD) != _RECORD_HEAD.pack(Opcode.CHUNK, place.body_size):
+        raise DamagedRecordError(f"byte {place.offset} begins no chunk of {place.body_size} bytes")
     body = read_body(file, place)
     try:
         _, _, raw_size, crc = _CHUNK_HEAD.unpack_from(body)

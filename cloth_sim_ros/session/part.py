@@ -16,12 +16,15 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from cloth_sim_ros.session.errors import DamagedSessionError, NotASessionError, SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.mcap_scan import (
+    RECORD_HEAD,
     Chunk,
     DamagedRecordError,
     RawMessage,
     RecordPlace,
     Summary,
+    check_index,
     chunk_records,
+    find_chunk,
     parse_record,
     place_at,
     read_attachment,
@@ -179,18 +182,10 @@ class SessionPart:
         With `start` or `end` (log times in ns, half open) the chunks of a finished file that lie outside are passed
         over.
         """
-        while not self._at_end:
-            try:
-                place = place_at(self._file, self._position)
-                if place is None:
-                    return
-                chunk = self._read_record(place, start, end)
-            except DamagedRecordError as error:
-                self._pass_over(error)
-                continue
-            self._position = place.end
-            if chunk is not None:
-                yield chunk
+        if self._summary is not None:
+            yield from self._indexed_chunks(self._summary, start, end)
+        else:
+            yield from self._walked_chunks()
 
     def messages(
         self, *, topics: frozenset[str] | None = None, start: int | None = None, end: int | None = None
@@ -306,38 +301,75 @@ class SessionPart:
             raise DamagedRecordError(f"the metadata record at byte {place.offset} fails its checksum")
         self.end_notes = MappingProxyType(record.metadata)
 
-    def _read_record(self, place: RecordPlace, start: int | None, end: int | None) -> Chunk | None:
-        """Deal with one record of the data section."""
-        if place.opcode == Opcode.CHUNK:
-            # Passed over by the indexes alone: they have a checksum, the head of a chunk has none.
-            index = None if self._summary is None else self._summary.chunks.get(place.offset)
-            if index is not None and _outside(index.message_start_time, index.message_end_time, start, end):
-                return None
-            return read_chunk(self._file, place)
-        if place.opcode == Opcode.METADATA:
-            self._read_content(place)
-        elif place.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            self._at_end = True
-        return None
+    def _indexed_chunks(self, summary: Summary, start: int | None, end: int | None) -> Iterator[Chunk]:
+        """Chunks of a finished file: its indexes have a checksum, the records between the chunks have none."""
+        for offset, index in summary.chunks.items():
+            if offset < self._position:
+                continue
+            self._position = offset + index.chunk_length
+            if _outside(index.message_start_time, index.message_end_time, start, end):
+                continue
+            try:
+                yield read_chunk(self._file, RecordPlace(int(Opcode.CHUNK), offset, index.chunk_length - RECORD_HEAD))
+            except DamagedRecordError as error:
+                self._note(error)
+        self._at_end = True
 
-    def _pass_over(self, error: DamagedRecordError) -> None:
-        """Note damage and go on with the next chunk, by the indexes or by the damaged record's own length."""
-        if self._strict:
-            raise DamagedSessionError(f"{self.path}: {error}") from error
-        self._damage.append(str(error))
-        following = None
-        if self._summary is not None:
-            following = next((offset for offset in self._summary.chunks if offset > self._position), None)
-        else:
+    def _walked_chunks(self) -> Iterator[Chunk]:
+        """Chunks of an unfinished file, from record to record, to the end of what is whole."""
+        while not self._at_end:
             try:
                 place = place_at(self._file, self._position)
-                following = None if place is None else place.end
-            except DamagedRecordError:
-                self._damage.append(f"{self.size() - self._position} bytes from there on cannot be read")
+                chunk = None if place is None else self._read_record(place)
+            except DamagedRecordError as error:
+                self._note(error)
+                self._find_next_chunk()
+                continue
+            if place is not None:
+                self._position = place.end
+                if chunk is not None:
+                    yield chunk
+            elif self.is_being_written() or not self._has_more():
+                return
+
+    def _read_record(self, place: RecordPlace) -> Chunk | None:
+        """Deal with one record of the data section."""
+        if place.opcode == Opcode.CHUNK:
+            return read_chunk(self._file, place)
+        if place.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            self._read_content(place)
+        elif place.opcode == Opcode.MESSAGE_INDEX:
+            check_index(self._file, place)
+        elif place.opcode == Opcode.DATA_END and place.body_size == 4:
+            self._at_end = True
+        else:
+            raise DamagedRecordError(f"byte {place.offset} begins a record that has no place there")
+        return None
+
+    def _has_more(self) -> bool:
+        """Whether whole chunks follow a record that claims to reach beyond the file's end; then go on with them."""
+        if self._position >= self.size():
+            return False
+        following = find_chunk(self._file, self._position)
         if following is None:
+            return False
+        self._note(DamagedRecordError(f"the record at byte {self._position} has a wrong length"))
+        self._position = following
+        return True
+
+    def _find_next_chunk(self) -> None:
+        following = find_chunk(self._file, self._position + 1)
+        if following is None:
+            left = self.size() - self._position
+            self._damage.append(f"{left} bytes from byte {self._position} on cannot be read")
             self._at_end = True
         else:
             self._position = following
+
+    def _note(self, error: DamagedRecordError) -> None:
+        if self._strict:
+            raise DamagedSessionError(f"{self.path}: {error}") from error
+        self._damage.append(str(error))
 
     def _wanted(self, number: int, topics: frozenset[str] | None, place: RecordPlace) -> tuple[str, str] | None:
         channel = self.channel(number)

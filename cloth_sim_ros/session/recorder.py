@@ -218,8 +218,9 @@ class Recorder:
         """
         with self._put_lock:
             if not self._stop_asked:
-                self._stop_asked = True
+                # In this order: an interruption between the two must not leave a thread that is never stopped.
                 self._put(_Stop(reason))
+                self._stop_asked = True
         self._thread.join(timeout)
         status = self.status()
         if self._thread.is_alive():
