@@ -1,0 +1,90 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How a session looks at first opening: the sheet at a three-quarter view, plots beside it, simulated time below."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.replay.plots import PLOTS
+from cloth_sim_ros.replay.rows import SIM_TIME
+from cloth_sim_ros.replay.survey import Survey
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+#: How far from straight on the eye looks at the sheet, and from how far above it [degrees].
+_AZIMUTH, _ELEVATION = 35.0, 14.0
+#: Distance of the eye in radii of what is shown: the viewer's vertical field of view is 55 degrees, and some air.
+_DISTANCE = 1.75
+
+Floats = NDArray[np.float64]
+
+
+def eye_of(survey: Survey) -> tuple[Floats, Floats]:
+    """Position of the eye and where it looks [m]: from the side of the sheet on which the grippers work."""
+    target = 0.5 * (survey.low + survey.high)
+    radius = 0.5 * float(np.linalg.norm(survey.high - survey.low))
+    facing = survey.normal * np.array([1.0, 1.0, 0.0])
+    if np.linalg.norm(facing) < 0.3:
+        # It lies rather than hangs: any side will do, from higher up.
+        ahead, elevation = np.array([0.0, -1.0, 0.0]), 40.0
+    else:
+        ahead, elevation = facing / np.linalg.norm(facing), _ELEVATION
+        sheet = survey.opening.positions.mean(axis=0)
+        side = float(np.mean((survey.grips - sheet) @ ahead)) if len(survey.grips) else -ahead[1]
+        if side < 0.0:
+            ahead = -ahead
+    turn = np.radians(_AZIMUTH)
+    right = np.array([-ahead[1], ahead[0], 0.0])
+    lateral = float(np.mean((survey.grips - target) @ right)) if len(survey.grips) else 0.0
+    way = np.cos(turn) * ahead + np.sin(turn) * (right if lateral >= 0.0 else -right)
+    rise = np.radians(elevation)
+    way = np.cos(rise) * way + np.sin(rise) * np.array([0.0, 0.0, 1.0])
+    return target + _DISTANCE * radius * way, target
+
+
+def blueprint_of(survey: Survey, *, following: bool = False, with_log: bool = True) -> rrb.Blueprint:
+    """The blueprint for a session; `following` keeps the time cursor on the newest frame."""
+    import rerun.blueprint as rrb
+
+    position, target = eye_of(survey)
+    floor = float(np.floor(4.0 * survey.low[2]) / 4.0) if abs(survey.low[2]) > 0.3 else 0.0
+    view = rrb.Spatial3DView(
+        origin="/world",
+        name=f"Cloth, coloured by strain: light 0, red {100.0 * survey.strain_limit:g} %",
+        background=rrb.Background(color=[38, 42, 50]),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.25, plane=_plane(min(floor, 0.0)), color=[255, 255, 255, 14]),
+        eye_controls=rrb.EyeControls3D(position=position.tolist(), look_target=target.tolist(), eye_up=[0, 0, 1]),
+    )
+    plots: list[Any] = [
+        rrb.TimeSeriesView(
+            origin=path,
+            name=PLOTS[path],
+            plot_legend=rrb.PlotLegend(visible=path in ("plots/force", "plots/energy")),
+            axis_y=rrb.ScalarAxis(zoom_lock=False),
+        )
+        for path in survey.plots
+    ]
+    if with_log:
+        plots.append(rrb.TextLogView(origin="/log", name="What happened"))
+    return rrb.Blueprint(
+        rrb.Horizontal(view, rrb.Vertical(*plots), column_shares=[2.4, 1.0]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(
+            state="collapsed", timeline=SIM_TIME, play_state="following" if following else "paused", loop_mode="all"
+        ),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _plane(height: float) -> Any:
+    """The horizontal plane at a height [m]."""
+    import rerun as rr
+
+    return rr.components.Plane3D.XY.with_distance(height)

@@ -1,0 +1,99 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the grippers are and what they hold, followed from frame to frame through the recorded events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.replay.scene_text import Opening
+from cloth_sim_ros.session.frame_record import FrameRecord
+
+Floats = NDArray[np.float64]
+
+
+class GripperTrack:
+    """One gripper over the session.
+
+    A gripper reaches its target by the end of each frame in which time passes. What it holds is found as the
+    simulation finds it: the free particles within its radius when it closes, by the cloud before.
+    """
+
+    def __init__(
+        self, name: str, *, pose: Floats | None, target: Floats, closed: bool, held: NDArray[np.int64]
+    ) -> None:
+        self.name = name
+        #: Position [m] and quaternion x, y, z, w, shape (7,); None while it is nowhere.
+        self.pose = None if pose is None else pose.copy()
+        self.target = target.copy()
+        self.closed = closed
+        #: Numbers of the particles that it holds.
+        self.held = held.astype(np.intp)
+
+    def aim(self, position: Floats, orientation: Floats | None) -> None:
+        """Take note of a target; the first one places the gripper."""
+        self.target[:3] = position
+        if orientation is not None:
+            self.target[3:] = orientation / np.linalg.norm(orientation)
+        if self.pose is None:
+            self.pose = self.target.copy()
+
+    def close(self, xyz: NDArray[np.floating], free: NDArray[np.bool_], radius: float) -> None:
+        """Close on the particles at xyz (n, 3) [m]."""
+        if self.closed:
+            return
+        self.closed = True
+        if self.pose is not None:
+            near = np.linalg.norm(xyz - self.pose[:3], axis=1) <= radius
+            self.held = np.flatnonzero(near & free)
+
+    def open(self) -> None:
+        """Let go."""
+        self.closed = False
+        self.held = self.held[:0]
+
+
+class GripperTracks:
+    """All grippers of a session."""
+
+    def __init__(self, opening: Opening, anchored: NDArray[np.intp]) -> None:
+        self._radius = opening.gripper_radius
+        self._free = np.ones(len(opening.positions), dtype=bool)
+        self._free[anchored] = False
+        self.tracks = {
+            start.name: GripperTrack(
+                start.name, pose=start.pose, target=start.target, closed=start.closed, held=start.held
+            )
+            for start in opening.grippers
+        }
+
+    def advance(self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating]]) -> None:
+        """Take a frame's events over; `positions_before` gives the particles (n, 3) as they were before it."""
+        for event in record.events:
+            kind = event.get("kind")
+            track = self.tracks.get(str(event.get("gripper", "")))
+            if kind == "target" and track is not None:
+                turn = event.get("orientation")
+                track.aim(np.array(event["position"]), None if turn is None else np.array(turn))
+            elif kind == "grasp" and track is not None:
+                if event["closed"]:
+                    track.close(positions_before(), self._free, self._radius)
+                else:
+                    track.open()
+            elif kind == "set_parameters":
+                self._radius = float(event["values"].get("gripper.radius", self._radius))
+            elif kind == "reset":
+                self._reset()
+        if record.steps:
+            for track in self.tracks.values():
+                if track.pose is not None:
+                    track.pose = track.target.copy()
+
+    def _reset(self) -> None:
+        nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        none = np.zeros(0, dtype=np.int64)
+        for name in self.tracks:
+            self.tracks[name] = GripperTrack(name, pose=None, target=nowhere, closed=False, held=none)

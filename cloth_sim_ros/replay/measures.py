@@ -1,0 +1,165 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is drawn from a cloud's positions: a normal and a strain for each particle.
+
+The strain of a particle is the largest relative elongation (l - l0) / l0 of the edges that meet in it, 0 where all are
+slack or shortened. Edges are those of the surface's triangles; on a grid also the other diagonal of each cell, so that
+no direction is favoured. Lengths l0 are those of the recorded rest shape.
+
+The viewer lights a point by its normal alone, whichever side is looked at. So that a sheet shows its bright side, all
+normals are turned over where those of the rest shape face away from the viewer's main light.
+
+A grid's clouds are measured by whole-array operations on shifted views, several times faster than by gathering: a long
+session has a hundred million particle positions.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+#: Where the viewer's main light comes from; its second, half as strong, shines from about the opposite side.
+_LIGHT = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+#: Keeps the direction of a vanishing normal finite: far below any area of a cloth's triangle [m^2].
+_TINY = np.float32(1e-30)
+
+
+class Measures(ABC):
+    """Measures clouds of one surface; made by `measures_of`."""
+
+    @abstractmethod
+    def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
+        """Write unit normals (n, 3) and strains (n,) of positions xyz (n, 3) [m] into the given arrays."""
+
+
+def measures_of(triangles: NDArray[np.uint32], rest: NDArray[np.float64], rows: int, columns: int) -> Measures:
+    """Measures for clouds of rows x columns particles whose rest shape (n, 3) and triangles (m, 3) were recorded.
+
+    A cloud of one row is that of a mesh.
+    """
+    if rows > 1 and columns > 1:
+        return GridMeasures(rest, rows, columns)
+    return MeshMeasures(triangles, rest)
+
+
+class MeshMeasures(Measures):
+    """Any triangulated surface: normals are means over triangles, weighted by area."""
+
+    def __init__(self, triangles: NDArray[np.uint32], rest: NDArray[np.float64]) -> None:
+        faces = np.asarray(triangles, dtype=np.intp)
+        self._faces = faces
+        self._corner_order, self._corner_starts, self._used = _grouped(faces.T.ravel())
+        sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+        self._edges = np.unique(np.sort(sides, axis=1), axis=0)
+        ends = self._edges
+        lengths = np.linalg.norm(rest[ends[:, 1]] - rest[ends[:, 0]], axis=1)
+        self._inverse_rest2 = (1.0 / np.maximum(lengths, 1e-12) ** 2).astype(np.float32)
+        self._end_order, self._end_starts, _ = _grouped(ends.T.ravel())
+        self._corner_order %= max(len(faces), 1)
+        self._end_order %= max(len(ends), 1)
+        self._sign = np.float32(_bright_side(self._areas(np.ascontiguousarray(rest.T, dtype=np.float32))))
+
+    def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
+        """As in `Measures`."""
+        x = np.ascontiguousarray(xyz.T)
+        total = np.zeros_like(x)
+        strain.fill(1.0)
+        if len(self._faces):
+            area = self._areas(x)
+            along = np.take(x, self._edges[:, 1], axis=1) - np.take(x, self._edges[:, 0], axis=1)
+            stretch2 = np.einsum("ke,ke->e", along, along) * self._inverse_rest2
+            for k in range(3):
+                total[k, self._used] = np.add.reduceat(area[k, self._corner_order], self._corner_starts)
+            largest = np.maximum.reduceat(stretch2[self._end_order], self._end_starts)
+            strain[self._used] = np.sqrt(np.maximum(largest, 1.0))
+        normals[:] = (total * (self._sign / np.sqrt(np.einsum("kn,kn->n", total, total) + _TINY))).T
+        strain -= 1.0
+
+    def _areas(self, x: Floats) -> Floats:
+        """Twice the area vector of each triangle [m^2], shape (3, m)."""
+        a, b, c = (np.take(x, self._faces[:, k], axis=1) for k in range(3))
+        b -= a
+        c -= a
+        return np.stack([b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]])
+
+
+class GridMeasures(Measures):
+    """A grid of rows x columns particles: normals from differences along rows and columns."""
+
+    def __init__(self, rest: NDArray[np.float64], rows: int, columns: int) -> None:
+        self._shape = (rows, columns)
+        grid = np.ascontiguousarray(rest.T.reshape(3, rows, columns))
+        self._inverse_rest2 = [
+            (1.0 / np.maximum(((far - near) ** 2).sum(axis=0), 1e-24)).astype(np.float32)
+            for near, far in _families(grid)
+        ]
+        along, down = np.gradient(grid, axis=2), np.gradient(grid, axis=1)
+        self._sign = np.float32(_bright_side(np.cross(along, down, axis=0).reshape(3, -1)))
+
+    def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
+        """As in `Measures`."""
+        rows, columns = self._shape
+        x = np.ascontiguousarray(xyz.T).reshape(3, rows, columns)
+        self._normals(x, normals.reshape(rows, columns, 3))
+        self._strain(x, strain.reshape(rows, columns))
+
+    def _normals(self, x: Floats, out: Floats) -> None:
+        along, down = np.empty_like(x), np.empty_like(x)
+        np.subtract(x[:, :, 2:], x[:, :, :-2], out=along[:, :, 1:-1])
+        np.subtract(x[:, :, 1], x[:, :, 0], out=along[:, :, 0])
+        np.subtract(x[:, :, -1], x[:, :, -2], out=along[:, :, -1])
+        np.subtract(x[:, 2:], x[:, :-2], out=down[:, 1:-1])
+        np.subtract(x[:, 1], x[:, 0], out=down[:, 0])
+        np.subtract(x[:, -1], x[:, -2], out=down[:, -1])
+        normal = np.empty_like(x)
+        product = np.empty_like(x[0])
+        for k in range(3):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            np.multiply(along[i], down[j], out=normal[k])
+            np.multiply(along[j], down[i], out=product)
+            normal[k] -= product
+        length2 = np.einsum("krc,krc->rc", normal, normal)
+        length2 += _TINY
+        np.sqrt(length2, out=length2)
+        np.divide(self._sign, length2, out=length2)
+        np.multiply(normal.transpose(1, 2, 0), length2[..., None], out=out)
+
+    def _strain(self, x: Floats, out: Floats) -> None:
+        out.fill(1.0)
+        for (near, far), inverse, (here, there) in zip(_families(x), self._inverse_rest2, _families(out), strict=True):
+            along = far - near
+            stretch2 = np.einsum("krc,krc->rc", along, along)
+            stretch2 *= inverse
+            np.maximum(here, stretch2, out=here)
+            np.maximum(there, stretch2, out=there)
+        np.sqrt(out, out=out)
+        out -= 1.0
+
+
+def _families(grid: NDArray[Any]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    """Near and far ends of each family of edges, as views of an array (..., rows, columns)."""
+    return [
+        (grid[..., :, :-1], grid[..., :, 1:]),
+        (grid[..., :-1, :], grid[..., 1:, :]),
+        (grid[..., :-1, :-1], grid[..., 1:, 1:]),
+        (grid[..., :-1, 1:], grid[..., 1:, :-1]),
+    ]
+
+
+def _bright_side(areas: NDArray[np.floating]) -> float:
+    """-1 where area vectors (3, m) on the whole face away from the light; a closed surface keeps its outside."""
+    towards = float(_LIGHT @ areas.sum(axis=1))
+    total = float(np.linalg.norm(areas, axis=0).sum())
+    return -1.0 if towards < -1e-3 * total else 1.0
+
+
+def _grouped(values: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Order that groups equal values, where each group starts, and the values themselves."""
+    order = np.argsort(values, kind="stable")
+    used, starts = np.unique(values[order], return_index=True)
+    return order, starts, used

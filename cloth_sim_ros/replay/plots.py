@@ -1,0 +1,64 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which recorded numbers are plotted, and where: from the diagnostics and from what else a frame's record carries."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from cloth_sim_ros.session.cdr import decode
+
+DIAGNOSTICS_TOPIC = "/diagnostics"
+
+#: Plots by path, with their titles, from the top of the window down.
+PLOTS = {
+    "plots/strain": "Largest strain [%]",
+    "plots/force": "Force on a gripper [N]",
+    "plots/steps": "Steps a frame",
+    "plots/pace": "Real-time factor",
+    "plots/late": "Late frames",
+    "plots/energy": "Energy [J]",
+    "plots/error": "Error estimate [m]",
+}
+
+#: What a recorded name must hold to be shown in a plot.
+_PLACES = (
+    (re.compile(r"real[-_ ]?time"), "plots/pace"),
+    (re.compile(r"\blate\b"), "plots/late"),
+    (re.compile(r"energy|balance|dissipat|\bwork\b"), "plots/energy"),
+    (re.compile(r"error estimate"), "plots/error"),
+)
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])")
+
+
+def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
+    """Entity path and value of each number in a DiagnosticArray that has a plot."""
+    message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
+    for status in message.status:
+        for pair in status.values:
+            found = _NUMBER.match(pair.value)
+            place = _place(pair.key)
+            if found and place:
+                yield place, float(found.group(1))
+
+
+def extra_numbers(extras: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    """The same of the extras of a frame's record, names of nested ones joined by blanks."""
+    for key, value in extras.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from extra_numbers(value, f"{name} ")
+        elif isinstance(value, int | float):
+            place = _place(name)
+            if place:
+                yield place, float(value)
+
+
+def _place(name: str) -> str | None:
+    plain = name.lower().replace("_", " ")
+    for pattern, path in _PLACES:
+        if pattern.search(plain):
+            return f"{path}/{re.sub(r'[^a-z0-9]+', '_', plain).strip('_')}"
+    return None

@@ -1,0 +1,80 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rows for the viewer, collected over many frames and sent together: one call for each entity, not for each frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+#: Names of the timelines.
+SIM_TIME, ROS_TIME, FRAME = "simulated time", "ros time", "frame"
+
+
+class Moment(NamedTuple):
+    """When something is shown."""
+
+    sim_time: float
+    """Simulated time [s]."""
+    ros_time: int
+    """Nanoseconds since the epoch."""
+    frame: int
+
+
+class Rows:
+    """Rows of one entity and archetype.
+
+    Args:
+        path: entity path.
+        archetype: an archetype class of rerun.
+        ragged: components that hold any number of values in a row; the others hold one.
+    """
+
+    def __init__(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> None:
+        self.path = path
+        self._archetype = archetype
+        self._ragged = ragged
+        self._moments: list[Moment] = []
+        self._values: dict[str, list[Any]] = {}
+        #: Bytes that wait, about.
+        self.size = 0
+
+    def add(self, moment: Moment, **components: Any) -> None:
+        """Add a row; every row of an entity has the same components."""
+        self._moments.append(moment)
+        for name, value in components.items():
+            self._values.setdefault(name, []).append(value)
+            self.size += getattr(value, "nbytes", 32)
+
+    def send(self, recording: rr.RecordingStream) -> None:
+        """Send what waits."""
+        if not self._moments:
+            return
+        import rerun as rr
+
+        columns: list[Any] = []
+        for name, values in self._values.items():
+            if name in self._ragged:
+                lengths = [len(value) for value in values]
+                joined = np.concatenate(values)
+                columns.extend(self._archetype.columns(**{name: joined}).partition(lengths))
+            else:
+                columns.extend(self._archetype.columns(**{name: np.asarray(values)}))
+        rr.send_columns(self.path, indexes=_indexes(self._moments), columns=columns, recording=recording)
+        self._moments, self._values, self.size = [], {}, 0
+
+
+def _indexes(moments: list[Moment]) -> list[rr.TimeColumn]:
+    import rerun as rr
+
+    sim = np.round(np.array([moment.sim_time for moment in moments]) * 1e9).astype("timedelta64[ns]")
+    ros = np.array([moment.ros_time for moment in moments], dtype=np.int64).astype("datetime64[ns]")
+    return [
+        rr.TimeColumn(SIM_TIME, duration=sim),
+        rr.TimeColumn(ROS_TIME, timestamp=ros),
+        rr.TimeColumn(FRAME, sequence=[moment.frame for moment in moments]),
+    ]

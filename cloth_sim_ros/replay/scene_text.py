@@ -1,0 +1,129 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay takes from a session's opening: names, anchors and the grippers' start, without scene or physics."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.session.errors import SessionError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperStart:
+    """A gripper as the snapshot holds it."""
+
+    name: str
+    pose: NDArray[np.float64] | None
+    """Position [m] and quaternion x, y, z, w, shape (7,); None where it has had no target yet."""
+    target: NDArray[np.float64]
+    closed: bool
+    held: NDArray[np.int64]
+    """Particles that it holds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opening:
+    """A session's opening, as far as it is shown."""
+
+    frame_id: str
+    anchors: tuple[str, ...]
+    gripper_radius: float
+    grippers: tuple[GripperStart, ...]
+    positions: NDArray[np.float64]
+    """Particle positions before the first frame [m], shape (particle_count, 3)."""
+
+    def anchored(self, rows: int, columns: int) -> NDArray[np.intp]:
+        """Numbers of the anchored particles of a grid; of a mesh (one row), those given by number."""
+        grid = np.arange(rows * columns, dtype=np.intp).reshape(rows, columns)
+        ends = {"top": np.s_[0, :], "bottom": np.s_[-1, :], "left": np.s_[:, 0], "right": np.s_[:, -1]}
+        corners = {
+            f"{row}_{side}": (at, along)
+            for row, at in (("top", 0), ("bottom", -1))
+            for side, along in (("left", 0), ("right", -1))
+        }
+        found: set[int] = set()
+        for name in self.anchors:
+            if name.isdecimal() and int(name) < grid.size:
+                found.add(int(name))
+            elif rows > 1 and name in ends:
+                found.update(grid[ends[name]].tolist())
+            elif rows > 1 and name in corners:
+                found.add(int(grid[corners[name]]))
+        return np.array(sorted(found), dtype=np.intp)
+
+
+def read_opening(scene_yaml: str, state: bytes) -> Opening:
+    """Read scene.yaml and state.npz. Raises SessionError if they are none."""
+    values = _parameters(scene_yaml)
+    arrays = _arrays(state)
+    names = [name for name in _texts(values.get("grippers")) if name]
+    try:
+        positions = np.ascontiguousarray(arrays["position"].T)
+    except KeyError as error:
+        raise SessionError("state.npz holds no particle positions") from error
+    return Opening(
+        frame_id=str(values.get("frame_id", "world")),
+        anchors=tuple(_texts(values.get("cloth.anchors"))),
+        gripper_radius=float(values.get("gripper.radius", 0.05)),
+        grippers=tuple(_gripper(name, index, arrays) for index, name in enumerate(names)),
+        positions=positions,
+    )
+
+
+def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]]) -> GripperStart:
+    def entry(key: str, default: NDArray[Any]) -> NDArray[Any]:
+        stored = arrays.get(f"memory.{key}")
+        return default if stored is None or index >= len(stored) else stored[index]
+
+    nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    starts = arrays.get("memory.grip.starts", np.zeros(0, dtype=np.int64))
+    particles = arrays.get("memory.grip.particles", np.zeros(0, dtype=np.int64))
+    known = index + 1 < len(starts)
+    return GripperStart(
+        name=name,
+        pose=entry("gripper.pose", nowhere) if bool(entry("gripper.placed", np.array(False))) else None,
+        target=entry("gripper.target", nowhere),
+        closed=bool(entry("gripper.closed", np.array(False))),
+        held=particles[starts[index] : starts[index + 1]] if known else particles[:0],
+    )
+
+
+def _texts(value: Any) -> Sequence[str]:
+    return [str(item) for item in value] if isinstance(value, list | tuple) else []
+
+
+def _parameters(text: str) -> dict[str, Any]:
+    """Every parameter of a ROS parameter file with one node, by full name."""
+    import yaml
+
+    try:
+        tree = yaml.safe_load(text)
+        content = next(iter(tree.values()))["ros__parameters"]
+    except (yaml.YAMLError, AttributeError, StopIteration, KeyError, TypeError) as error:
+        raise SessionError(f"scene.yaml of the session is no ROS parameter file: {error}") from error
+    values: dict[str, Any] = {}
+    waiting = [("", content)]
+    while waiting:
+        prefix, branch = waiting.pop()
+        for key, value in branch.items():
+            if isinstance(value, dict):
+                waiting.append((f"{prefix}{key}.", value))
+            else:
+                values[f"{prefix}{key}"] = value
+    return values
+
+
+def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (zipfile.BadZipFile, OSError, ValueError, EOFError) as error:
+        raise SessionError(f"state.npz of the session is not readable: {error}") from error

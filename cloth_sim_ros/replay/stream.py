@@ -1,0 +1,270 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a session's messages to the viewer's entities, frame after frame, in memory of a few batches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.replay import colours
+from cloth_sim_ros.replay.grippers import GripperTracks
+from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
+from cloth_sim_ros.replay.rows import Moment, Rows
+from cloth_sim_ros.replay.survey import Survey, check_fit
+from cloth_sim_ros.session.cdr import decode, decode_cloud
+from cloth_sim_ros.session.frame_record import FrameRecord
+from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.session.reader import read_frame
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+#: Bytes that are collected before they are sent: large enough that a call's cost does not count.
+_BATCH = 12 << 20
+_WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
+
+
+class Stream:
+    """Shows the messages of one session.
+
+    Args:
+        recording: where to.
+        survey: what is known of the session.
+        node: resolved name of its node.
+        every: show every so many-th cloud; plots and grippers keep every frame.
+        only: show no cloud but the last one at or before this simulated time [s].
+    """
+
+    def __init__(
+        self, recording: rr.RecordingStream, survey: Survey, *, node: str, every: int = 1, only: float | None = None
+    ) -> None:
+        import rerun as rr
+
+        self._recording = recording
+        self._survey = survey
+        self._points, self._frame = f"{node}/points", f"{node}/frame"
+        self._wrenches = {f"{node}/{start.name}/wrench": start.name for start in survey.opening.grippers}
+        self._every, self._only = every, only
+        self._anchored = survey.opening.anchored(survey.rows, survey.columns)
+        self._grippers = GripperTracks(survey.opening, self._anchored)
+        self._before: Message | None = None
+        self._record: FrameRecord | None = None
+        self._record_time = -1
+        self._moment = Moment(0.0, 0, 0)
+        self._tables: dict[str, Rows] = {}
+        self._mesh = self._table(CLOTH, rr.Mesh3D, ragged=("vertex_positions", "vertex_normals", "vertex_colors"))
+        self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
+        self._kept: tuple[Moment, Message] | None = None
+        #: Clouds that were in the messages, and those that were shown.
+        self.clouds_seen = self.clouds_shown = 0
+        self._start()
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """The topics that are shown."""
+        return frozenset({self._points, self._frame, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches})
+
+    @property
+    def time(self) -> float:
+        """Simulated time of the newest message [s]."""
+        return self._moment.sim_time
+
+    def add(self, message: Message) -> None:
+        """Show a message.
+
+        Raises:
+            SessionError: if its bytes are not what the topic says.
+        """
+        topic = message.topic
+        if topic == self._frame:
+            self._add_frame(message)
+        elif topic == self._points:
+            self._add_cloud(message)
+        elif topic in self._wrenches:
+            self._add_wrench(message)
+        elif topic == DIAGNOSTICS_TOPIC:
+            moment = self._moment._replace(ros_time=message.log_time)
+            for path, value in diagnostic_numbers(message.data):
+                self._scalar(path, moment, value)
+        elif topic == "/rosout":
+            entry = decode(message.data, "rcl_interfaces/msg/Log")
+            self._say(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS.get(entry.level, "INFO"))
+
+    def add_all(self, messages: Iterable[Message]) -> None:
+        """Show messages to their end."""
+        for message in messages:
+            self.add(message)
+        self.finish()
+
+    def flush(self) -> None:
+        """Send what waits."""
+        for table in self._tables.values():
+            table.send(self._recording)
+        # Without waiting here the rows would pile up in memory before a slow disk or viewer.
+        self._recording.flush()
+
+    def finish(self) -> None:
+        """Show what was held back, and send what waits."""
+        if self._kept is not None:
+            self._show_cloud(*self._kept)
+            self._kept = None
+        self.flush()
+
+    def _start(self) -> None:
+        import rerun as rr
+
+        recording = self._recording
+        recording.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        recording.log(CLOTH, rr.Mesh3D.from_fields(triangle_indices=self._survey.triangles), static=True)
+        size = float(np.linalg.norm(self._survey.high - self._survey.low))
+        recording.log(
+            ANCHORS,
+            rr.Points3D.from_fields(colors=np.array([colours.ANCHOR], np.uint32), radii=[0.0035 * size]),
+            static=True,
+        )
+        radius = self._survey.opening.gripper_radius
+        for start in self._survey.opening.grippers:
+            path = gripper_path(start.name)
+            recording.log(
+                f"{path}/body",
+                rr.Ellipsoids3D.from_fields(
+                    half_sizes=[[radius] * 3],
+                    fill_mode=rr.components.FillMode.MajorWireframe,
+                    line_radii=[0.0012 * size],
+                ),
+                static=True,
+            )
+            recording.log(
+                f"{path}/axes",
+                rr.Arrows3D(
+                    vectors=2.0 * radius * np.eye(3),
+                    colors=[[230, 80, 80], [90, 200, 90], [90, 140, 250]],
+                    radii=0.0018 * size,
+                ),
+                static=True,
+            )
+            recording.log(
+                f"{path}/target",
+                rr.Points3D.from_fields(colors=np.array([colours.TRAIL], np.uint32), radii=[0.0022 * size]),
+                static=True,
+            )
+            recording.log(
+                f"/world/held/{start.name}",
+                rr.Points3D.from_fields(colors=np.array([colours.HELD], np.uint32), radii=[0.0055 * size]),
+                static=True,
+            )
+
+    def _add_frame(self, message: Message) -> None:
+        record = read_frame(message)
+        self._record, self._record_time = record, message.log_time
+        moment = self._moment = Moment(record.time, message.log_time, record.frame)
+        self._grippers.advance(record, self._positions_before)
+        self._scalar("plots/steps/steps", moment, float(record.steps))
+        for path, value in extra_numbers(record.extras):
+            self._scalar(path, moment, value)
+        for event in record.events:
+            told = _story(event, self._grippers)
+            if told:
+                self._say(moment, told, "INFO")
+        for name, track in self._grippers.tracks.items():
+            if track.pose is None:
+                continue
+            self._pose(name, moment, track.pose, track.target, track.closed)
+
+    def _pose(self, name: str, moment: Moment, pose: Any, target: Any, closed: bool) -> None:
+        import rerun as rr
+
+        path = gripper_path(name)
+        self._table(path, rr.Transform3D).add(
+            moment, translation=pose[:3].astype(np.float32), quaternion=pose[3:].astype(np.float32)
+        )
+        colour = np.uint32(colours.CLOSED_GRIPPER if closed else colours.OPEN_GRIPPER)
+        self._table(f"{path}/body", rr.Ellipsoids3D).add(moment, colors=colour)
+
+    def _add_cloud(self, message: Message) -> None:
+        self._before = message
+        self.clouds_seen += 1
+        if self._only is not None:
+            if self._moment.sim_time <= self._only or self._kept is None:
+                self._kept = (self._moment, message)
+        elif (self.clouds_seen - 1) % self._every == 0:
+            moment = self._moment if message.log_time == self._record_time else None
+            self._show_cloud(moment or self._moment._replace(ros_time=message.log_time), message)
+            if sum(table.size for table in self._tables.values()) >= _BATCH:
+                self.flush()
+
+    def _show_cloud(self, moment: Moment, message: Message) -> None:
+        import rerun as rr
+
+        cloud = decode_cloud(message.data)
+        check_fit(cloud, len(self._survey.opening.positions))
+        xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float32)
+        normals, strain = np.empty_like(xyz), np.empty(len(xyz), np.float32)
+        self._survey.measures.measure(xyz, normals, strain)
+        colour = np.empty(len(xyz), np.uint32)
+        colours.strain_colours(strain, self._survey.strain_limit, colour)
+        self._mesh.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
+        self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
+        if len(self._anchored):
+            self._pins.add(moment, positions=xyz[self._anchored])
+        for name, track in self._grippers.tracks.items():
+            self._table(f"/world/held/{name}", rr.Points3D, ragged=("positions",)).add(
+                moment, positions=xyz[track.held]
+            )
+        self.clouds_shown += 1
+
+    def _add_wrench(self, message: Message) -> None:
+        name = self._wrenches[message.topic]
+        force = decode(message.data, _WRENCH).wrench.force
+        size = float(np.linalg.norm([force.x, force.y, force.z]))
+        self._scalar(f"plots/force/{name}", self._moment._replace(ros_time=message.log_time), size)
+
+    def _positions_before(self) -> NDArray[np.floating]:
+        if self._before is None:
+            return self._survey.opening.positions
+        return decode_cloud(self._before.data).xyz
+
+    def _scalar(self, path: str, moment: Moment, value: float) -> None:
+        import rerun as rr
+
+        self._table(f"/{path}", rr.Scalars).add(moment, scalars=value)
+
+    def _say(self, moment: Moment, text: str, level: str) -> None:
+        import rerun as rr
+
+        self._table(LOG, rr.TextLog).add(moment, text=text, level=level)
+
+    def _table(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> Rows:
+        found = self._tables.get(path)
+        if found is None:
+            found = self._tables[path] = Rows(path, archetype, ragged=ragged)
+        return found
+
+
+#: Levels of rcl_interfaces/Log.
+_LEVELS = {10: "DEBUG", 20: "INFO", 30: "WARN", 40: "ERROR", 50: "CRITICAL"}
+
+
+def gripper_path(name: str) -> str:
+    """Entity path of a gripper."""
+    return f"/world/grippers/{name}"
+
+
+def _story(event: Any, grippers: GripperTracks) -> str:
+    """An event in words; empty for targets, which are seen."""
+    kind = event.get("kind")
+    if kind == "grasp":
+        name = event["gripper"]
+        held = len(grippers.tracks[name].held) if name in grippers.tracks else 0
+        return f"{name} closes, holds {held} particles" if event["closed"] else f"{name} opens"
+    if kind == "set_parameters":
+        return ", ".join(f"{name} = {value}" for name, value in event["values"].items())
+    if kind == "pause":
+        return "paused" if event["paused"] else "goes on"
+    return {"step": "one step", "reset": "reset"}.get(str(kind), "")

@@ -1,0 +1,179 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A first look at a session, for what must be known before its first frame is shown: bounds, colours' range, plots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.replay.measures import Measures, measures_of
+from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, PLOTS, diagnostic_numbers, extra_numbers
+from cloth_sim_ros.replay.scene_text import Opening, read_opening
+from cloth_sim_ros.session.cdr import Cloud, decode_cloud
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.session.reader import SessionReader, read_frame
+
+#: Clouds that are looked at.
+SAMPLES = 40
+#: Time between clouds where the whole file is read anyway, and within which diagnostics surely come [ns].
+_BETWEEN, _PERIODIC = 1_000_000_000, 5_000_000_000
+#: Part of a cloud's particles whose strain the colours' range leaves out, so that one corner does not dim the rest.
+_BEYOND = 0.002
+#: The colours' range where nothing is stretched, and while a session is still being recorded.
+_LEAST_LIMIT, _FOLLOWED_LIMIT = 0.001, 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Survey:
+    """What is known of a session before it is shown."""
+
+    opening: Opening
+    rows: int
+    columns: int
+    triangles: NDArray[np.uint32]
+    measures: Measures
+    normal: NDArray[np.float64]
+    """Mean normal of the rest shape, shape (3,)."""
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    """Corners of the box that holds cloth and grippers [m]."""
+    grips: NDArray[np.float64]
+    """Positions that grippers were commanded to [m], shape (k, 3)."""
+    strain_limit: float
+    """Strain that is shown in the last colour."""
+    plots: tuple[str, ...]
+    """Paths of the plots for which there is data, in their order."""
+
+
+def survey(reader: SessionReader, *, strain_limit: float | None = None, followed: bool = False) -> Survey:
+    """Look at a sample of a session's clouds; at the first one alone where it is `followed`.
+
+    Raises:
+        SessionError: if it holds no surface, or clouds that do not fit it.
+    """
+    opening = read_opening(reader.scene_yaml, reader.state)
+    surface = reader.topology()
+    if surface is None:
+        raise SessionError(
+            f"{reader.parts[0].path} holds no {reader.node}/topology, so that its particles make no surface; "
+            "`rerun` itself shows the points"
+        )
+    rest = np.asarray(surface.vertices, dtype=np.float64)
+    if len(rest) != len(opening.positions) or (len(surface.triangles) and int(surface.triangles.max()) >= len(rest)):
+        raise SessionError(f"{reader.parts[0].path}: the topology of {len(rest)} particles does not fit the state")
+    gathered = _Gathered(reader.node)
+    measures: Measures | None = None
+    rows, columns = 1, len(rest)
+    strain, normals = np.zeros(len(rest), np.float32), np.zeros((len(rest), 3), np.float32)
+    low, high = opening.positions.min(axis=0), opening.positions.max(axis=0)
+    strains: list[float] = []
+    for cloud in gathered.clouds(reader, 1 if followed else SAMPLES):
+        if measures is None:
+            rows, columns = cloud.height, cloud.width
+            check_fit(cloud, len(rest))
+            measures = measures_of(surface.triangles, rest, rows, columns)
+        check_fit(cloud, len(rest))
+        measures.measure(cloud.xyz, normals, strain)
+        strains.append(float(np.quantile(strain, 1.0 - _BEYOND)))
+        low, high = np.minimum(low, cloud.xyz.min(axis=0)), np.maximum(high, cloud.xyz.max(axis=0))
+    if measures is None:
+        rows, columns = 1, len(rest)
+        measures = measures_of(surface.triangles, rest, rows, columns)
+    grips = np.array(gathered.grips).reshape(-1, 3)
+    if len(grips):
+        low, high = np.minimum(low, grips.min(axis=0)), np.maximum(high, grips.max(axis=0))
+    measures.measure(np.ascontiguousarray(rest, dtype=np.float32), normals, strain)
+    # A snap when the cloth is let go lasts a few frames, and may be shown in one colour.
+    usual = float(np.quantile(strains, 0.9)) if strains else 0.0
+    always = {"plots/strain", "plots/steps"}
+    return Survey(
+        opening=opening,
+        rows=rows,
+        columns=columns,
+        triangles=surface.triangles,
+        measures=measures,
+        normal=np.asarray(normals.mean(axis=0), dtype=np.float64),
+        low=low,
+        high=high,
+        grips=grips,
+        strain_limit=strain_limit or (_FOLLOWED_LIMIT if followed else round_up(max(usual, _LEAST_LIMIT))),
+        plots=tuple(path for path in PLOTS if path in always | gathered.plots or (followed and path != "plots/error")),
+    )
+
+
+def check_fit(cloud: Cloud, particle_count: int) -> None:
+    """Raise SessionError where a cloud is not of the session's cloth."""
+    if len(cloud.xyz) != particle_count:
+        raise SessionError(f"a cloud has {len(cloud.xyz)} points, the topology {particle_count}")
+
+
+def round_up(value: float) -> float:
+    """The next of 1, 2, 5, 10, 20 ... times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
+
+
+class _Gathered:
+    """What a sample of the messages shows."""
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self.grips: list[list[float]] = []
+        self.plots: set[str] = set()
+
+    def clouds(self, reader: SessionReader, samples: int) -> Iterator[Cloud]:
+        """Some clouds, evenly over the session; the rest of the sample is taken note of on the way."""
+        windows = _windows(reader, samples)
+        first = windows[0][0]
+        if first is not None:
+            # Diagnostics come once a second or so: a cloud's own stretch may hold none.
+            for message in reader.messages([DIAGNOSTICS_TOPIC], start=first, end=first + _PERIODIC):
+                self._note(message)
+        for start, end in windows:
+            due = start
+            for message in reader.messages(start=start, end=end):
+                self._note(message)
+                if message.topic == f"{self._node}/points" and (due is None or message.log_time >= due):
+                    yield decode_cloud(message.data)
+                    if end is not None or samples == 1:
+                        break
+                    # Without an index the whole file is read.
+                    due = message.log_time + _BETWEEN
+
+    def _note(self, message: Message) -> None:
+        if message.topic == f"{self._node}/frame":
+            record = read_frame(message)
+            self.grips.extend(list(event["position"]) for event in record.events if event.get("kind") == "target")
+            found = list(extra_numbers(record.extras))
+        elif message.topic == DIAGNOSTICS_TOPIC:
+            found = list(diagnostic_numbers(message.data))
+        elif message.topic.endswith("/wrench"):
+            self.plots.add("plots/force")
+            return
+        else:
+            return
+        self.plots.update(path.rsplit("/", 1)[0] for path, _ in found)
+
+
+def _windows(reader: SessionReader, samples: int) -> list[tuple[int | None, int | None]]:
+    """Stretches of log time [ns] to take one cloud from; one endless stretch where a file has no index."""
+    times = []
+    for part in reader.parts:
+        if part.summary is None or not part.summary.chunks:
+            return [(None, None)]
+        times += [
+            time
+            for index in part.summary.chunks.values()
+            for time in (index.message_start_time, index.message_end_time)
+        ]
+    first, last = min(times), max(times) + 1
+    if samples < 2 or last - first < samples:
+        return [(None, None)]
+    edges = [first + (last - first) * k // samples for k in range(samples)]
+    return list(zip(edges, [*edges[1:], last], strict=True))

@@ -1,0 +1,141 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The viewer as a process of its own: without a screen for pictures, and the checks before one is opened on a screen."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.replay.rows import SIM_TIME
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+#: How long the viewer may take to start and to load a recording [s]: a busy machine without a GPU is slow.
+_PATIENCE = 60.0
+#: Painted alike twice in a row, the picture is complete; looked at this often [s].
+_LOOK_AGAIN = 0.25
+
+_NO_ADAPTER = ("no graphics adapter", "failed to find adapter", "no suitable adapter", "adapter was found")
+
+
+class ViewerError(Exception):
+    """The viewer cannot be used here; the message says what it needs."""
+
+
+def check_screen() -> None:
+    """Raise ViewerError where there is no screen to open a window on."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(
+            "there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); use --screenshot out.png for a "
+            "picture, or --save out.rrd and open that with `rerun` on a machine with a screen"
+        )
+
+
+def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
+    """Paint a recording without a screen or a GPU and save the picture, a PNG of `size` (width, height) pixels.
+
+    `at` is a simulated time [s]; the end where left out. The recording lies on the disk: the viewer reads it.
+
+    Raises:
+        ViewerError: if the viewer cannot paint here.
+    """
+    with _headless(rrd, size) as (client, log):
+        _wait_until_loaded(client, log)
+        if at is not None:
+            client.set_time(SIM_TIME, duration=at, play_state="paused")
+        picture.write_bytes(_settled_picture(client))
+
+
+@contextlib.contextmanager
+def _headless(rrd: Path, size: tuple[int, int]) -> Iterator[tuple[ViewerClient, Path]]:
+    port = _free_port()
+    with tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder:
+        log = Path(folder) / "viewer.log"
+        with log.open("wb") as output:
+            viewer = subprocess.Popen(
+                [
+                    *(sys.executable, "-m", "rerun_cli", str(rrd), "--headless", "--hide-welcome-screen"),
+                    *("--bind", "127.0.0.1", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}"),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                # Told that it is part of a program, it asks nothing about analytics; its state is nobody's settings.
+                env={**os.environ, "RERUN_APP_ONLY": "true", "XDG_DATA_HOME": folder, "RUST_LOG": "warn"},
+                start_new_session=True,
+            )
+        try:
+            yield _connect(viewer, port, log), log
+        finally:
+            # The command starts the viewer proper as its child, in the same group.
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(viewer.pid, signal.SIGKILL)
+            viewer.wait()
+
+
+def _connect(viewer: subprocess.Popen[bytes], port: int, log: Path) -> ViewerClient:
+    from rerun.experimental import ViewerClient
+
+    end = time.monotonic() + _PATIENCE
+    while time.monotonic() < end:
+        if viewer.poll() is not None:
+            raise _why(log, f"ended with status {viewer.returncode}")
+        try:
+            return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        except ConnectionError:
+            time.sleep(0.05)
+    raise _why(log, f"did not start within {_PATIENCE:g} s")
+
+
+def _wait_until_loaded(client: ViewerClient, log: Path) -> None:
+    end = time.monotonic() + _PATIENCE
+    while time.monotonic() < end:
+        try:
+            state = client.get_state()
+        except (ConnectionError, RuntimeError) as error:
+            raise _why(log, f"does not answer ({error})") from error
+        timelines = {str(getattr(line, "name", line)) for recording in state.recordings for line in recording.timelines}
+        if state.active_recording and not state.loading and SIM_TIME in timelines:
+            return
+        time.sleep(0.1)
+    raise _why(log, f"did not load the recording within {_PATIENCE:g} s")
+
+
+def _settled_picture(client: ViewerClient) -> bytes:
+    """The picture once it no longer changes: what is loaded in the background has arrived, messages have faded."""
+    end = time.monotonic() + _PATIENCE
+    before = b""
+    while time.monotonic() < end:
+        picture = client.take_screenshot()
+        if picture == before:
+            break
+        before = picture
+        time.sleep(_LOOK_AGAIN)
+    return picture
+
+
+def _why(log: Path, what: str) -> ViewerError:
+    output = log.read_text(errors="replace")
+    if any(sign in output.lower() for sign in _NO_ADAPTER):
+        return ViewerError(
+            "the viewer finds no graphics driver; install a software one: apt-get install mesa-vulkan-drivers"
+        )
+    last = " / ".join(line.strip() for line in output.splitlines()[-3:])
+    return ViewerError(f"the viewer {what}; it said: {last or 'nothing'}")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

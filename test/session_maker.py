@@ -1,0 +1,233 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded sessions without ROS and without a clock: a simulation, its frames written as the node writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros import parameter_file
+from cloth_sim_ros.events import Event, Grasp, Target, to_dict
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.session.cdr import encode, encode_string, message_class
+from cloth_sim_ros.session.frame_record import FrameRecord
+from cloth_sim_ros.session.layouts import Qos
+from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.verify_environment import environment
+
+NODE = "/cloth_sim"
+#: ROS time of every made session's start [ns]: any fixed number will do.
+START = 1_800_000_000_000_000_000
+
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_MESH = "shape_msgs/msg/Mesh"
+_STRING = "std_msgs/msg/String"
+_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+_POSE = "geometry_msgs/msg/PoseStamped"
+
+
+def _time(nanoseconds: int) -> Any:
+    return message_class("builtin_interfaces/msg/Time")(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def _header(log_time: int, frame_id: str = "world") -> Any:
+    return message_class("std_msgs/msg/Header")(stamp=_time(log_time), frame_id=frame_id)
+
+
+def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int]) -> bytes:
+    """CDR bytes of a cloud: positions (n, 3) [m] as float32, rows x columns."""
+    rows, columns = resolution
+    field = message_class("sensor_msgs/msg/PointField")
+    return encode(
+        message_class(_CLOUD)(
+            header=_header(log_time),
+            height=rows,
+            width=columns,
+            fields=[field(name=name, offset=4 * k, datatype=7, count=1) for k, name in enumerate("xyz")],
+            is_bigendian=False,
+            point_step=12,
+            row_step=12 * columns,
+            data=np.frombuffer(np.ascontiguousarray(xyz, dtype="<f4").tobytes(), np.uint8),
+            is_dense=True,
+        ),
+        _CLOUD,
+    )
+
+
+def mesh_bytes(scene: Scene) -> bytes:
+    """CDR bytes of the topology: triangles and the sheet as it lies at the start."""
+    triangle, point = message_class("shape_msgs/msg/MeshTriangle"), message_class("geometry_msgs/msg/Point")
+    return encode(
+        message_class(_MESH)(
+            triangles=[triangle(vertex_indices=np.asarray(t, np.uint32)) for t in scene.sheet.triangles()],
+            vertices=[point(x=float(x), y=float(y), z=float(z)) for x, y, z in scene.initial_positions()],
+        ),
+        _MESH,
+    )
+
+
+def diagnostics_bytes(log_time: int, values: Mapping[str, str]) -> bytes:
+    """CDR bytes of the node's diagnostics."""
+    pair = message_class("diagnostic_msgs/msg/KeyValue")
+    status = message_class("diagnostic_msgs/msg/DiagnosticStatus")(
+        level=0,
+        name="cloth_sim: simulation",
+        message="running",
+        hardware_id="",
+        values=[pair(key=key, value=value) for key, value in values.items()],
+    )
+    return encode(message_class(_DIAGNOSTICS)(header=_header(log_time), status=[status]), _DIAGNOSTICS)
+
+
+def target_bytes(event: Target, log_time: int) -> bytes:
+    """CDR bytes of a commanded pose."""
+    x, y, z = event.position
+    qx, qy, qz, qw = event.orientation or (0.0, 0.0, 0.0, 1.0)
+    pose = message_class("geometry_msgs/msg/Pose")(
+        position=message_class("geometry_msgs/msg/Point")(x=x, y=y, z=z),
+        orientation=message_class("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw),
+    )
+    return encode(message_class(_POSE)(header=_header(log_time), pose=pose), _POSE)
+
+
+class SessionMaker:
+    """Writes a session of one or several files, one frame a call.
+
+    Args:
+        folder: where the files go.
+        scene: what is simulated.
+        stem: beginning of the files' names.
+        options: layout of the files.
+    """
+
+    def __init__(
+        self, folder: Path, scene: Scene, *, stem: str = "session", options: WriterOptions | None = None
+    ) -> None:
+        self.simulation = Simulation(scene)
+        self.paths: list[Path] = []
+        self._folder, self._stem = folder, stem
+        self._options = options or WriterOptions(sync_seconds=0.0, chunk_bytes=1 << 20)
+        self._clock = 0
+        self._sequences: dict[str, int] = {}
+        self._open()
+
+    @property
+    def log_time(self) -> int:
+        """ROS time [ns] of the frame that is due."""
+        return START + round(self._clock * self.simulation.scene.period * 1e9)
+
+    def add(
+        self,
+        events: Sequence[Event] = (),
+        *,
+        extras: Mapping[str, Any] | None = None,
+        diagnostics: Mapping[str, str] | None = None,
+        change: Callable[[str, bytes], bytes] = lambda _topic, data: data,
+    ) -> None:
+        """Advance one frame and write it; `change` may spoil a message's bytes before they are written."""
+        self._clock += 1
+        now = self.log_time
+        for event in events:
+            if isinstance(event, Target):
+                self._write(f"{NODE}/{event.gripper}/target", _POSE, change, target_bytes(event, now))
+        frame = self.simulation.advance(events)
+        record = FrameRecord(
+            frame=frame.index,
+            time=frame.time,
+            events=tuple(to_dict(event) for event in frame.events),
+            integrator=frame.integrator,
+            tolerance=None,
+            steps=frame.advance.steps if frame.advance else 0,
+            digest=self.simulation.state.digest(),
+            paused=self.simulation.paused,
+            extras=dict(extras or {}),
+        )
+        self._write(f"{NODE}/frame", _STRING, change, encode_string(record.to_json()))
+        cloud = cloud_bytes(self.simulation.positions, now, self.simulation.scene.cloth.resolution)
+        self._write(f"{NODE}/points", _CLOUD, change, cloud)
+        if diagnostics is not None:
+            self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
+
+    def split(self) -> None:
+        """Go on in a new file that opens with a snapshot of the present state."""
+        self._writer.finish(reason="split")
+        self._open()
+
+    def finish(self) -> Path:
+        """Close the last file; the first one's path."""
+        self._writer.finish(reason="stopped")
+        return self.paths[0]
+
+    def cut(self) -> Path:
+        """Leave the last file unfinished, as a killed process does; the first one's path."""
+        self._writer.abandon()
+        return self.paths[0]
+
+    def _open(self) -> None:
+        simulation = self.simulation
+        self._writer = SessionWriter(
+            self._folder,
+            snapshot=Snapshot(
+                scene_yaml=parameter_file.dump(simulation.scene.parameters()),
+                state=simulation.state.to_bytes(),
+                metadata={**environment(), "node": NODE, "period": repr(simulation.scene.period)},
+            ),
+            stem=self._stem,
+            part=len(self.paths),
+            log_time=self.log_time,
+            options=self._options,
+        )
+        self.paths.append(self._writer.path)
+        latched = Qos(durability="transient_local", depth=1)
+        self._writer.declare(f"{NODE}/topology", _MESH, latched)
+        self._add(f"{NODE}/topology", mesh_bytes(simulation.scene))
+
+    def _write(self, topic: str, kind: str, change: Callable[[str, bytes], bytes], data: bytes) -> None:
+        if not self._writer.is_declared(topic):
+            self._writer.declare(topic, kind)
+        self._add(topic, change(topic, data))
+
+    def _add(self, topic: str, data: bytes) -> None:
+        sequence = self._sequences.get(topic, 0)
+        self._sequences[topic] = sequence + 1
+        self._writer.add(topic, data, log_time=self.log_time, publish_time=self.log_time, sequence=sequence)
+
+
+def carried_corner(scene: Scene, seconds: float) -> Iterable[list[Event]]:
+    """Events of a grasp, frame by frame: the gripper takes the bottom right corner, carries it up, lets it go."""
+    corner = scene.initial_positions()[-1]
+    frames = round(seconds * scene.rate)
+    away = np.array([-0.35, -0.45, 0.45]) * min(scene.cloth.size)
+    for k in range(frames):
+        t = k / frames
+        way = np.clip((t - 0.25) / 0.4, 0.0, 1.0)
+        smooth = way * way * (3.0 - 2.0 * way)
+        angle = 1.2 * smooth
+        approach = np.array([0.0, -0.25, 0.0]) * np.clip(1.0 - t / 0.15, 0.0, 1.0)
+        events: list[Event] = [
+            Target(
+                "gripper", tuple(corner + approach + smooth * away), (0.0, 0.0, np.sin(angle / 2), np.cos(angle / 2))
+            )
+        ]
+        if k == round(0.2 * frames):
+            events.append(Grasp("gripper", True))
+        if k == round(0.85 * frames):
+            events.append(Grasp("gripper", False))
+        yield events
+
+
+def make_grasp(folder: Path, *, seconds: float = 4.0, stem: str = "grasp", **values: Any) -> Path:
+    """A finished session: a cloth hung by one edge, its corner carried by the gripper; `values` by parameter name."""
+    scene = Scene.from_parameters({name.replace("__", "."): value for name, value in values.items()})
+    maker = SessionMaker(folder, scene, stem=stem)
+    for k, events in enumerate(carried_corner(scene, seconds)):
+        diagnostics = None
+        if k % 60 == 59:
+            diagnostics = {"real-time factor": "1.00", "late frames": "0", "recording": "recording"}
+        maker.add(events, diagnostics=diagnostics)
+    return maker.finish()
