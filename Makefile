@@ -65,7 +65,7 @@ bench: $(DEV)
 
 # The layout that `ros2 run` and `ros2 launch` expect, into install/.
 colcon: $(DEV)
-	@$(BIN)/colcon build --base-paths . --packages-select cloth_sim_ros $(ARGS)
+	@$(BIN)/colcon build --base-paths . $(ARGS)
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -191,7 +191,7 @@ def test_colcon_builds_the_layout_of_ros2_run(tmp_path: Path) -> None:
     install = tmp_path / "install"
     done = subprocess.run(
         [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build", "--base-paths", ROOT,
-         "--packages-select", "cloth_sim_ros", "--build-base", tmp_path / "build", "--install-base", install],
+         "--build-base", tmp_path / "build", "--install-base", install],
         cwd=tmp_path, check=False, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
@@ -206,3 +206,18 @@ def test_colcon_builds_the_layout_of_ros2_run(tmp_path: Path) -> None:
         }
     assert (share / "package.xml").is_file()
     assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "cloth_sim_ros").is_file()
+    # As installed, from another folder, through the environment that colcon writes: not the sources again.
+    script = f". {install}/local_setup.sh && {executables}/cloth_session --help"
+    script += " && python -c 'import cloth_sim_ros; print(cloth_sim_ros.__file__)'"
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", "-c", script],
+        cwd=tmp_path,
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PATH": path},
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "usage: cloth_session" in done.stdout
+    assert done.stdout.splitlines()[-1].startswith(str(prefix))
