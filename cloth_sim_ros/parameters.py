@@ -136,26 +136,33 @@ def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
     return values
 
 
-def build(cls: Callable[..., Any], values: dict[str, Any]) -> Any:
-    """Return an instance of a configuration class from values by full name; names that are missing take their default.
+def check(cls: type, values: dict[str, Any]) -> dict[str, Any]:
+    """Return values by full name in their own types, arrays as tuples.
 
     Raises:
         ParameterError: for an unknown name or a bad value.
     """
-    known = {entry.name: entry for entry in declared(cls)}  # type: ignore[arg-type]
+    known = {entry.name: entry for entry in declared(cls)}
     for name in values:
         if name not in known:
             raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}")
-    checked = {name: known[name].check(value) for name, value in values.items()}
-    return _build(cls, checked, "")
+    return {name: known[name].check(value) for name, value in values.items()}
 
 
-def _build(cls: Any, values: dict[str, Any], prefix: str) -> Any:
-    arguments = {}
+def build(cls: Callable[..., Any], values: dict[str, Any], **further: Any) -> Any:
+    """Return an instance of a configuration class from checked values by full name; missing names take their default.
+
+    `further` are fields of the class that are no parameters.
+    """
+    return _build(cls, values, "", further)
+
+
+def _build(cls: Any, values: dict[str, Any], prefix: str, further: dict[str, Any]) -> Any:
+    arguments = dict(further)
     for field in attrs.fields(cls):
         name = prefix + field.name
         if _SECTION in field.metadata:
-            arguments[field.name] = _build(field.metadata[_SECTION], values, name + ".")
+            arguments[field.name] = _build(field.metadata[_SECTION], values, name + ".", {})
         elif name in values:
             arguments[field.name] = values[name]
     return cls(**arguments)

@@ -5,29 +5,25 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 
-from cloth_sim_ros import parameter_file, parameters
+from cloth_sim_ros import parameter_file, parameters, scene_files
 from cloth_sim_ros.parameters import ParameterError, parameter, section
-from cloth_sim_ros.physics.bending_calibration import bending_terms, grid_hinge_constants, refuse_bending_modulus
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.material import Threads, grid_threads
+from cloth_sim_ros.physics.material import Threads
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.terms.base import Array, Term
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
-from cloth_sim_ros.physics.terms.grips import Grips
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.scene_physics import Sheet, anchored_particles, build_model, build_sheet, grid_threads_of
 from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Gripper, Material, Record
 
 MOST_PARTICLES = 4_000_000
@@ -69,6 +65,8 @@ class Scene:
         "double", 0.0, "Fixed time step; 0 takes it from the stability limit", unit="s", least=0.0, most=1.0, live=True
     )
     record: Record = section(Record)
+    #: Content of the files that parameters name, by that name; what a recording must hold to run again.
+    files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
     def __attrs_post_init__(self) -> None:
         """Check what no single parameter shows."""
@@ -89,9 +87,7 @@ class Scene:
             normalised(self.cloth.orientation)
         except ValueError as error:
             raise ParameterError(f"cloth.orientation: {error}") from error
-        self.anchored_particles()
-        self.threads()
-        self._check_bending()
+        self._check_sheet()
 
     @classmethod
     def declared(cls) -> tuple[parameters.Parameter, ...]:
@@ -99,23 +95,31 @@ class Scene:
         return tuple(parameters.declared(cls))
 
     @classmethod
-    def from_parameters(cls, values: dict[str, Any]) -> Scene:
+    def from_parameters(
+        cls, values: dict[str, Any], *, files: Mapping[str, bytes] | None = None, folder: str | Path = "."
+    ) -> Scene:
         """Build a scene from values by full name, e.g. ``{"cloth.size": [1.0, 1.0]}``.
 
+        Args:
+            values: parameters; those that are missing take their default.
+            files: content of files that the values name, where it is known already; others are read.
+            folder: where relative file names start.
+
         Raises:
-            ParameterError: for an unknown name or a bad value.
+            ParameterError: for an unknown name, a bad value, or a file that can't be read.
         """
-        scene: Scene = parameters.build(cls, values)
+        checked = parameters.check(cls, values)
+        scene: Scene = parameters.build(cls, checked, files=scene_files.read(checked, files or {}, folder))
         return scene
 
     @classmethod
     def from_file(cls, path: str | Path, *, node: str = "cloth_sim") -> Scene:
-        """Read a scene from a ROS parameter file.
+        """Read a scene from a ROS parameter file; file names in it start at its own folder.
 
         Raises:
             ParameterError: as `from_parameters`, or if the file can't be read.
         """
-        return cls.from_parameters(parameter_file.read(path, node=node))
+        return cls.from_parameters(parameter_file.read(path, node=node), folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
         """Every parameter's value by full name."""
@@ -131,7 +135,7 @@ class Scene:
         for name in values:
             if name in known and not known[name].live:
                 raise ParameterError(f"{name} can't change while the cloth runs; set it at start")
-        return self.from_parameters({**self.parameters(), **values})
+        return self.from_parameters({**self.parameters(), **values}, files=self.files)
 
     @property
     def period(self) -> float:
@@ -144,77 +148,74 @@ class Scene:
         return [name for name in self.grippers if name]
 
     @property
-    def sheet(self) -> GridSheet:
-        """Geometry of the flat sheet."""
-        rows, columns = self.cloth.resolution
-        height, width = self.cloth.size
-        return GridSheet(height=height, width=width, rows=rows, columns=columns, layout=self.cloth.shear_layout)  # type: ignore[arg-type]
+    def sheet(self) -> Sheet:
+        """Geometry of the cloth: a grid, a mesh, or raw springs.
+
+        Raises:
+            ParameterError: for a mesh or springs file whose content makes none.
+        """
+        return build_sheet(self)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a grid; 1 and the number of particles of anything else."""
+        sheet = self.sheet
+        return (sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else (1, len(sheet.positions()))
 
     def threads(self) -> Threads:
-        """Spring stiffnesses of the grid.
+        """Spring stiffnesses of a grid's threads, and the Poisson ratio that comes out.
 
         Raises:
-            ParameterError: if the moduli can't be met.
-        """
-        try:
-            return grid_threads(
-                stretch_modulus=self.material.stretch_modulus,
-                shear_modulus=self.material.shear_modulus,
-                spacing=self.sheet.spacing,
-                layout=self.cloth.shear_layout,  # type: ignore[arg-type]
-                bend_stiffness=self.bending.stiffness if self.bending.model == "axial" else 0.0,
-            )
-        except ValueError as error:
-            raise ParameterError(str(error)) from error
-
-    def anchored_particles(self) -> list[int]:
-        """Indices of the anchored particles.
-
-        Raises:
-            ParameterError: for an anchor that is no edge, corner or particle number.
+            ParameterError: if the moduli can't be met, or the cloth is no grid.
         """
         sheet = self.sheet
-        found: set[int] = set()
-        for name in self.cloth.anchors:
-            if name.isdecimal():
-                if int(name) >= sheet.rows * sheet.columns:
-                    raise ParameterError(
-                        f"cloth.anchors names particle {name}; there are {sheet.rows * sheet.columns}, counted from 0"
-                    )
-                found.add(int(name))
-            elif name:
-                try:
-                    found.update(int(particle) for particle in sheet.edge(name))
-                except ValueError as error:
-                    raise ParameterError(f"cloth.anchors: {error}, or give a particle's number") from error
-        return sorted(found)
+        if not isinstance(sheet, GridSheet):
+            raise ParameterError("only a grid has threads; this cloth is a mesh or raw springs")
+        return grid_threads_of(self, sheet)
+
+    def anchored_particles(self) -> list[int]:
+        """Indices of the anchored particles."""
+        return anchored_particles(self, self.sheet)
 
     def model(self) -> Model:
         """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
-        masses = self.sheet.masses(self.material.density)
-        material = self.material
-        terms: list[Term] = [
-            *self.sheet.springs(
-                self.threads(),
-                k_d0=material.damping,
-                density=material.density,
-                retardation=material.viscosity / material.stretch_modulus,
-            )
-        ]
-        if self.bending.model in ("opposite", "crossed", "altitude"):
-            shear = [term.pairs for term in terms if term.name == "shear" and isinstance(term, PairSprings)]
-            terms.extend(self._hinge_springs(masses, shear[0] if shear else None))
-        if any(self.gravity):
-            terms.append(Gravity(masses, self.gravity))
-        if self.air.drag:
-            terms.append(Drag(masses, self.air.drag))
-        if self.gripper_names:
-            terms.append(Grips(len(self.gripper_names)))
-        return Model(masses, terms, anchors=self.anchored_particles())
+        return build_model(self)
 
-    def _check_bending(self) -> None:
-        model, modulus = self.bending.model, self.material.bending_modulus
+    def initial_positions(self) -> Array:
+        """Starting positions [m], shape (particle_count, 3)."""
+        turn = rotation_matrix(normalised(self.cloth.orientation))
+        return np.einsum("ij,nj->ni", turn, self.sheet.positions()) + np.asarray(self.cloth.position)
+
+    def initial_state(self) -> State:
+        """Starting state: at rest, but for velocities that a springs file gives."""
+        sheet = self.sheet
+        velocities = None
+        if isinstance(sheet, RawSprings):
+            turn = rotation_matrix(normalised(self.cloth.orientation))
+            velocities = np.einsum("ij,nj->ni", turn, sheet.velocities)
+        return State(self.initial_positions(), velocities)
+
+    def build_integrator(self) -> Integrator:
+        """The integrator that the scene asks for."""
+        return Leapfrog(self.step or None)
+
+    def _check_sheet(self) -> None:
+        cloth, model, modulus = self.cloth, self.bending.model, self.material.bending_modulus
+        if cloth.mesh and cloth.springs:
+            raise ParameterError(f"both cloth.mesh '{cloth.mesh}' and cloth.springs '{cloth.springs}' are set; set one")
+        for path in (cloth.mesh, cloth.springs):
+            if path and path not in self.files:
+                raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
+        sheet = self.sheet
+        if isinstance(sheet, GridSheet):
+            grid_threads_of(self, sheet)
+        elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none"):
+            fitting = "none" if isinstance(sheet, RawSprings) else "none, opposite, crossed or altitude"
+            raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
+        anchored_particles(self, sheet)
         if model in ("axial", "opposite") and modulus:
+            from cloth_sim_ros.physics.bending_calibration import refuse_bending_modulus
+
             try:
                 refuse_bending_modulus(model)
             except ValueError as error:
@@ -223,46 +224,3 @@ class Scene:
             raise ParameterError(
                 f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
             )
-
-    def _hinge_springs(self, masses: Array, existing: NDArray[np.int64] | None) -> list[Term]:
-        """Build the terms of S7, S7 and S8, or S7 and S9; pairs that shear springs join already get no second one."""
-        sheet = self.sheet
-        surface = Surface.from_triangles(sheet.triangles(), particle_count=len(masses))
-        rest = sheet.positions()
-        options: dict[str, Any] = {}
-        if self.bending.model == "opposite":
-            ends = rest[surface.hinges[:, 1]] - rest[surface.hinges[:, 0]]
-            options["spring_stiffness"] = self.bending.stiffness * np.sqrt(np.sum(ends * ends, axis=1))
-        else:
-            options["hinge_constants"] = grid_hinge_constants(
-                surface.hinges,
-                columns=sheet.columns,
-                spacing=sheet.spacing,
-                bending_modulus=self.material.bending_modulus,
-            )
-        return list(
-            bending_terms(
-                self.bending.model,  # type: ignore[arg-type]
-                surface.hinges,
-                rest,
-                rest_angle=self.bending.rest_angle or None,
-                damping=self.material.damping,
-                masses=masses,
-                existing=existing,
-                weak=True,
-                **options,
-            )
-        )
-
-    def initial_positions(self) -> Array:
-        """Starting positions [m], shape (particle_count, 3)."""
-        turn = rotation_matrix(normalised(self.cloth.orientation))
-        return np.einsum("ij,nj->ni", turn, self.sheet.positions()) + np.asarray(self.cloth.position)
-
-    def initial_state(self) -> State:
-        """Starting state, at rest."""
-        return State(self.initial_positions())
-
-    def build_integrator(self) -> Integrator:
-        """The integrator that the scene asks for."""
-        return Leapfrog(self.step or None)

@@ -27,6 +27,8 @@ class Cloth:
     resolution: tuple[int, ...] = parameter(
         "int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096
     )
+    mesh: str = parameter("string", "", "Triangle mesh file (OBJ, PLY, STL) instead of size and resolution")
+    springs: str = parameter("string", "", "File of raw springs (YAML, npz), for experts, instead of a sheet")
     position: tuple[float, ...] = parameter(
         "double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.material import Threads
-from cloth_sim_ros.physics.surface import Layout, grid_diagonals, grid_triangles
+from cloth_sim_ros.physics.surface import Layout, Surface, grid_diagonals, grid_triangles
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
 
@@ -50,6 +50,11 @@ class GridSheet:
         """Triangles of the surface, shape (m, 3)."""
         return grid_triangles(self.rows, self.columns, self.layout)
 
+    @property
+    def surface(self) -> Surface:
+        """The surface of the grid's triangles."""
+        return Surface.from_triangles(self.triangles(), particle_count=self.rows * self.columns)
+
     def edge(self, name: str) -> NDArray[np.int64]:
         """Return the particles of an edge (top, bottom, left, right) or a corner (top_left, ...).
 
@@ -70,9 +75,9 @@ class GridSheet:
     def springs(self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0) -> list[PairSprings]:
         """Return the terms `structural`, `shear` and, with bending threads, `bend`.
 
-        Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet, so
-        that it scales with the border's half stiffness and half mass as the springs do; with a retardation time [s] it is
-        that time times the stiffness k instead.
+        Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet,
+        so that it scales with the border's half stiffness and half mass as the springs do; with a retardation time [s]
+        it is that time times the stiffness k instead.
         """
         hx, hy = self.spacing
         index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)

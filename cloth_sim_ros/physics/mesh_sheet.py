@@ -38,7 +38,8 @@ class MeshSheet:
         """Area of each triangle at rest [m^2], shape (m,)."""
         a, b, c = (self.rest[self.surface.triangles[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
-        return 0.5 * np.sqrt(np.sum(normal * normal, axis=1))
+        areas: Array = 0.5 * np.sqrt(np.sum(normal * normal, axis=1))
+        return areas
 
     def masses(self, density: float) -> Array:
         """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""

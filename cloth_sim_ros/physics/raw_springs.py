@@ -1,0 +1,119 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Raw springs, for experts: particles and springs as plain arrays, without a sheet's moduli."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+
+_KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class RawSprings:
+    """A system of springs in the lecture's terms."""
+
+    #: Starting positions [m], shape (particle_count, 3).
+    start: Array
+    #: Starting velocities [m/s], shape (particle_count, 3).
+    velocities: Array
+    #: Particle masses [kg], shape (particle_count,).
+    mass: Array
+    term: PairSprings
+    surface_triangles: NDArray[np.int64]
+
+    @classmethod
+    def from_tables(cls, tables: dict[str, Any]) -> RawSprings:
+        """Build it from tables by name, as a springs file has them.
+
+        Args:
+            tables: `positions` (n, 3) [m]; `masses` [kg], one or n; `springs` (m, 2), particle indices; `rest_lengths`
+            [m], one or m, the distance
+                at the start where left out, 0 for a joint (S4); `stiffness` k_s [N] (of a joint N/m), one or m; `k_d`
+                [N s/m] or the dimensionless
+                `k_d0`, one or m; `velocities` (n, 3) [m/s]; `triangles` (t, 3), for showing it as a surface.
+
+        Raises:
+            ValueError: naming the table and what is wrong with it.
+        """
+        unknown = sorted(set(tables) - set(_KEYS))
+        if unknown:
+            raise ValueError(f"unknown table '{unknown[0]}'; there are {', '.join(_KEYS)}")
+        for name in ("positions", "masses", "springs", "stiffness"):
+            if name not in tables:
+                raise ValueError(f"table '{name}' is missing")
+        positions = _table("positions", tables["positions"], np.float64, 3)
+        count = len(positions)
+        velocities = _table("velocities", tables.get("velocities", np.zeros((count, 3))), np.float64, 3)
+        if velocities.shape != positions.shape:
+            raise ValueError(f"table 'velocities' has {len(velocities)} rows, 'positions' {count}; give one a particle")
+        masses = _numbers("masses", tables["masses"], count)
+        light = np.flatnonzero(~(np.isfinite(masses) & (masses > 0.0)))
+        if light.size:
+            raise ValueError(f"mass of particle {light[0]} is {masses[light[0]]} kg; it must be finite and above 0")
+        pairs = _table("springs", tables["springs"], np.int64, 2)
+        triangles = _table("triangles", tables.get("triangles", np.empty((0, 3), np.int64)), np.int64, 3)
+        for name, indices in (("springs", pairs), ("triangles", triangles)):
+            if indices.size and not (indices.min() >= 0 and indices.max() < count):
+                raise ValueError(f"table '{name}' names particle {indices.max()}; there are {count}, counted from 0")
+        away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
+        rest = _numbers("rest_lengths", tables.get("rest_lengths", np.sqrt(np.sum(away * away, axis=1))), len(pairs))
+        k_s = _numbers("stiffness", tables["stiffness"], len(pairs))
+        stiffness = k_s / np.where(rest > 0.0, rest, 1.0)
+        if "k_d" in tables and "k_d0" in tables:
+            raise ValueError("both tables 'k_d' and 'k_d0' are given; give one of them")
+        if "k_d0" in tables:
+            # The lecture's m of two unequal ends: the reduced mass times two.
+            mean = 2.0 / (1.0 / masses[pairs[:, 0]] + 1.0 / masses[pairs[:, 1]])
+            damping = lecture_damping(_numbers("k_d0", tables["k_d0"], len(pairs)), stiffness, mean)
+        else:
+            damping = _numbers("k_d", tables.get("k_d", 0.0), len(pairs))
+        term = PairSprings(pairs, rest, stiffness, damping)
+        return cls(start=positions, velocities=velocities, mass=masses, term=term, surface_triangles=triangles)
+
+    def positions(self) -> Array:
+        """Starting positions [m], shape (particle_count, 3)."""
+        return self.start.copy()
+
+    def masses(self, density: float) -> Array:
+        """Particle masses [kg]; they are given, whatever a sheet's density [kg/m^2]."""
+        return self.mass.copy()
+
+    def triangles(self) -> NDArray[np.int64]:
+        """Triangles for showing it, shape (m, 3); none where it is no surface."""
+        return self.surface_triangles
+
+
+def _table(name: str, value: Any, dtype: type, columns: int) -> Any:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"table '{name}' is no table of numbers: {error}") from error
+    if array.size == 0:
+        array = array.reshape(0, columns)
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise ValueError(f"table '{name}' has shape {array.shape}; it must have {columns} columns")
+    wrong = np.flatnonzero(~np.isfinite(array).all(axis=1) | (array != array.astype(dtype)).any(axis=1))
+    if wrong.size:
+        raise ValueError(
+            f"row {wrong[0]} of table '{name}' is {array[wrong[0]].tolist()}; it must be finite"
+            + (" whole numbers" if dtype is np.int64 else "")
+        )
+    return array.astype(dtype)
+
+
+def _numbers(name: str, value: Any, count: int) -> Array:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"table '{name}' is no list of numbers: {error}") from error
+    if array.ndim and array.shape != (count,):
+        raise ValueError(f"table '{name}' has {array.size} numbers; give one, or {count}")
+    return np.array(np.broadcast_to(array, (count,)))

@@ -1,0 +1,46 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files that a scene names: read once, their content carried with the scene, so that a recording can hold it too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cloth_sim_ros.parameters import ParameterError
+
+#: Parameters that name a file.
+NAMES = ("cloth.mesh", "cloth.springs")
+#: A file larger than this is a mistake [bytes].
+MOST_BYTES = 1 << 30
+
+
+def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
+    """Return the content of every file that the values name, by the name they give it.
+
+    Args:
+        values: parameters by full name.
+        known: content that is there already; it is not read again.
+        folder: where relative names start.
+
+    Raises:
+        ParameterError: for a file that can't be read.
+    """
+    content: dict[str, bytes] = {}
+    for parameter in NAMES:
+        name = values.get(parameter)
+        if not isinstance(name, str) or not name:
+            continue
+        content[name] = known[name] if name in known else _content(parameter, Path(folder) / name)
+    return content
+
+
+def _content(parameter: str, path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise ParameterError(f"{parameter} '{path}' has {size} bytes; at most {MOST_BYTES} are read")
+        return path.read_bytes()
+    except OSError as error:
+        raise ParameterError(f"{parameter}: cannot read '{path}': {error.strerror}") from error

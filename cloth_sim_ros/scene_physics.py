@@ -1,0 +1,180 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a scene to physics: its sheet, its anchors, its terms. What the scene does not use is not built."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.physics.grid_sheet import GridSheet
+from cloth_sim_ros.physics.material import Threads, grid_threads
+from cloth_sim_ros.physics.mesh_sheet import MeshSheet
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.raw_springs import RawSprings
+from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.terms.grips import Grips
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.scene import Scene
+
+Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
+
+
+def build_sheet(scene: Scene) -> Sheet:
+    """Return the geometry that a scene names: a mesh file, a springs file, or a grid.
+
+    Raises:
+        ParameterError: for a file whose content makes no sheet.
+    """
+    cloth = scene.cloth
+    if cloth.mesh or cloth.springs:
+        name = "cloth.mesh" if cloth.mesh else "cloth.springs"
+        path = cloth.mesh or cloth.springs
+        try:
+            return _parsed(name, path, scene.files[path])
+        except ValueError as error:
+            raise ParameterError(f"{name} '{path}': {error}") from error
+    rows, columns = cloth.resolution
+    height, width = cloth.size
+    return GridSheet(height=height, width=width, rows=rows, columns=columns, layout=cloth.shear_layout)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=8)
+def _parsed(parameter: str, path: str, data: bytes) -> MeshSheet | RawSprings:
+    if parameter == "cloth.mesh":
+        from cloth_sim_ros import mesh_file
+
+        return mesh_file.parse(data, name=path)
+    from cloth_sim_ros import springs_file
+
+    return springs_file.parse(data)
+
+
+def grid_threads_of(scene: Scene, sheet: GridSheet) -> Threads:
+    """Return the spring stiffnesses of a scene's grid.
+
+    Raises:
+        ParameterError: if the moduli can't be met.
+    """
+    try:
+        return grid_threads(
+            stretch_modulus=scene.material.stretch_modulus,
+            shear_modulus=scene.material.shear_modulus,
+            spacing=sheet.spacing,
+            layout=sheet.layout,
+            bend_stiffness=scene.bending.stiffness if scene.bending.model == "axial" else 0.0,
+        )
+    except ValueError as error:
+        raise ParameterError(str(error)) from error
+
+
+def anchored_particles(scene: Scene, sheet: Sheet) -> list[int]:
+    """Return the indices of the anchored particles.
+
+    Raises:
+        ParameterError: for an anchor that is no edge or corner of a grid, and no particle number.
+    """
+    count = len(sheet.positions())
+    found: set[int] = set()
+    for name in scene.cloth.anchors:
+        if name.isdecimal():
+            if int(name) >= count:
+                raise ParameterError(f"cloth.anchors names particle {name}; there are {count}, counted from 0")
+            found.add(int(name))
+        elif name and isinstance(sheet, GridSheet):
+            try:
+                found.update(int(particle) for particle in sheet.edge(name))
+            except ValueError as error:
+                raise ParameterError(f"cloth.anchors: {error}, or give a particle's number") from error
+        elif name:
+            raise ParameterError(
+                f"cloth.anchors names '{name}'; only a grid has edges: give particle numbers, or none by ['']"
+            )
+    return sorted(found)
+
+
+def build_model(scene: Scene) -> Model:
+    """Build masses, terms and anchors."""
+    sheet = build_sheet(scene)
+    masses = sheet.masses(scene.material.density)
+    terms = [*_elastic_terms(scene, sheet, masses)]
+    if any(scene.gravity):
+        terms.append(Gravity(masses, scene.gravity))
+    if scene.air.drag:
+        terms.append(Drag(masses, scene.air.drag))
+    if scene.gripper_names:
+        terms.append(Grips(len(scene.gripper_names)))
+    return Model(masses, terms, anchors=anchored_particles(scene, sheet))
+
+
+def _elastic_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
+    material = scene.material
+    if isinstance(sheet, RawSprings):
+        return [sheet.term]
+    terms: list[Term]
+    if isinstance(sheet, GridSheet):
+        terms = [
+            *sheet.springs(
+                grid_threads_of(scene, sheet),
+                k_d0=material.damping,
+                density=material.density,
+                retardation=material.viscosity / material.stretch_modulus,
+            )
+        ]
+    else:
+        terms = [
+            sheet.springs(
+                stretch_modulus=material.stretch_modulus,
+                k_d0=material.damping,
+                density=material.density,
+                viscosity=material.viscosity,
+            )
+        ]
+    if scene.bending.model in ("opposite", "crossed", "altitude"):
+        # Pairs that a spring joins already get no second one: across a cell's diagonal it is the other diagonal.
+        shear = [term.pairs for term in terms if term.name == "shear" and isinstance(term, PairSprings)]
+        terms.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))
+    return terms
+
+
+def _hinge_springs(
+    scene: Scene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
+) -> list[Term]:
+    """Build the terms of S7, of S7 and S8, or of S7 and S9."""
+    from cloth_sim_ros.physics import bending_calibration as calibration
+
+    model = scene.bending.model
+    surface = sheet.surface
+    rest = sheet.positions()
+    modulus = scene.material.bending_modulus
+    options: dict[str, Any] = {}
+    if model == "opposite":
+        ends = rest[surface.hinges[:, 1]] - rest[surface.hinges[:, 0]]
+        options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(np.sum(ends * ends, axis=1))
+    elif isinstance(sheet, GridSheet):
+        options["hinge_constants"] = calibration.grid_hinge_constants(
+            surface.hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus
+        )
+    else:
+        options["hinge_constants"] = calibration.mesh_hinge_constants(surface.hinges, rest, bending_modulus=modulus)
+    return [
+        *calibration.bending_terms(
+            model,  # type: ignore[arg-type]
+            surface.hinges,
+            rest,
+            rest_angle=scene.bending.rest_angle or None,
+            damping=scene.material.damping,
+            masses=masses,
+            existing=existing,
+            weak=True,
+            **options,
+        )
+    ]

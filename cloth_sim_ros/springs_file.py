@@ -1,0 +1,43 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Springs files: the tables of `physics.raw_springs` as YAML, or as the arrays of an .npz."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.physics.raw_springs import RawSprings
+
+
+def parse(data: bytes) -> RawSprings:
+    """Read a springs file from its bytes.
+
+    Raises:
+        ValueError: for bytes that are neither, or tables that make no system; the message names the table.
+    """
+    tables = _arrays(data) if data[:2] == b"PK" else _yaml(data)
+    return RawSprings.from_tables(tables)
+
+
+def _arrays(data: bytes) -> dict[str, Any]:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (zipfile.BadZipFile, OSError, EOFError) as error:
+        raise ValueError(f"it is no .npz file: {error}") from error
+
+
+def _yaml(data: bytes) -> dict[str, Any]:
+    import yaml
+
+    try:
+        tree = yaml.safe_load(data)
+    except yaml.YAMLError as error:
+        raise ValueError(f"it is no YAML: {error}") from error
+    if not isinstance(tree, dict):
+        raise ValueError("it has no tables; it needs positions, masses, springs and stiffness")
+    return {str(name): value for name, value in tree.items()}
