@@ -1,0 +1,188 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""When frames are due: by wall time on a steady clock, or when `/clock` reaches them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Protocol
+
+import attrs
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+_SECOND = 1_000_000_000
+#: A difference of stamps and ROS time above this is a jump of the clock, not its drift [ns].
+_JUMP = 100_000_000
+#: Stamps are left alone while they are this close to ROS time: reading two clocks is no more exact [ns].
+_DEAD_BAND = 200_000
+#: Reading the clocks took longer than this: the thread was interrupted in between, the reading says nothing [ns].
+_READING = 50_000
+#: When /clock goes ahead by more than this, older frames are left out [s].
+CATCH_UP = 1.0
+
+
+@attrs.frozen(kw_only=True)
+class Due:
+    """A frame that is due."""
+
+    #: ROS time at which it was due [ns].
+    stamp: int
+    #: How long ago that was, by a steady clock [ns]; 0 where time is simulated.
+    lateness: int
+    #: Due times since the frame before that passed without a frame.
+    skipped: int
+
+
+class Pacer(Protocol):
+    """Calls for frames."""
+
+    def start(self) -> None:
+        """Begin; the first frame is due one period later, or at the next multiple of the period of /clock."""
+
+    def stop(self) -> None:
+        """Call for no more frames."""
+
+    @property
+    def period(self) -> int:
+        """Time between two frames [ns], rounded."""
+
+
+class WallPacer:
+    """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral."""
+
+    def __init__(self, node: Node, *, rate: float, on_due: Callable[[Due], None]) -> None:
+        self._node = node
+        self._on_due = on_due
+        self.period = round(_SECOND / rate)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._start = 0
+        self._last = 0
+        self._stamp: int | None = None
+        self._timer: object | None = None
+
+    def start(self) -> None:
+        # Read before the timer begins to count, so that its k-th call never comes before the k-th due time.
+        self._start = self._steady.now().nanoseconds
+        # rclpy truncates seconds to nanoseconds; the half keeps the period exact.
+        self._timer = self._node.create_timer((self.period + 0.5) / _SECOND, self._tick, clock=self._steady)
+
+    def stop(self) -> None:
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+
+    def _tick(self) -> None:
+        now = self._steady.now().nanoseconds
+        number = (now - self._start) // self.period
+        if number <= self._last:
+            return
+        skipped = number - self._last - 1
+        self._last = number
+        due = self._start + number * self.period
+        self._on_due(Due(stamp=self._stamped(due, skipped + 1), lateness=now - due, skipped=skipped))
+
+    def _stamped(self, due: int, periods: int) -> int:
+        """ROS time of a steady time: evenly spaced, led slowly where clocks drift apart, jumping where they jump."""
+        before = self._steady.now().nanoseconds
+        ros = self._node.get_clock().now().nanoseconds
+        after = self._steady.now().nanoseconds
+        measured = ros - (before + after) // 2 + due
+        if self._stamp is None:
+            self._stamp = measured
+            return measured
+        even = self._stamp + periods * self.period
+        away = measured - even
+        if after - before < _READING and abs(away) > _DEAD_BAND:
+            most = self.period // 100
+            even = measured if abs(away) > _JUMP else even + max(-most, min(most, away))
+        self._stamp = even
+        return even
+
+
+class ClockPacer:
+    """Frames due when `/clock` reaches multiples of the period: the same stamps however often `/clock` is published.
+
+    When it jumps back, frames begin again from there; when it jumps ahead, those of the last second are made up for.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        rate: float,
+        on_due: Callable[[Due], None],
+        on_jump_back: Callable[[int, int], None],
+        on_jump_ahead: Callable[[int], None],
+    ) -> None:
+        self._node = node
+        self._rate = Fraction(rate)
+        self._on_due = on_due
+        self._on_jump_back = on_jump_back
+        self._on_jump_ahead = on_jump_ahead
+        self.period = round(_SECOND / rate)
+        self._most = max(1, int(CATCH_UP * rate))
+        self._next: int | None = None
+        self._reached = 0
+        self._guard = node.create_guard_condition(self._serve)
+        self._jump: object | None = None
+
+    def start(self) -> None:
+        threshold = JumpThreshold(
+            min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
+        )
+        self._jump = self._node.get_clock().create_jump_callback(threshold, post_callback=self._moved)
+        self._guard.trigger()
+
+    def stop(self) -> None:
+        if self._jump is not None:
+            self._jump.unregister()  # type: ignore[attr-defined]
+            self._jump = None
+            self._node.destroy_guard_condition(self._guard)
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether /clock has said anything yet."""
+        return self._next is not None
+
+    def _moved(self, _jump: TimeJump) -> None:
+        # Called from within the clock's own update: only say that there is something to do.
+        self._guard.trigger()
+
+    def _due(self, number: int) -> int:
+        return int(number * _SECOND / self._rate)
+
+    def _first_from(self, time: int) -> int:
+        """Number of the first due time at or after a time [ns]."""
+        number = int(time * self._rate / _SECOND)
+        while self._due(number) < time:
+            number += 1
+        return number
+
+    def _serve(self) -> None:
+        now = self._node.get_clock().now().nanoseconds
+        if now == 0:
+            return
+        if self._next is None:
+            self._next = self._first_from(now)
+        elif now < self._reached - self.period:
+            # A step back of less than a frame needs nothing: no frame is due until /clock is where it was.
+            self._next = self._first_from(now)
+            self._on_jump_back(self._reached, now)
+            self._reached = now
+        self._reached = max(self._reached, now)
+        if self._due(self._next) > now:
+            return
+        behind = self._first_from(now + 1) - self._next
+        skipped = max(0, behind - self._most)
+        if skipped:
+            self._next += skipped
+            self._on_jump_ahead(skipped)
+        number = self._next
+        self._next += 1
+        self._on_due(Due(stamp=self._due(number), lateness=0, skipped=skipped))
+        if self._due(self._next) <= now:
+            # One frame a call, so that commands and services are heard while many are made up for.
+            self._guard.trigger()

@@ -1,0 +1,168 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command topics of the grippers. A callback checks a message and queues an event, nothing more."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Bool
+
+from cloth_sim_ros.events import Event, Grasp, Target
+from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.messages import read_stamp
+from cloth_sim_ros.ros.outputs import Tape
+from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate
+from cloth_sim_ros.simulation import EventError
+
+#: Best effort, so that any publisher matches; the newest target is what counts.
+TARGETS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: No grasp may be lost.
+GRASPS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class Commands:
+    """Subscriptions of every gripper of a cloth.
+
+    Args:
+        node: the node.
+        grippers: names.
+        queue: where events wait.
+        check: refuses events that can't take effect, with EventError.
+        frames: brings poses into the cloth's frame.
+        tape: records the bytes as they came.
+        log: for refusals.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        grippers: list[str],
+        queue: EventQueue,
+        check: Callable[[Event], None],
+        frames: FrameTransformer,
+        tape: Tape,
+        log: ThrottledLog,
+    ) -> None:
+        self._clock = node.get_clock()
+        self._queue = queue
+        self._check = check
+        self._frames = frames
+        self._tape = tape
+        self._log = log
+        self._gates = {name: StampGate() for name in grippers}
+        #: Messages that arrived, and of them those that were refused or older than the newest.
+        self.received = 0
+        self.refused = 0
+        self.outdated = 0
+        for gripper in grippers:
+            for leaf, kind, qos, handle in (
+                ("target", PoseStamped, TARGETS, self._target),
+                ("point", PointStamped, TARGETS, self._point),
+                ("grasp", Bool, GRASPS, self._grasp),
+            ):
+                topic = f"~/{gripper}/{leaf}"
+                take = functools.partial(
+                    self._take, gripper, leaf, kind, qos, node.resolve_topic_name(topic, only_expand=True), handle
+                )
+                # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
+                node.create_subscription(kind, topic, _single(take), qos, raw=True)
+
+    def forget_stamps(self) -> None:
+        """Accept any stamp next: the clock was set back, or the cloth was."""
+        for gate in self._gates.values():
+            gate.forget()
+
+    def _take(
+        self,
+        gripper: str,
+        leaf: str,
+        kind: Any,
+        qos: QoSProfile,
+        topic: str,
+        handle: Callable[[str, Any, int], None],
+        data: bytes,
+    ) -> None:
+        now = self._clock.now().nanoseconds
+        self.received += 1
+        if self._tape.running:
+            self._tape.add(topic, kind, data, stamp=now, qos=qos, droppable=False)
+        try:
+            message = deserialize_message(data, kind)
+        except (RuntimeError, UnicodeDecodeError) as error:
+            self._refuse(gripper, leaf, f"its {len(data)} bytes are no {kind.__name__}: {_first_line(error)}")
+            return
+        try:
+            handle(gripper, message, now)
+        except OldStampError as error:
+            self.outdated += 1
+            self._log.warn(f"{leaf} {gripper} old", f"{leaf} of '{gripper}' is dropped: {error}")
+        except (StampError, FrameError, EventError, QueueFullError, ValueError) as error:
+            self._refuse(gripper, leaf, str(error))
+
+    def _refuse(self, gripper: str, leaf: str, reason: str) -> None:
+        self.refused += 1
+        self._log.warn(f"{leaf} {gripper} refused", f"{leaf} of '{gripper}' is refused: {reason}")
+
+    def _target(self, gripper: str, message: PoseStamped, now: int) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        self._aim(gripper, message.header, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), now)
+
+    def _point(self, gripper: str, message: PointStamped, now: int) -> None:
+        p = message.point
+        self._aim(gripper, message.header, (p.x, p.y, p.z), None, now)
+
+    def _aim(
+        self, gripper: str, header: Any, position: tuple[float, ...], orientation: tuple[float, ...] | None, now: int
+    ) -> None:
+        stamp = read_stamp(header.stamp)
+        # What is wrong in itself is said so, whatever its frame and stamp.
+        self._check(Target(gripper, position, orientation))
+        position, orientation = self._frames.to_cloth(header.frame_id, position, orientation, stamp)
+        event = Target(gripper, position, orientation)
+        self._check(event)
+        self._queue.put(event, stamp=self._gates[gripper].accept(stamp, now))
+
+    def _grasp(self, gripper: str, message: Bool, _now: int) -> None:
+        event = Grasp(gripper, bool(message.data))
+        self._check(event)
+        self._queue.put(event, answer=self._tell)
+
+    def _tell(self, outcome: Outcome) -> None:
+        """Say what a grasp did: it has no other answer."""
+        grasp = outcome.grasp
+        if grasp is None:
+            self._log.warn("grasp lost", f"a grasp did not take effect: {outcome.reason}")
+            return
+        if not grasp.closed:
+            done = "is open"
+        elif grasp.held:
+            done = f"is closed and holds {grasp.held} particles"
+        else:
+            done = "is closed and holds nothing"
+        self._log.info(
+            f"grasp {grasp.gripper} {done}",
+            f"gripper '{grasp.gripper}' {done}" + (f": {grasp.reason}" if grasp.reason else ""),
+        )
+
+
+def _single(take: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """Return a function of exactly one argument: rclpy looks at how many a callback could take."""
+
+    def callback(data: bytes) -> None:
+        take(data)
+
+    return callback
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).split("\n", 1)[0].split(",", 1)[0]

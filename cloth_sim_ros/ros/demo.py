@@ -1,0 +1,247 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The demonstration behind `make run`: a hung cloth, grasped by another process, recorded; it ends by itself."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+from tqdm import tqdm
+
+from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
+from cloth_sim_ros.ros.locations import config_file
+from cloth_sim_ros.ros.stopping import StopSignals
+
+_NODE = "/cloth_sim"
+#: The first start compiles the kernels, on a slow machine for long [s].
+_START_LIMIT = 180.0
+#: The cloth settles for this long after the script has ended [s].
+_SETTLING = 1.0
+_STOP_LIMIT = 10.0
+
+
+class DemoError(RuntimeError):
+    """The demonstration did not succeed; the message says why."""
+
+
+@attrs.define
+class Seen:
+    """What the demonstration's own subscriber received."""
+
+    clouds: int = 0
+    values: dict[str, str] = attrs.field(factory=dict)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demonstration; exit status 0 if all of it worked, 130 if a signal ended it."""
+    options = _read(arguments)
+    signals = StopSignals()
+    signals.install()
+    try:
+        script = GripperScript.from_file(options.script)
+        with _domain():
+            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+            try:
+                return _play(options, script, signals)
+            finally:
+                rclpy.try_shutdown()
+    except (DemoError, ScriptError) as error:
+        print(f"\ndemo: {error}", file=sys.stderr)
+        return 1
+
+
+def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="make run", description="A live cloth, grasped through topics and recorded.")
+    parser.add_argument("--folder", default="sessions", help="where the session is recorded (default: %(default)s)")
+    parser.add_argument("--params", default=config_file("cloth_sim.yaml"), help="parameter file of the cloth")
+    parser.add_argument("--script", default=config_file("grasp.yaml"), help="script of the gripper")
+    return parser.parse_args(arguments)
+
+
+@contextlib.contextmanager
+def _domain() -> Iterator[None]:
+    """Keep to this machine, and to a ROS domain of our own unless one is given: no robot in the lab shall move."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if "ROS_DOMAIN_ID" in os.environ:
+        yield
+        return
+    # As ROS 2's own domain_coordinator does: who holds port 32768 + id has domain id.
+    for domain in range(1, 101):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:
+            try:
+                reservation.bind(("", 32768 + domain))
+            except OSError:
+                continue
+            os.environ["ROS_DOMAIN_ID"] = str(domain)
+            yield
+            return
+    raise DemoError("ROS domains 1 to 100 are all taken on this machine; set ROS_DOMAIN_ID")
+
+
+def _play(options: argparse.Namespace, script: GripperScript, signals: StopSignals) -> int:
+    node = Node("cloth_demo")
+    seen = Seen()
+
+    def count(_data: bytes) -> None:
+        seen.clouds += 1
+
+    def note(message: Any) -> None:
+        for status in message.status:
+            if status.name.startswith(_NODE.strip("/")):
+                seen.values = {entry.key: entry.value for entry in status.values}
+
+    node.create_subscription(PointCloud2, f"{_NODE}/points", count, QoSProfile(depth=100), raw=True)
+    node.create_subscription(DiagnosticArray, "/diagnostics", note, QoSProfile(depth=10))
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> bool:
+        executor.spin_once(timeout_sec=0.05)
+        return signals.requested is None
+
+    with tempfile.TemporaryDirectory() as logs, contextlib.ExitStack() as children:
+        print(f"starting the cloth, recording into {options.folder}/ ...", flush=True)
+        cloth = children.enter_context(
+            _Child(
+                "cloth_sim", Path(logs), "cloth_sim_ros.ros.main",
+                "--ros-args", "--params-file", str(options.params),
+                "-p", "record.enabled:=true", "-p", f"record.folder:={options.folder}",
+            )
+        )  # fmt: skip
+        begun = time.monotonic()
+        while seen.clouds == 0:
+            cloth.check_alive()
+            if time.monotonic() - begun > _START_LIMIT:
+                raise DemoError(f"no cloud came within {_START_LIMIT:g} s\n{cloth.log()}")
+            if not spin():
+                return 130
+        print(f"first cloud after {time.monotonic() - begun:.1f} s; grasping ...", flush=True)
+        gripper = children.enter_context(
+            _Child("cloth_gripper", Path(logs), "cloth_sim_ros.ros.gripper_main", str(options.script), "--node", _NODE)
+        )
+        if not _watch(cloth, gripper, script.duration, seen, spin):
+            return 130
+        status = cloth.stop(spin)
+        if status != 0:
+            raise DemoError(f"cloth_sim ended with status {status}\n{cloth.log()}")
+    return _report(seen)
+
+
+def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: Any) -> bool:
+    """Spin until the gripper has played and the cloth has settled; False if a signal came."""
+    begun = time.monotonic()
+    total = duration + _SETTLING
+    bar = tqdm(
+        total=round(total, 1), unit="s", leave=False, disable=None, bar_format="{desc} {bar} {n:.1f}/{total:.1f} s"
+    )
+    ended: float | None = None
+    with bar:
+        while ended is None or time.monotonic() - ended < _SETTLING:
+            if not spin():
+                return False
+            cloth.check_alive()
+            status = gripper.poll()
+            if ended is None and status is not None:
+                if status != 0:
+                    raise DemoError(f"cloth_gripper ended with status {status}\n{gripper.log()}")
+                ended = time.monotonic()
+            bar.n = min(time.monotonic() - begun, total)
+            bar.set_description_str(f"{seen.clouds} frames", refresh=False)
+            bar.refresh()
+    return True
+
+
+def _report(seen: Seen) -> int:
+    values = seen.values
+    published = int(values.get("clouds_published", "0"))
+    path = values.get("recording_file", "")
+    print(f"frames published  {published}, received {seen.clouds}")
+    print(f"late frames       {values.get('late_frames')}")
+    print(f"real-time factor  {float(values.get('real_time_factor_overall', 'nan')):.3f}")
+    print(f"session           {path}")
+    # The console script lies beside this Python; it is what the user types next.
+    command = Path(sys.executable).parent / "cloth_replay"
+    with contextlib.suppress(ValueError):
+        command = command.relative_to(Path.cwd())
+    print(f"look at it        {command} {path}")
+    if not path or not Path(path).is_file():
+        raise DemoError("there is no session file")
+    if seen.clouds == 0 or published == 0:
+        raise DemoError("no frames were published and received")
+    return 0
+
+
+class _Child:
+    """A process of ours, its output kept for the case that it fails; it surely ends with the demonstration."""
+
+    def __init__(self, name: str, folder: Path, module: str, *arguments: str) -> None:
+        self._name = name
+        self._output = folder / f"{name}.log"
+        with self._output.open("wb") as stream:
+            # A group of its own: Ctrl-C comes to us, and we end it in order.
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def __enter__(self) -> _Child:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(_STOP_LIMIT)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+    def poll(self) -> int | None:
+        """Exit status, or None while it runs."""
+        return self._process.poll()
+
+    def log(self) -> str:
+        """What it wrote."""
+        return self._output.read_text(errors="replace")
+
+    def check_alive(self) -> None:
+        """Raise DemoError if it has ended."""
+        status = self._process.poll()
+        if status is not None:
+            raise DemoError(f"{self._name} ended with status {status}\n{self.log()}")
+
+    def stop(self, spin: Any) -> int:
+        """Ask it to stop, keep receiving until it has, and return its exit status."""
+        self._process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        while self._process.poll() is None:
+            spin()
+            if time.monotonic() - begun > _STOP_LIMIT:
+                raise DemoError(f"{self._name} did not stop within {_STOP_LIMIT:g} s\n{self.log()}")
+        return self._process.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node says of itself on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import attrs
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+
+from cloth_sim_ros.ros.messages import set_stamp
+from cloth_sim_ros.ros.outputs import Output, Tape
+
+PERIOD = 1.0
+#: Below this share of real time the cloth is late for good.
+_SLOW = 0.95
+
+
+@attrs.define
+class Tally:
+    """Counts of one node, and what they were when it last reported."""
+
+    #: Frames in which time passed.
+    frames: int = 0
+    #: Due times that passed without their frame being published within its period.
+    late: int = 0
+    #: Wall time that frames took, the longest since the last report and the sum [s].
+    longest: float = 0.0
+    busy: float = 0.0
+    steps: int = 0
+    _reported: tuple[int, int, float] = (0, 0, 0.0)
+    _since: float = attrs.field(factory=time.monotonic)
+    _begun: float = attrs.field(factory=time.monotonic)
+
+    def add(self, *, moved: bool, steps: int, seconds: float) -> None:
+        """Count a frame that took some wall time [s]."""
+        self.frames += moved
+        self.steps = steps if moved else self.steps
+        self.busy += seconds
+        self.longest = max(self.longest, seconds)
+
+    def begin(self) -> None:
+        """Count time from now on."""
+        self._since = self._begun = time.monotonic()
+
+    def overall_factor(self, period: float) -> float:
+        """Simulated time a wall time since the beginning."""
+        return self.frames * period / max(time.monotonic() - self._begun, 1e-9)
+
+    def report(self, period: float) -> dict[str, Any]:
+        """Return rates since the last report, for frames of a simulated period [s]."""
+        now = time.monotonic()
+        elapsed = max(now - self._since, 1e-9)
+        frames, late, busy = self._reported
+        rates = {
+            "real_time_factor": (self.frames - frames) * period / elapsed,
+            "late": self.late - late,
+            "load": (self.busy - busy) / elapsed,
+            "longest": self.longest,
+        }
+        self._reported = (self.frames, self.late, self.busy)
+        self._since, self.longest = now, 0.0
+        return rates
+
+
+class Diagnostics:
+    """Publishes a report.
+
+    Args:
+        node: the node.
+        tape: records it.
+        collect: returns level, summary and values.
+    """
+
+    def __init__(self, node: Node, tape: Tape, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+        self._collect = collect
+        self._clock = node.get_clock()
+        self._status = DiagnosticStatus(name=f"{node.get_fully_qualified_name().strip('/')}: cloth")
+        self._output = Output(node, DiagnosticArray, "/diagnostics", tape)
+
+    def send(self) -> None:
+        """Publish what is so now."""
+        level, summary, values = self._collect()
+        self._status.level = level
+        self._status.message = summary
+        self._status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        if not self._output.wanted:
+            return
+        now = self._clock.now().nanoseconds
+        message = DiagnosticArray(status=[self._status])
+        set_stamp(message.header.stamp, now)
+        self._output.send(bytes(serialize_message(message)), now)
+
+    def flush(self) -> None:
+        """Wait shortly until the last report has arrived."""
+        self._output.flush()

@@ -1,0 +1,93 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events that wait for their frame. Callbacks only put events here; a frame takes those that are due."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import attrs
+
+from cloth_sim_ros.events import Event, Target
+from cloth_sim_ros.grippers import GraspResult
+from cloth_sim_ros.simulation import Frame
+
+#: Waiting events, above which targets give way to newer ones and everything else is refused: a second of 1 kHz targets
+#: of a few grippers.
+MOST_WAITING = 8192
+
+
+@attrs.frozen(kw_only=True)
+class Outcome:
+    """What became of an event."""
+
+    #: The frame in which it took effect; None if it didn't.
+    frame: Frame | None
+    #: For a grasp that took effect.
+    grasp: GraspResult | None = None
+    #: Why it did not take effect.
+    reason: str = ""
+
+
+Answer = Callable[[Outcome], None]
+
+
+@attrs.frozen(kw_only=True)
+class Entry:
+    """A waiting event."""
+
+    event: Event
+    #: The frame that is due at or after this ROS time [ns] takes it; 0 for the next one.
+    stamp: int = 0
+    #: Told what became of it.
+    answer: Answer | None = None
+
+
+class QueueFullError(RuntimeError):
+    """Too many events wait."""
+
+
+class EventQueue:
+    """Events in order of arrival."""
+
+    def __init__(self) -> None:
+        self._entries: list[Entry] = []
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def put(self, event: Event, *, stamp: int = 0, answer: Answer | None = None) -> None:
+        """Let an event wait for its frame.
+
+        Raises:
+            QueueFullError: if too many wait and it is no target, of which the oldest gives way.
+        """
+        if len(self._entries) >= MOST_WAITING:
+            self._make_room(event)
+        self._entries.append(Entry(event=event, stamp=stamp, answer=answer))
+
+    def take(self, due: int) -> list[Entry]:
+        """Remove and return what a frame due at a ROS time [ns] takes: by stamp, equal ones in order of arrival."""
+        ready = [entry for entry in self._entries if entry.stamp <= due]
+        if not ready:
+            return []
+        self._entries = [entry for entry in self._entries if entry.stamp > due]
+        # The newest target of a gripper is the one with the newest stamp; all else is stamped 0 and keeps its order.
+        return sorted(ready, key=lambda entry: entry.stamp)
+
+    def clear(self, reason: str) -> None:
+        """Forget everything that waits, telling why."""
+        entries, self._entries = self._entries, []
+        for entry in entries:
+            if entry.answer is not None:
+                entry.answer(Outcome(frame=None, reason=reason))
+
+    def _make_room(self, event: Event) -> None:
+        for index, entry in enumerate(self._entries):
+            if isinstance(entry.event, Target):
+                del self._entries[index]
+                return
+        raise QueueFullError(
+            f"{MOST_WAITING} commands wait for a frame already, and {type(event).__name__.lower()} is one more; "
+            "is /clock standing still?"
+        )

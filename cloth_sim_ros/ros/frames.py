@@ -1,0 +1,79 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands given in other coordinate frames: transformed where tf2 is installed, refused where it is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.time import Time
+
+from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_matrix
+
+Pose = tuple[tuple[float, ...], tuple[float, ...] | None]
+
+
+class FrameError(ValueError):
+    """A pose that can't be brought into the cloth's frame; the message says why."""
+
+
+class FrameTransformer:
+    """Brings poses into the cloth's frame.
+
+    tf2 is imported, and /tf listened to, when a pose in another frame first comes.
+    """
+
+    def __init__(self, node: Node, frame_id: str) -> None:
+        self._node = node
+        self._frame_id = frame_id
+        self._tf2: Any = None
+        self._buffer: Any = None
+        self._listener: Any = None
+
+    def to_cloth(
+        self, frame_id: str, position: tuple[float, ...], orientation: tuple[float, ...] | None, stamp: int
+    ) -> Pose:
+        """Return position [m] and orientation (or None) in the cloth's frame.
+
+        Args:
+            frame_id: of the command; empty means the cloth's.
+            position: 3 numbers [m].
+            orientation: quaternion x, y, z, w, or None.
+            stamp: ROS time of the command [ns]; zero for the newest transform.
+
+        Raises:
+            FrameError: if there is no way from one frame to the other.
+        """
+        if frame_id in ("", self._frame_id):
+            return position, orientation
+        translation, turn = self._lookup(frame_id, stamp)
+        moved = rotation_matrix(turn) @ np.asarray(position) + translation
+        turned = None if orientation is None else tuple(product(turn, normalised(orientation)).tolist())
+        return tuple(moved.tolist()), turned
+
+    def _lookup(self, frame_id: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:
+        self._listen(frame_id)
+        try:
+            found = self._buffer.lookup_transform(self._frame_id, frame_id, Time(nanoseconds=stamp)).transform
+        except self._tf2.TransformException as error:
+            raise FrameError(
+                f"no transform from '{frame_id}' to the cloth's frame '{self._frame_id}': {error}"
+            ) from error
+        t, r = found.translation, found.rotation
+        return np.array([t.x, t.y, t.z]), normalised([r.x, r.y, r.z, r.w])
+
+    def _listen(self, frame_id: str) -> None:
+        if self._buffer is not None:
+            return
+        try:
+            import tf2_ros
+        except ImportError as error:
+            raise FrameError(
+                f"it is in frame '{frame_id}', the cloth in '{self._frame_id}', and tf2_ros, which would transform it, "
+                f"is not installed; send it in '{self._frame_id}'"
+            ) from error
+        self._tf2 = tf2_ros
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, self._node)

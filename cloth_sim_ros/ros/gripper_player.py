@@ -1,0 +1,123 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A gripper client as any robot has one: finds the cloth's node and plays a script into its command topics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from cloth_sim_ros.ros.gripper_script import GripperScript
+from cloth_sim_ros.ros.messages import set_stamp
+
+#: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after the node was seen [s].
+_SETTLING = 3.0
+
+
+class GripperError(RuntimeError):
+    """The script can't be played; the message says why."""
+
+
+class GripperPlayer:
+    """Plays a script to a cloth's node.
+
+    Args:
+        node: a node of the caller's.
+        script: what to play.
+        target: full name of the cloth's node, e.g. ``/cloth_sim``.
+        proceed: asked again and again; False ends everything early.
+    """
+
+    def __init__(
+        self, node: Node, script: GripperScript, *, target: str, proceed: Callable[[], bool] = lambda: True
+    ) -> None:
+        self._node = node
+        self._script = script
+        self._target = "/" + target.strip("/")
+        self._proceed = proceed
+        prefix = f"{self._target}/{script.gripper}"
+        self._targets = node.create_publisher(PoseStamped, f"{prefix}/target", QoSProfile(depth=10))
+        # Reliable, as the node subscribes it: a lost grasp would drop the cloth.
+        self._grasps = node.create_publisher(
+            Bool, f"{prefix}/grasp", QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+        )
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self.targets_sent = 0
+
+    def wait_for_gripper(self, limit: float) -> bool:
+        """Wait until the cloth's node listens to this gripper, at most `limit` seconds; False if told to end.
+
+        Raises:
+            GripperError: if the node does not come, or has no such gripper.
+        """
+        begun = time.monotonic()
+        seen: float | None = None
+        while self._proceed():
+            if self._targets.get_subscription_count() and self._grasps.get_subscription_count():
+                return True
+            now = time.monotonic()
+            if self._target not in self._node_names():
+                seen = None
+            elif seen is None:
+                seen = now
+            if seen is not None and now - seen > min(_SETTLING, limit):
+                known = ", ".join(self._known_grippers()) or "none"
+                raise GripperError(f"{self._target} has no gripper '{self._script.gripper}'; it has {known}")
+            if now - begun > limit:
+                raise GripperError(
+                    f"no node {self._target} came within {limit:g} s; is it running, in this ROS_DOMAIN_ID?"
+                )
+            self._executor.spin_once(timeout_sec=0.02)
+        return False
+
+    def play(self) -> bool:
+        """Play the script from beginning to end, in the time of the node's clock; False if told to end early."""
+        clock = self._node.get_clock()
+        start = clock.now().nanoseconds
+        waiting = list(self._script.grasps)
+        period = 1.0 / self._script.rate
+        due = time.monotonic()
+        while self._proceed():
+            elapsed = (clock.now().nanoseconds - start) * 1e-9
+            self._send_target(min(elapsed, self._script.duration))
+            while waiting and waiting[0].time <= elapsed:
+                self._grasps.publish(Bool(data=waiting.pop(0).closed))
+            if elapsed > self._script.duration:
+                self._grasps.wait_for_all_acked()
+                return True
+            # By the steady clock, without drift; times that have passed are left out.
+            due = max(due + period, time.monotonic() - period)
+            while (left := due - time.monotonic()) > 0.0:
+                self._executor.spin_once(timeout_sec=left)
+        return False
+
+    def _send_target(self, elapsed: float) -> None:
+        position, orientation = self._script.pose(elapsed)
+        message = PoseStamped()
+        message.header.frame_id = self._script.frame_id
+        set_stamp(message.header.stamp, self._node.get_clock().now().nanoseconds)
+        p, q = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z = position
+        q.x, q.y, q.z, q.w = orientation
+        self._targets.publish(message)
+        self.targets_sent += 1
+
+    def _node_names(self) -> set[str]:
+        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces()}
+
+    def _known_grippers(self) -> list[str]:
+        namespace, _, name = self._target.rpartition("/")
+        topics = self._node.get_subscriber_names_and_types_by_node(name, namespace or "/")
+        prefix, suffix = f"{self._target}/", "/grasp"
+        return sorted(
+            topic[len(prefix) : -len(suffix)]
+            for topic, _ in topics
+            if topic.startswith(prefix) and topic.endswith(suffix)
+        )

@@ -1,0 +1,188 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A scripted grasp: poses over time with smooth motion between them, and when to close and open. No ROS in here."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_vector
+
+Vector = tuple[float, ...]
+
+
+class ScriptError(ValueError):
+    """A script that can't be played; the message says why."""
+
+
+@attrs.frozen(kw_only=True)
+class Waypoint:
+    """Where the gripper rests at a time."""
+
+    #: Since the script's start [s].
+    time: float
+    #: [m], 3 numbers.
+    position: Vector
+    #: Unit quaternion x, y, z, w.
+    orientation: Vector
+
+
+@attrs.frozen(kw_only=True)
+class GraspAt:
+    """When the gripper closes (True) or opens."""
+
+    time: float
+    closed: bool
+
+
+@attrs.frozen(kw_only=True)
+class GripperScript:
+    """What a gripper does, and when."""
+
+    gripper: str
+    #: Coordinate frame of the poses; empty means the cloth's.
+    frame_id: str
+    #: Targets a second.
+    rate: float
+    waypoints: tuple[Waypoint, ...]
+    grasps: tuple[GraspAt, ...]
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> GripperScript:
+        """Read a script.
+
+        Raises:
+            ScriptError: naming the file and what is wrong with it.
+        """
+        import yaml
+
+        try:
+            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ScriptError(f"cannot read the script '{path}': {error}") from error
+        try:
+            return cls.from_dict(content)
+        except ScriptError as error:
+            raise ScriptError(f"{path}: {error}") from error
+
+    @classmethod
+    def from_dict(cls, content: Any) -> GripperScript:
+        """Build a script from what its YAML holds.
+
+        Raises:
+            ScriptError: for a missing, unknown or senseless entry.
+        """
+        entries = _checked(content, "script", needed={"steps"}, known={"gripper", "frame_id", "rate", "steps"})
+        rate = _number(entries.get("rate", 100.0), "rate")
+        if not 0.1 <= rate <= 10000.0:
+            raise ScriptError(f"rate is {rate} Hz; it must be from 0.1 to 10000")
+        if not isinstance(entries["steps"], list) or not entries["steps"]:
+            raise ScriptError("steps must be a list of at least one step")
+        waypoints: list[Waypoint] = []
+        grasps: list[GraspAt] = []
+        before = -math.inf
+        for number, step in enumerate(entries["steps"], start=1):
+            time = _read_step(step, f"step {number}", waypoints, grasps)
+            if time < before or time < 0.0:
+                raise ScriptError(f"step {number} is at {time} s; times must not be negative, nor go back")
+            before = time
+        if not waypoints:
+            raise ScriptError("no step has a position")
+        for first, second in itertools.pairwise(waypoints):
+            if second.time <= first.time:
+                raise ScriptError(f"two positions are at {second.time} s; a gripper is in one place at a time")
+        return cls(
+            gripper=str(entries.get("gripper", "gripper")),
+            frame_id=str(entries.get("frame_id", "")),
+            rate=rate,
+            waypoints=tuple(waypoints),
+            grasps=tuple(grasps),
+        )
+
+    @property
+    def duration(self) -> float:
+        """Time of the last step [s]."""
+        return max([self.waypoints[-1].time, *(grasp.time for grasp in self.grasps)])
+
+    def pose(self, time: float) -> tuple[Vector, Vector]:
+        """Return position [m] and orientation at a time [s]: at rest in each waypoint, least jerk between them."""
+        times = [waypoint.time for waypoint in self.waypoints]
+        behind = bisect.bisect_right(times, time)
+        if behind == 0:
+            return self.waypoints[0].position, self.waypoints[0].orientation
+        start = self.waypoints[behind - 1]
+        if behind == len(times):
+            return start.position, start.orientation
+        end = self.waypoints[behind]
+        u = (time - start.time) / (end.time - start.time)
+        # Least jerk from rest to rest (Flash and Hogan 1985).
+        s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+        position = np.asarray(start.position) + s * (np.asarray(end.position) - np.asarray(start.position))
+        return tuple(position.tolist()), _turned(start.orientation, end.orientation, s)
+
+
+def _read_step(step: Any, name: str, waypoints: list[Waypoint], grasps: list[GraspAt]) -> float:
+    entries = _checked(step, name, needed={"time"}, known={"time", "position", "orientation", "close"})
+    time = _number(entries["time"], f"{name}: time")
+    if not {"position", "close"} & set(entries):
+        raise ScriptError(f"{name} has neither position nor close")
+    if "position" in entries:
+        position = _numbers(entries["position"], 3, f"{name}: position")
+        orientation = waypoints[-1].orientation if waypoints else (0.0, 0.0, 0.0, 1.0)
+        if "orientation" in entries:
+            try:
+                given = normalised(_numbers(entries["orientation"], 4, f"{name}: orientation"))
+            except ValueError as error:
+                raise ScriptError(f"{name}: {error}") from error
+            orientation = tuple(given.tolist())
+        waypoints.append(Waypoint(time=time, position=position, orientation=orientation))
+    elif "orientation" in entries:
+        raise ScriptError(f"{name} has an orientation without a position")
+    if "close" in entries:
+        if not isinstance(entries["close"], bool):
+            raise ScriptError(f"{name}: close is {entries['close']!r}; it must be true or false")
+        grasps.append(GraspAt(time=time, closed=entries["close"]))
+    return time
+
+
+def _checked(content: Any, name: str, *, needed: set[str], known: set[str]) -> dict[str, Any]:
+    if not isinstance(content, Mapping):
+        raise ScriptError(f"{name} is {content!r}; it must have entries {', '.join(sorted(known))}")
+    unknown = sorted(str(key) for key in content if key not in known)
+    if unknown:
+        raise ScriptError(f"{name} has the unknown entry '{unknown[0]}'; known are {', '.join(sorted(known))}")
+    missing = sorted(needed - set(content))
+    if missing:
+        raise ScriptError(f"{name} has no '{missing[0]}'")
+    return dict(content)
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ScriptError(f"{name} is {value!r}; it must be a finite number")
+    return float(value)
+
+
+def _numbers(value: Any, count: int, name: str) -> Vector:
+    if not isinstance(value, list) or len(value) != count:
+        raise ScriptError(f"{name} is {value!r}; it must be a list of {count} numbers")
+    return tuple(_number(entry, name) for entry in value)
+
+
+def _turned(start: Vector, end: Vector, share: float) -> Vector:
+    """Return the orientation at a share of the shortest turn from one to another."""
+    a, b = np.asarray(start), np.asarray(end)
+    vector = share * rotation_vector(a, b)
+    angle = float(np.sqrt(vector @ vector))
+    # sin(angle / 2) / angle -> 1/2 as the turn vanishes.
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+    turn = np.array([*(scale * vector), math.cos(0.5 * angle)])
+    return tuple(normalised(product(turn, a)).tolist())

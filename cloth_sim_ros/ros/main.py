@@ -1,0 +1,117 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command `cloth_sim`: the node in a process of its own, until a signal asks it to stop."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.exceptions import (
+    InvalidNamespaceException,
+    InvalidNodeNameException,
+    InvalidParameterException,
+    InvalidTopicNameException,
+)
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from cloth_sim_ros import __version__
+from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.recording import RecordingUnavailableError
+from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
+
+_BAD_NAMES = (
+    InvalidNamespaceException,
+    InvalidNodeNameException,
+    InvalidParameterException,
+    InvalidTopicNameException,
+)
+#: rclpy raises these from a broken message of a type that it takes itself (/clock, a parameter request); they have no
+#: public name.
+_TAKING_FAILED = ("RCLError", "RMWError")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node.
+
+    Returns:
+        Exit status: 0 when stopped by a signal, 1 if it could not start or its recording could not be closed.
+    """
+    argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
+    parser = argparse.ArgumentParser(
+        prog="cloth_sim",
+        description="A live cloth in a ROS 2 graph. Parameters: --ros-args -p name:=value, or --params-file file.yaml; "
+        "ros2 param describe tells what they mean.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    parser.parse_args(remove_ros_args(argv)[1:])
+    signals = StopSignals()
+    signals.install()
+    try:
+        with signals.interruptible():
+            rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+    except StopRequestedError:
+        return 0
+    except RuntimeError as error:
+        return _refuse(str(error).split(", at ./", 1)[0])
+    try:
+        return _run(signals)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _run(signals: StopSignals) -> int:
+    try:
+        with signals.interruptible():
+            cloth = ClothNode(interruptible=signals.interruptible)
+    except StopRequestedError:
+        return 0
+    except (ParameterError, RuntimeError, *_BAD_NAMES) as error:
+        return _refuse(str(error))
+    started = False
+    try:
+        cloth.warm_up()
+        cloth.start()
+        started = True
+        _spin(cloth, signals)
+    except StopRequestedError:
+        pass
+    except (RecordingUnavailableError, ValueError) as error:
+        if started:
+            raise
+        return _refuse(str(error))
+    finally:
+        saved = cloth.close()
+        cloth.node.destroy_node()
+    return 0 if saved else 1
+
+
+def _spin(cloth: ClothNode, signals: StopSignals) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(cloth.node)
+    log = ThrottledLog(cloth.node.get_logger())
+    while signals.requested is None:
+        try:
+            executor.spin_once()
+        except ExternalShutdownException:
+            return
+        except RuntimeError as error:
+            if type(error).__name__ not in _TAKING_FAILED:
+                raise
+            log.error("take", f"a message could not be taken and is left out: {error}")
+    cloth.node.get_logger().info(f"{signals.requested.name}: stopping")
+
+
+def _refuse(reason: str) -> int:
+    print(f"cloth_sim: {reason}", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

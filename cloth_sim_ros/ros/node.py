@@ -1,0 +1,324 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node: puts together what makes a live cloth of a scene, and lets the frames come when they are due."""
+
+from __future__ import annotations
+
+import datetime
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from cloth_sim_ros.events import Grasp, Reset, SetParameters, Target
+from cloth_sim_ros.ros import diagnostics, parameters
+from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
+from cloth_sim_ros.ros.commands import Commands
+from cloth_sim_ros.ros.event_queue import EventQueue
+from cloth_sim_ros.ros.frames import FrameTransformer
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.outputs import Outputs
+from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecording
+from cloth_sim_ros.ros.services import Services
+from cloth_sim_ros.ros.stepper import Stepper
+from cloth_sim_ros.ros.stopping import StopRequestedError
+from cloth_sim_ros.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.recorder import RecorderStatus
+
+#: How often the node looks after itself [s]; also the longest that a signal waits to be seen.
+_HOUSEKEEPING = 0.1
+#: A paused cloth is shown this often, so that those who come later see it, and no disk fills with the same picture [s].
+_PAUSED_PERIOD = 1.0
+#: Without a word from /clock for this long the node says so [s].
+_CLOCK_PATIENCE = 5.0
+
+
+class ClothNode:
+    """A live cloth: `node` goes to an executor, `start` lets time begin, `close` ends the recording.
+
+    Holds a ROS node instead of being one, so that no name of ours meets one that rclpy keeps to itself.
+
+    Args:
+        name: node name, before remapping.
+        interruptible: context within which a long computation may be interrupted by StopRequestedError.
+        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ...
+
+    Raises:
+        ParameterError: for parameters that make no cloth.
+    """
+
+    def __init__(
+        self,
+        name: str = "cloth_sim",
+        *,
+        interruptible: Callable[[], AbstractContextManager[None]] = nullcontext,
+        **options: Any,
+    ) -> None:
+        self.node = Node(name, automatically_declare_parameters_from_overrides=True, **options)
+        scene = parameters.declare(self.node)
+        self._interruptible = interruptible
+        self._log = ThrottledLog(self.node.get_logger())
+        self._simulation = Simulation(scene)
+        self._queue = EventQueue()
+        self._stepper = Stepper(self._simulation, self._queue, interruptible=interruptible)
+        self._recording = SessionRecording(node_name=self.node.get_fully_qualified_name(), simulation=self._simulation)
+        self._outputs = Outputs(self.node, scene, self._recording)
+        self._commands = Commands(
+            self.node,
+            grippers=scene.gripper_names,
+            queue=self._queue,
+            check=self._simulation.check,
+            frames=FrameTransformer(self.node, scene.frame_id),
+            tape=self._recording,
+            log=self._log,
+        )
+        self._services = Services(
+            self.node,
+            grippers=scene.gripper_names,
+            queue=self._queue,
+            paused=lambda: self._simulation.paused,
+            record=self._record,
+            save_state=self._save_state,
+            seconds=time.monotonic,
+        )
+        self._parameters = parameters.LiveParameters(self.node, scene, self._change_parameters)
+        self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
+        self.tally = diagnostics.Tally()
+        self._pacer: Pacer | None = None
+        self._started = time.monotonic()
+        self._shown: float | None = None
+        self._extras: dict[str, Any] = {}
+        self._failure = ""
+
+    @property
+    def simulation(self) -> Simulation:
+        """The cloth."""
+        return self._simulation
+
+    @property
+    def published(self) -> int:
+        """Clouds published."""
+        return self._outputs.published
+
+    def warm_up(self) -> None:
+        """Compile what a frame needs, on a cloth that is thrown away, ahead of the first frame that is due.
+
+        Raises:
+            ValueError: if the scene can't be stepped.
+            StopRequestedError: if a signal came meanwhile.
+        """
+        begun = time.monotonic()
+        with self._interruptible():
+            scene = self._simulation.scene
+            trial = Simulation(scene)
+            name = scene.gripper_names[:1]
+            place = tuple(trial.positions[-1].tolist())
+            trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
+            trial.state.digest()
+        seconds = time.monotonic() - begun
+        if seconds > 3.0:
+            self.node.get_logger().info(
+                f"compiled the kernels in {seconds:.1f} s; the next start takes them from the cache"
+            )
+
+    def start(self) -> None:
+        """Begin to record, if asked to, and let time begin.
+
+        Raises:
+            RecordingUnavailableError: if the recording can't begin.
+        """
+        scene = self._simulation.scene
+        now = self.node.get_clock().now().nanoseconds
+        if scene.record.enabled:
+            self._recording.begin(now)
+            path = self._recording.wait_until_open()
+            self.node.get_logger().info(f"recording into {path}")
+        self._outputs.start(now)
+        follows_clock = self.node.get_parameter("use_sim_time").value
+        if follows_clock:
+            self._pacer = ClockPacer(
+                self.node,
+                rate=scene.rate,
+                on_due=self._on_due,
+                on_jump_back=self._on_jump_back,
+                on_jump_ahead=self._on_jump_ahead,
+            )
+        else:
+            self._pacer = WallPacer(self.node, rate=scene.rate, on_due=self._on_due)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=steady)
+        self.node.create_timer(diagnostics.PERIOD, self._diagnostics.send, clock=steady)
+        self._started = time.monotonic()
+        self.tally.begin()
+        self._pacer.start()
+        count = self._simulation.state.particle_count
+        grippers = ", ".join(scene.gripper_names) or "none"
+        self.node.get_logger().info(
+            f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}; grippers: {grippers}"
+        )
+
+    def close(self, *, timeout: float = 1.5) -> bool:
+        """End the recording and let no more frames be due; return whether all that was recorded is in its file."""
+        if self._pacer is not None:
+            self._pacer.stop()
+        self._queue.clear("the node stops")
+        if self._pacer is not None:
+            self._diagnostics.send()
+            self._outputs.flush()
+            self._diagnostics.flush()
+        status = self._recording.end(reason="node stopped", timeout=timeout)
+        if status is not None:
+            self._tell_end(status)
+        return status is None or status.state == "closed"
+
+    # Frames
+
+    def _on_due(self, due: Due) -> None:
+        begun = time.monotonic()
+        self._recording.before_frame(due.stamp)
+        try:
+            frame = self._stepper.step(due.stamp)
+        except StopRequestedError:
+            return
+        if self._stepper.refused_parameters:
+            self.node.get_logger().error(f"parameters are set back: {self._stepper.refused_parameters}")
+            self._parameters.return_to(self._simulation.scene)
+        if self._stepper.trouble and not self._failure:
+            self.node.get_logger().error(
+                f"the motion is stopped: {self._stepper.trouble} Set other parameters or call ~/reset, then ~/pause false"
+            )
+        self._failure = self._stepper.trouble
+        shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
+        if frame.moved or frame.events or not shown:
+            self._shown = begun
+            self._recording.add_frame(frame, due.stamp, self._extras)
+            self._extras = {}
+            self._outputs.send(self._simulation.state.x, frame.wrenches, due.stamp)
+        taken = time.monotonic() - begun
+        self.tally.add(moved=frame.moved, steps=frame.advance.steps if frame.advance else 0, seconds=taken)
+        self._count_late(due, taken)
+
+    def _count_late(self, due: Due, taken: float) -> None:
+        if self._pacer is None:
+            return
+        period = self._pacer.period
+        late = due.skipped + (due.lateness + int(taken * 1e9) > period)
+        self.tally.late += late
+        if late and not self.node.get_parameter("use_sim_time").value:
+            self._log.warn(
+                "late",
+                f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms, {self.tally.late} late so far",
+            )
+
+    def _on_jump_back(self, before: int, now: int) -> None:
+        self.node.get_logger().warning(
+            f"/clock went back from {before / 1e9:.3f} s to {now / 1e9:.3f} s: the cloth is reset"
+        )
+        self._commands.forget_stamps()
+        self._queue.clear("/clock went back")
+        self._queue.put(Reset())
+        self._extras = {"clock_jump": [before, now]}
+
+    def _on_jump_ahead(self, skipped: int) -> None:
+        self._log.warn(
+            "ahead",
+            f"/clock is ahead by more than can be made up for: {skipped} frames are left out, the cloth lags behind it",
+        )
+        self._extras = {"skipped": skipped}
+
+    def _change_parameters(self, values: dict[str, Any]) -> None:
+        self._queue.put(SetParameters(values))
+
+    # Recording and state
+
+    def _record(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
+        try:
+            if begin:
+                now = self.node.get_clock().now().nanoseconds
+                self._recording.begin(now)
+                self._outputs.record_topology(now)
+            else:
+                self._recording.end_soon(reason="~/record")
+        except RecordingUnavailableError as error:
+            answer(False, str(error))
+            return
+
+        def told(status: RecorderStatus) -> None:
+            if status.state == "recording":
+                self.node.get_logger().info(f"recording into {status.path}")
+                answer(True, str(status.path))
+            else:
+                self._tell_end(status)
+                answer(not begin and status.state == "closed", status.error or str(status.path))
+
+        self._recording.tell(told)
+
+    def _tell_end(self, status: RecorderStatus) -> None:
+        if status.state == "closed":
+            self.node.get_logger().info(
+                f"recorded {status.messages} messages, {status.bytes_written} bytes, into {status.path}"
+            )
+        else:
+            self.node.get_logger().error(f"the recording did not end well: {status.error}")
+
+    def _save_state(self) -> Path:
+        folder = Path(self._simulation.scene.record.folder).expanduser()
+        folder.mkdir(parents=True, exist_ok=True)
+        time_of_day = datetime.datetime.now(datetime.UTC)
+        name = self.node.get_fully_qualified_name().strip("/").replace("/", "_")
+        path = folder / f"{name}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
+        path.write_bytes(self._simulation.state.to_bytes())
+        return path
+
+    # Once in a while
+
+    def _keep_house(self) -> None:
+        self._services.give_up_waiting()
+        reason = self._recording.poll()
+        if reason:
+            self.node.get_logger().error(f"the recording ended: {reason}")
+        if isinstance(self._pacer, ClockPacer) and not self._pacer.has_clock:
+            silent = time.monotonic() - self._started
+            if silent > _CLOCK_PATIENCE:
+                self._log.warn("clock", f"use_sim_time is set, and for {silent:.0f} s nothing has come on /clock")
+
+    def _report(self) -> tuple[bytes, str, dict[str, str]]:
+        scene = self._simulation.scene
+        rates = self.tally.report(scene.period)
+        values = {
+            "frame": str(self._simulation.frame),
+            "simulated_time": f"{self._simulation.time:.6f}",
+            "paused": str(self._simulation.paused).lower(),
+            "real_time_factor": f"{rates['real_time_factor']:.4f}",
+            "real_time_factor_overall": f"{self.tally.overall_factor(scene.period):.4f}",
+            "late_frames": str(self.tally.late),
+            "load": f"{rates['load']:.4f}",
+            "longest_frame_ms": f"{rates['longest'] * 1e3:.3f}",
+            "steps_per_frame": str(self.tally.steps),
+            "integrator": scene.integrator,
+            "commands_received": str(self._commands.received),
+            "commands_refused": str(self._commands.refused),
+            "commands_outdated": str(self._commands.outdated),
+            "clouds_published": str(self._outputs.published),
+        }
+        status = self._recording.status()
+        values["recording"] = "off" if status is None else status.state
+        if status is not None:
+            values["recording_file"] = str(status.path)
+            values["recording_dropped"] = str(status.dropped)
+        if self._failure:
+            return DiagnosticStatus.ERROR, f"stopped: {self._failure}", values
+        if status is not None and status.state == "failed":
+            return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
+        if rates["late"]:
+            return DiagnosticStatus.WARN, f"{rates['late']} frames late in the last second", values
+        if self._simulation.paused:
+            return DiagnosticStatus.OK, "paused", values
+        return DiagnosticStatus.OK, "running", values

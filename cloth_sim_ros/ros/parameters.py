@@ -1,0 +1,157 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene's parameters as ROS parameters: declared, described, ranged, changed while running."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from cloth_sim_ros.parameters import Parameter, ParameterError
+from cloth_sim_ros.scene import Scene
+
+_TYPES = {
+    "bool": RosParameter.Type.BOOL,
+    "int": RosParameter.Type.INTEGER,
+    "double": RosParameter.Type.DOUBLE,
+    "string": RosParameter.Type.STRING,
+    "bool[]": RosParameter.Type.BOOL_ARRAY,
+    "int[]": RosParameter.Type.INTEGER_ARRAY,
+    "double[]": RosParameter.Type.DOUBLE_ARRAY,
+    "string[]": RosParameter.Type.STRING_ARRAY,
+}
+#: What rclpy declares by itself.
+_FOREIGN = ("use_sim_time", "start_type_description_service")
+_FOREIGN_PREFIX = "qos_overrides."
+
+
+def declare(node: Node) -> Scene:
+    """Declare every parameter of a scene on a node that declared its overrides by itself; return the scene they make.
+
+    Raises:
+        ParameterError: for a value that makes no scene; the message says which and why.
+    """
+    values = {}
+    known = Scene.declared()
+    for entry in known:
+        if node.has_parameter(entry.name):
+            # Declared by the override, of whatever type that has: checked here, where the message says what to do.
+            values[entry.name] = entry.check(_plain(node.get_parameter(entry.name).value))
+            node.undeclare_parameter(entry.name)
+    scene = Scene.from_parameters(values)
+    for entry in known:
+        value = values.get(entry.name, entry.default)
+        node.declare_parameter(
+            entry.name, RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value, describe(entry), True
+        )
+    _warn_of_unknown(node, known)
+    return scene
+
+
+def describe(entry: Parameter) -> ParameterDescriptor:
+    """Return the descriptor of a parameter; what it has no field for is said in its constraints."""
+    constraints = []
+    descriptor = ParameterDescriptor(
+        name=entry.name, type=_TYPES[entry.kind].value, description=entry.description, read_only=not entry.live
+    )
+    if entry.unit:
+        descriptor.description += f" [{entry.unit}]"
+    if entry.choices:
+        constraints.append("one of " + ", ".join(entry.choices))
+    if entry.length is not None:
+        constraints.append(f"{entry.length} entries")
+    limited = entry.least is not None or entry.most is not None
+    if limited and entry.kind == "double":
+        descriptor.floating_point_range = [FloatingPointRange(**_limits(entry, sys.float_info.max, float))]
+    elif limited and entry.kind == "int":
+        descriptor.integer_range = [IntegerRange(**_limits(entry, 2**63 - 1, int))]
+    elif limited:
+        each = "each " if entry.is_array else ""
+        constraints.append(f"{each}from {entry.least} to {entry.most}")
+    if entry.open_least:
+        constraints.append(f"above {entry.least}")
+    constraints.append(
+        "may change while the cloth runs, from the next frame on" if entry.live else "set at start, not changed later"
+    )
+    descriptor.additional_constraints = "; ".join(constraints)
+    return descriptor
+
+
+class LiveParameters:
+    """Lets parameters be set while the cloth runs: checked at once, in force with the next frame.
+
+    Args:
+        node: whose parameters.
+        scene: in force.
+        change: called with what was accepted, flat names and values.
+    """
+
+    def __init__(self, node: Node, scene: Scene, change: Callable[[dict[str, Any]], None]) -> None:
+        self._node = node
+        self._change = change
+        self._names = {entry.name for entry in Scene.declared()}
+        # With what was accepted and waits for its frame, so that two changes in one frame are checked together.
+        self._accepted = scene
+        self._returning = False
+        node.add_on_set_parameters_callback(self._set)
+
+    def return_to(self, scene: Scene) -> None:
+        """Show the values of a scene: a change that was accepted could not take effect after all."""
+        before, now = self._accepted.parameters(), scene.parameters()
+        self._accepted = scene
+        self._returning = True
+        try:
+            self._node.set_parameters(
+                [
+                    RosParameter(entry.name, _TYPES[entry.kind], _listed(now[entry.name]))
+                    for entry in Scene.declared()
+                    if before[entry.name] != now[entry.name]
+                ]
+            )
+        finally:
+            self._returning = False
+
+    def _set(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        values = {change.name: _plain(change.value) for change in changes if change.name in self._names}
+        if not values or self._returning:
+            return SetParametersResult(successful=True)
+        try:
+            self._accepted = self._accepted.changed(values)
+            self._change({name: self._accepted.parameters()[name] for name in values})
+        except (ParameterError, RuntimeError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def _warn_of_unknown(node: Node, known: Sequence[Parameter]) -> None:
+    """Warn of overrides that nothing has declared: a typing error in a parameter file is easily overlooked."""
+    names = [entry.name for entry in known]
+    for name in node.list_parameters([], 0).names:
+        if name in names or name in _FOREIGN or name.startswith(_FOREIGN_PREFIX):
+            continue
+        node.undeclare_parameter(name)
+        close = difflib.get_close_matches(name, names, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        node.get_logger().warning(f"there is no parameter '{name}', what sets it has no effect{hint}")
+
+
+def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> dict[str, Any]:
+    return {
+        "from_value": kind(-largest if entry.least is None else entry.least),
+        "to_value": kind(largest if entry.most is None else entry.most),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return rclpy's arrays (array.array, list) as tuples."""
+    return value if isinstance(value, bool | int | float | str | bytes | None) else tuple(value)
+
+
+def _listed(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,210 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recording of what the node publishes and hears: frames, bytes and snapshots, handed to the session's recorder."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from cloth_sim_ros import __version__, events, parameter_file
+from cloth_sim_ros.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.recorder import Recorder, RecorderStatus
+    from cloth_sim_ros.session.writer import Snapshot
+
+_FRAME_TYPE = "std_msgs/msg/String"
+
+
+class RecordingUnavailableError(RuntimeError):
+    """Nothing can be recorded; the message says why."""
+
+
+class SessionRecording:
+    """One node's recording: at most one at a time, begun and ended at frame boundaries.
+
+    Args:
+        node_name: the node's full name, e.g. ``/cloth_sim``.
+        simulation: what is recorded.
+    """
+
+    def __init__(self, *, node_name: str, simulation: Simulation) -> None:
+        self._node_name = node_name
+        self._simulation = simulation
+        self._recorder: Recorder | None = None
+        self._closing: Recorder | None = None
+        self._last: RecorderStatus | None = None
+        self._told: list[Callable[[RecorderStatus], None]] = []
+
+    @property
+    def running(self) -> bool:
+        """Whether messages are recorded."""
+        return self._recorder is not None
+
+    def begin(self, stamp: int) -> None:
+        """Begin a recording with a snapshot, at a ROS time [ns]; its file is made in the background, see `status`.
+
+        Raises:
+            RecordingUnavailableError: if one runs already, or the libraries for it are missing.
+        """
+        if self._recorder is not None:
+            raise RecordingUnavailableError(f"recording already, into {self._recorder.status().path}")
+        if self._closing is not None:
+            raise RecordingUnavailableError("the recording before is still being closed; ask again")
+        try:
+            from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, session_stem
+        except ImportError as error:
+            raise RecordingUnavailableError(
+                f"recording needs {error.name}, which is not installed: pip install mcap rosbags zstandard lz4"
+            ) from error
+        name = self._node_name.strip("/").replace("/", "_")
+        self._recorder = Recorder(
+            Path(self._simulation.scene.record.folder).expanduser(),
+            snapshot=self._snapshot(),
+            log_time=stamp,
+            stem=session_stem(name, datetime.datetime.now(datetime.UTC)),
+            options=RecorderOptions(),
+        )
+
+    def wait_until_open(self) -> Path:
+        """Wait until the file exists, and return its path.
+
+        Raises:
+            RecordingUnavailableError: if it can't be made; nothing is recorded then.
+        """
+        from cloth_sim_ros.session.errors import RecordingError
+
+        assert self._recorder is not None
+        try:
+            return self._recorder.wait_until_open()
+        except RecordingError as error:
+            self._recorder = None
+            raise RecordingUnavailableError(str(error)) from error
+
+    def status(self) -> RecorderStatus | None:
+        """What the recording does, or how the last one ended; None if there was none."""
+        recorder = self._recorder or self._closing
+        return recorder.status() if recorder is not None else self._last
+
+    def tell(self, listener: Callable[[RecorderStatus], None]) -> None:
+        """Have a listener told, once, when the recording that was just begun has its file, or the one ended is closed."""
+        self._told.append(listener)
+
+    def poll(self) -> str:
+        """Tell listeners what they wait for; return why the recording ended by itself, once, else an empty text."""
+        recorder = self._recorder or self._closing
+        if recorder is None:
+            return ""
+        status = recorder.status()
+        if status.state == "opening" or (self._closing is not None and status.state == "recording"):
+            return ""
+        reason = ""
+        if status.state in ("failed", "closed"):
+            reason = status.error
+            self._recorder = self._closing = None
+            self._last = status
+        told, self._told = self._told, []
+        for listener in told:
+            listener(status)
+        return reason
+
+    def end_soon(self, *, reason: str = "stopped") -> None:
+        """Let what is recorded be written and the file be closed, without waiting for it; see `tell`.
+
+        Raises:
+            RecordingUnavailableError: if nothing is being recorded.
+        """
+        if self._recorder is None:
+            raise RecordingUnavailableError("nothing is being recorded")
+        self._recorder.close(timeout=0.0, reason=reason)
+        self._recorder, self._closing = None, self._recorder
+
+    def end(self, *, reason: str, timeout: float) -> RecorderStatus | None:
+        """Close the recording, if there is one, within a time [s], and return how it went."""
+        recorder = self._recorder or self._closing
+        if recorder is None:
+            return None
+        self._recorder = self._closing = None
+        self._last = recorder.close(reason=reason, timeout=timeout)
+        return self._last
+
+    def before_frame(self, stamp: int) -> None:
+        """Go on in a new file where the present one has reached its limit."""
+        if self._recorder is not None and self._recorder.wants_split:
+            self._recorder.split(self._snapshot(), log_time=stamp)
+
+    def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
+        """Record a message's bytes at a ROS time [ns]."""
+        if self._recorder is not None:
+            self._recorder.record(
+                topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos)
+            )
+
+    def add_frame(self, frame: Frame, stamp: int, extras: dict[str, Any]) -> None:
+        """Record what a frame did, before the messages that show it."""
+        if self._recorder is None:
+            return
+        from cloth_sim_ros.session.cdr import encode_string
+        from cloth_sim_ros.session.frame_record import FrameRecord
+
+        record = FrameRecord(
+            frame=frame.index,
+            time=frame.time,
+            events=tuple(events.to_dict(event) for event in frame.events),
+            integrator=frame.integrator,
+            tolerance=None,
+            steps=frame.advance.steps if frame.advance else 0,
+            digest=self._simulation.state.digest(),
+            paused=self._simulation.paused,
+            extras=extras,
+        )
+        self._recorder.record(
+            f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False
+        )
+
+    def _snapshot(self) -> Snapshot:
+        from cloth_sim_ros.session.writer import Snapshot
+
+        return Snapshot(
+            scene_yaml=parameter_file.dump(self._simulation.scene.parameters()),
+            state=self._simulation.state.to_bytes(),
+            metadata={
+                "node": self._node_name,
+                "period": repr(self._simulation.scene.period),
+                **_versions(),
+                "machine": f"{platform.system()} {platform.machine()}",
+            },
+        )
+
+
+def _versions() -> dict[str, str]:
+    import numba
+    import numpy
+
+    return {
+        "version": __version__,
+        "python": platform.python_version(),
+        "numpy": numpy.__version__,
+        "numba": numba.__version__,
+    }
+
+
+def _type_name(kind: Any) -> str:
+    """Return the full name of a message class, e.g. ``sensor_msgs/msg/PointCloud2``."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+
+
+def _session_qos(qos: QoSProfile) -> Any:
+    from cloth_sim_ros.session.layouts import Qos
+
+    return Qos(
+        reliability="best_effort" if qos.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
+        durability="transient_local" if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
+        depth=qos.depth,
+    )

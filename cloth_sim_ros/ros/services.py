@@ -1,0 +1,139 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node's services. What changes the cloth is queued like any event, and answered after the frame that it changed."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from cloth_sim_ros.events import Event, Grasp, Pause, Reset, Step
+from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
+
+#: How long a service waits for the frame that it asked for before it says that none is due [s].
+PATIENCE = 5.0
+
+
+class Services:
+    """Services of one cloth.
+
+    Args:
+        node: the node.
+        grippers: names.
+        queue: where events wait.
+        paused: whether time stands still.
+        record: begins (True) or ends a recording and tells a function whether that went well and what came of it.
+        save_state: writes the state and returns its file, or raises OSError.
+        seconds: a clock that never stops nor goes back [s].
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        grippers: list[str],
+        queue: EventQueue,
+        paused: Callable[[], bool],
+        record: Callable[[bool, Callable[[bool, str], None]], None],
+        save_state: Callable[[], Path],
+        seconds: Callable[[], float],
+    ) -> None:
+        self._queue = queue
+        self._paused = paused
+        self._record = record
+        self._save_state = save_state
+        self._seconds = seconds
+        self._waiting: list[tuple[float, Future]] = []
+        # A handler that waits for its frame must not keep the frame from being computed.
+        group = ReentrantCallbackGroup()
+        for kind, name, handle in (
+            (Trigger, "~/reset", self._on_reset),
+            (SetBool, "~/pause", self._on_pause),
+            (Trigger, "~/step", self._on_step),
+            (SetBool, "~/record", self._on_record),
+            (Trigger, "~/save_state", self._on_save_state),
+        ):
+            node.create_service(kind, name, handle, callback_group=group)
+        for gripper in grippers:
+            node.create_service(
+                SetBool, f"~/{gripper}/close", functools.partial(self._on_close, gripper), callback_group=group
+            )
+
+    def give_up_waiting(self) -> None:
+        """Answer those that have waited too long for a frame; call it now and then."""
+        now = self._seconds()
+        for asked, future in self._waiting:
+            if now - asked > PATIENCE and not future.done():
+                future.set_result(
+                    Outcome(
+                        frame=None,
+                        reason=f"no frame was due within {PATIENCE:g} s (/clock stands still); it takes effect with the next",
+                    )
+                )
+        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
+
+    async def _ask(self, event: Event) -> Outcome:
+        future: Future = Future()
+
+        def answer(outcome: Outcome) -> None:
+            if not future.done():
+                future.set_result(outcome)
+
+        try:
+            self._queue.put(event, answer=answer)
+        except QueueFullError as error:
+            return Outcome(frame=None, reason=str(error))
+        self._waiting.append((self._seconds(), future))
+        outcome: Outcome = await future
+        return outcome
+
+    async def _on_reset(self, _request: Any, response: Any) -> Any:
+        return _answered(response, await self._ask(Reset()), "reset")
+
+    async def _on_pause(self, request: Any, response: Any) -> Any:
+        done = "paused" if request.data else "running"
+        return _answered(response, await self._ask(Pause(bool(request.data))), done)
+
+    async def _on_step(self, _request: Any, response: Any) -> Any:
+        if not self._paused():
+            response.success, response.message = False, "the cloth is running; pause it first"
+            return response
+        return _answered(response, await self._ask(Step()), "one frame passed")
+
+    async def _on_close(self, gripper: str, request: Any, response: Any) -> Any:
+        outcome = await self._ask(Grasp(gripper, bool(request.data)))
+        grasp = outcome.grasp
+        if grasp is None:
+            return _answered(response, outcome, "")
+        # Closing on nothing did what was asked, and yet not what was wanted.
+        response.success = bool(grasp.held) if grasp.closed else True
+        response.message = f"holds {grasp.held} particles" + (f": {grasp.reason}" if grasp.reason else "")
+        return response
+
+    async def _on_record(self, request: Any, response: Any) -> Any:
+        future: Future = Future()
+        self._record(bool(request.data), lambda success, message: future.set_result((success, message)))
+        response.success, response.message = await future
+        return response
+
+    def _on_save_state(self, _request: Any, response: Any) -> Any:
+        try:
+            response.message = str(self._save_state())
+        except OSError as error:
+            response.success, response.message = False, f"cannot save the state: {error}"
+        else:
+            response.success = True
+        return response
+
+
+def _answered(response: Any, outcome: Outcome, done: str) -> Any:
+    response.success = outcome.frame is not None
+    response.message = outcome.reason if outcome.frame is None else f"{done}, frame {outcome.frame.index}"
+    return response

@@ -1,0 +1,59 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which command is the newest: stamps judged without a ROS graph."""
+
+from __future__ import annotations
+
+import attrs
+
+_SECOND = 1_000_000_000
+#: How far ahead of now a stamp may be [ns].
+AHEAD = _SECOND
+#: After this long without a command [ns] an older stamp counts again: a sender that was restarted, or a bag played once more.
+FORGET = _SECOND
+
+
+class StampError(ValueError):
+    """A stamp that is not used; the message says why."""
+
+
+class OldStampError(StampError):
+    """A stamp older than the newest one."""
+
+
+@attrs.define
+class StampGate:
+    """Judges the stamps of one gripper's commands."""
+
+    _newest: int | None = None
+    _heard: int = 0
+
+    def accept(self, stamp: int, now: int) -> int:
+        """Return the ROS time [ns] from which a command counts.
+
+        Args:
+            stamp: of the command [ns]; zero means now.
+            now: ROS time [ns].
+
+        Raises:
+            OldStampError: if it is older than the newest one.
+            StampError: if it is too far ahead.
+        """
+        effective = stamp or now
+        if effective > now + AHEAD:
+            raise StampError(
+                f"its stamp is {(effective - now) / _SECOND:.3f} s ahead, at most {AHEAD / _SECOND:g} s can wait; are the clocks of "
+                "sender and cloth the same (use_sim_time)?"
+            )
+        silent = now - self._heard
+        if self._newest is not None and effective < self._newest and 0 <= silent < FORGET:
+            raise OldStampError(
+                f"its stamp is {(self._newest - effective) / _SECOND:.3f} s older than that of the newest command"
+            )
+        self._newest = effective
+        self._heard = now
+        return effective
+
+    def forget(self) -> None:
+        """Begin anew: the clock was set back."""
+        self._newest = None

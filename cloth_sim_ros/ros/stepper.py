@@ -1,0 +1,77 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One frame of the simulation at a time, with what waits for it; what goes wrong is told, and the node lives on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+
+from cloth_sim_ros.events import Grasp, Pause, SetParameters
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
+from cloth_sim_ros.simulation import Frame, Simulation
+
+
+class Stepper:
+    """Advances a simulation with the events of a queue.
+
+    Args:
+        simulation: what is advanced.
+        queue: where events wait.
+        interruptible: context within which a long frame may be interrupted; the simulation then stays as it was.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        queue: EventQueue,
+        *,
+        interruptible: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        self._simulation = simulation
+        self._queue = queue
+        self._interruptible = interruptible
+        #: Why the motion was stopped; empty while it goes on.
+        self.trouble = ""
+        #: Why parameters that were accepted could not take effect, in the newest frame; empty if they did.
+        self.refused_parameters = ""
+
+    def step(self, due: int) -> Frame:
+        """Compute the frame that was due at a ROS time [ns].
+
+        Where the motion becomes unstable the commands take effect, time stands still, and `trouble` says why.
+        """
+        entries = self._queue.take(due)
+        self.refused_parameters = ""
+        try:
+            frame = self._advance(entries)
+        except UnstableError as error:
+            self.trouble = str(error)
+            entries = [*entries, Entry(event=Pause(True))]
+            frame = self._advance(entries)
+        except ValueError as error:
+            changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
+            if not changes:
+                raise
+            # Each value was right by itself, and together they are not: the rest must not suffer for it.
+            self.refused_parameters = str(error)
+            entries = [entry for entry in entries if entry not in changes]
+            frame = self._advance(entries)
+        if frame.moved:
+            self.trouble = ""
+        _answer(entries, frame)
+        return frame
+
+    def _advance(self, entries: list[Entry]) -> Frame:
+        with self._interruptible():
+            return self._simulation.advance([entry.event for entry in entries])
+
+
+def _answer(entries: list[Entry], frame: Frame) -> None:
+    # Grasps keep their order through the frame, so that the k-th result is the k-th grasp's.
+    results = iter(frame.grasps)
+    for entry in entries:
+        grasp = next(results) if isinstance(entry.event, Grasp) else None
+        if entry.answer is not None:
+            entry.answer(Outcome(frame=frame, grasp=grasp))
