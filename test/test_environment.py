@@ -1,0 +1,151 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How `make` chooses a Python and makes the environment, without a network: its scripts on made-up machines."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ensurepip", reason="this Python cannot make environments")
+
+ROOT = Path(__file__).resolve().parent.parent
+FIND_PYTHON = ROOT / "scripts" / "find_python.sh"
+
+
+def write_script(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Path:
+    """A folder that is the whole PATH of an x86-64 Linux machine, with no Python yet."""
+    folder = tmp_path / "bin"
+    write_script(folder / "uname", 'case $1 in -s) echo Linux ;; -m) echo "${MACHINE:-x86_64}" ;; esac')
+    (folder / "sh").symlink_to(shutil.which("sh") or "/bin/sh")
+    return folder
+
+
+def find_python(machine: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {"PATH": str(machine), **variables}
+    return subprocess.run([FIND_PYTHON], env=environment, check=False, capture_output=True, text=True)
+
+
+def link_this_python(path: Path) -> None:
+    write_script(path, f'exec {sys.executable} "$@"')
+
+
+def test_a_name_that_does_not_run_is_passed_over(machine: Path) -> None:
+    write_script(machine / "python3.13", "echo 'python3.13: command not found' >&2; exit 127")
+    link_this_python(machine / "python3")
+    found = find_python(machine)
+    assert found.returncode == 0, found.stderr
+    assert Path(found.stdout.strip()).resolve() == Path(sys.executable).resolve()
+
+
+def test_python_that_was_named_is_the_one(machine: Path) -> None:
+    write_script(machine / "python3.13", "echo /never; exit 0")
+    link_this_python(machine / "mine")
+    assert find_python(machine, PYTHON="mine").stdout.strip() != "/never"
+    missing = find_python(machine, PYTHON="absent")
+    assert missing.returncode == 1
+    assert "absent was not found" in missing.stderr
+
+
+def test_no_python_gets_one_sentence(machine: Path) -> None:
+    # A Python of another version answers with its version, as the probe has it print.
+    write_script(machine / "python3", "echo 'is Python 3.8.18'; exit 1")
+    found = find_python(machine)
+    assert found.returncode == 1
+    assert len(found.stderr.splitlines()) == 1
+    assert "Python 3.11, 3.12 or 3.13" in found.stderr
+    assert "python3 is Python 3.8.18" in found.stderr
+
+
+def test_another_processor_gets_one_sentence(machine: Path) -> None:
+    link_this_python(machine / "python3")
+    found = find_python(machine, MACHINE="aarch64")
+    assert found.returncode == 1
+    assert len(found.stderr.splitlines()) == 1
+    assert "x86-64 Linux" in found.stderr
+    assert "installed ROS 2" in found.stderr
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A copy of the files that the environment is made from, with an environment whose pip is ours to command."""
+    folder = tmp_path / "project"
+    (folder / "scripts").mkdir(parents=True)
+    for name in ("setup.py", "setup.cfg", "constraints.txt", "scripts/environment.py"):
+        shutil.copy(ROOT / name, folder / name)
+    # Answers the probe; as pip it counts its calls, installs a package and ends with $PIP_STATUS.
+    fake = (
+        'here=$(dirname "$0")/..\n'
+        '[ "$1" = -m ] || exit 0\n'
+        'echo pip >> "$here/calls"\n'
+        '[ "${PIP_INSTALLS:-1}" = 1 ] && touch "$here/lib/python3/site-packages/package-$$"\n'
+        "exit ${PIP_STATUS:-0}"
+    )
+    write_script(folder / "env" / "bin" / "python", fake)
+    (folder / "env" / "lib" / "python3" / "site-packages").mkdir(parents=True)
+    (folder / "env" / "calls").touch()
+    return folder
+
+
+def make(project: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = project / "env"
+    return subprocess.run(
+        [sys.executable, project / "scripts" / "environment.py", "--folder", environment, "--extras", "demo",
+         "--stamp", environment / "has_demo"],
+        env={**os.environ, **variables}, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+def pip_calls(project: Path) -> int:
+    return len((project / "env" / "calls").read_text().splitlines())
+
+
+def test_an_environment_made_by_hand_is_completed_once(project: Path) -> None:
+    assert make(project).returncode == 0
+    assert (project / "env" / "has_demo").exists()
+    assert not (project / "env" / "unfinished").exists()
+    (project / "setup.py").touch()  # newer, and the same: nothing to do
+    assert make(project).returncode == 0
+    assert pip_calls(project) == 1
+    (project / "constraints.txt").write_text("# other pins\n")
+    assert make(project).returncode == 0
+    assert pip_calls(project) == 2
+
+
+def test_without_a_network_a_working_environment_is_kept(project: Path) -> None:
+    failed = make(project, PIP_STATUS="1", PIP_INSTALLS="0")
+    assert failed.returncode == 1
+    assert "PyPI out of reach" in failed.stdout
+    assert not (project / "env" / "has_demo").exists()
+    assert not (project / "env" / "unfinished").exists()
+    assert make(project).returncode == 0
+    assert pip_calls(project) == 2
+
+
+@pytest.mark.parametrize("cause", ["half installed", "moved"])
+def test_an_environment_in_doubt_is_made_anew(project: Path, cause: str) -> None:
+    if cause == "half installed":
+        assert make(project, PIP_STATUS="1").returncode == 1
+        assert (project / "env" / "unfinished").exists()
+    else:
+        assert make(project).returncode == 0
+        (project / "env" / "made_in").write_text("/another/place\n")
+        (project / "env" / "has_demo").write_text("what it was made from there")
+    # Made anew means with venv, whose pip is a real one: it stops here, for the project's own sources are not there.
+    made = make(project, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
+    assert "making env with Python" in made.stdout
+    assert not (project / "env" / "calls").exists()
+    assert not (project / "env" / "has_demo").exists()
