@@ -55,7 +55,7 @@ class RecorderOptions:
     queue_bytes: int = 256 << 20
     """Droppable messages are dropped while this much waits [bytes]."""
     backlog_bytes: int = 512 << 20
-    """Where even the others pile up to this much, the recording ends: bounded memory, and nothing lost unseen."""
+    """Where even the others pile up to this much, the recording ends behind them: bounded memory, and no holes."""
     split_bytes: int = 0
     """Ask for a new file when one holds this much [bytes]; 0 never."""
     split_seconds: float = 0.0
@@ -81,6 +81,7 @@ class _Split:
 @dataclass(frozen=True, slots=True)
 class _Stop:
     reason: str
+    error: str = ""
 
 
 def session_stem(name: str, start: datetime.datetime) -> str:
@@ -128,6 +129,7 @@ class Recorder:
         self._full_part = -1
         """The newest part that has reached its limit."""
         self._stop_asked = False
+        self._given_up = ""
         self._opened = threading.Event()
         self._status = RecorderStatus(
             state="opening", path=None, bytes_written=0, messages=0, dropped=0, queue_depth=0, queue_bytes=0, error=""
@@ -178,6 +180,9 @@ class Recorder:
             if droppable and waiting + len(data) > self._options.queue_bytes:
                 self._dropped += 1
                 return False
+            if waiting + len(data) > self._options.backlog_bytes:
+                self._give_up(waiting)
+                return False
             self._put(_Message(topic, type_name, data, log_time, publish_time, sequence, qos))
             return True
 
@@ -201,6 +206,8 @@ class Recorder:
             queue_depth=self._put_count - self._taken_count,
             queue_bytes=self._put_bytes - self._taken_bytes,
         )
+        if self._given_up and status.state != "failed":
+            return replace(status, state="failed", error=self._given_up)
         if status.state in ("opening", "recording") and not self._thread.is_alive():
             # Read again: the thread may have ended properly in between.
             state = self._status.state
@@ -217,7 +224,7 @@ class Recorder:
         Where the disk is stuck for longer than `timeout` [s] the file is left as it is, intact but unfinished.
         """
         with self._put_lock:
-            if not self._stop_asked:
+            if not self._stop_asked and self._status.state != "failed":
                 # In this order: an interruption between the two must not leave a thread that is never stopped.
                 self._put(_Stop(reason))
                 self._stop_asked = True
@@ -227,6 +234,15 @@ class Recorder:
             waiting = f"{status.queue_depth} messages were not written within {timeout:g} s; is the disk stuck?"
             return replace(status, state="failed", error=waiting)
         return status
+
+    def _give_up(self, waiting: int) -> None:
+        """End the recording behind what is queued: rather a whole recording that ends than one with holes."""
+        self._given_up = (
+            f"{waiting >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
+            f"the disk of {self._folder} is stuck or too slow"
+        )
+        self._put(_Stop(self._given_up, self._given_up))
+        self._stop_asked = True
 
     def _put(self, item: _Message | _Split | _Stop) -> None:
         self._put_count += 1
@@ -239,9 +255,10 @@ class Recorder:
         try:
             writer = self._new_writer(snapshot, log_time, 0)
         except (OSError, SessionError) as error:
-            self._status = replace(self._status, state="failed", error=_sentence(error, self._folder))
+            with self._put_lock:
+                self._status = replace(self._status, state="failed", error=_sentence(error, self._folder))
+                self._empty_queue()
             self._opened.set()
-            self._empty_queue()
             return
         self._report(writer, "recording")
         self._opened.set()
@@ -257,10 +274,9 @@ class Recorder:
                     writer = self._next_file(writer, item)
                 elif isinstance(item, _Stop):
                     writer.finish(reason=item.reason, notes=self._notes())
-                    self._report(writer, "closed")
+                    self._report(writer, "failed" if item.error else "closed", item.error)
                     return
                 writer.maintain()
-                self._check_backlog()
             except (OSError, SessionError) as error:
                 self._end_early(writer, error)
                 return
@@ -320,21 +336,14 @@ class Recorder:
         size, seconds = self._options.split_bytes, self._options.split_seconds
         return bool(size and writer.bytes_written >= size) or bool(seconds and writer.session_seconds >= seconds)
 
-    def _check_backlog(self) -> None:
-        waiting = self._put_bytes - self._taken_bytes
-        if waiting > self._options.backlog_bytes:
-            raise RecordingError(
-                f"{waiting >> 20} MiB wait to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
-                f"the disk of {self._folder} is too slow"
-            )
-
     def _end_early(self, writer: SessionWriter, error: OSError | SessionError) -> None:
         sentence = _sentence(error, writer.path)
         # The chunk that did not fit is refused again; the file itself is finished or, at worst, intact.
         with contextlib.suppress(OSError, SessionError):
             writer.finish(reason=sentence, notes=self._notes())
-        self._report(writer, "failed", sentence)
-        self._empty_queue()
+        with self._put_lock:
+            self._report(writer, "failed", sentence)
+            self._empty_queue()
 
     def _empty_queue(self) -> None:
         """Give back the memory of what can no longer be written."""
