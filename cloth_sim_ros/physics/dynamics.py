@@ -4,18 +4,39 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Protocol
+
 import numpy as np
 
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.stability import largest_rate
 from cloth_sim_ros.physics.terms.base import Array
 
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.integrators.base import Observer
+
+
+class LeapfrogPlan(Protocol):
+    """A fused loop that takes over the leapfrog of one model, equal to the sum of its terms to rounding."""
+
+    def leapfrog(
+        self, t: float, x: Array, v: Array, step: float, steps: int, observer: Observer | None, weight: float
+    ) -> None:
+        """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
+        weight."""
+
 
 class Dynamics:
-    """Acceleration, energy and stability bounds of a model, as the sum of its terms."""
+    """Acceleration, energy and stability bounds of a model, as the sum of its terms.
 
-    def __init__(self, model: Model) -> None:
+    Args:
+        model: masses, anchors and terms.
+        plan: a fused leapfrog of the same model; without one integrators evaluate the terms one by one.
+    """
+
+    def __init__(self, model: Model, plan: LeapfrogPlan | None = None) -> None:
         self.model = model
+        self.plan = plan
         self._blocks = np.empty((6, model.particle_count))
 
     def acceleration(self, t: float, x: Array, v: Array, out: Array) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 
 import attrs
@@ -16,8 +17,8 @@ from cloth_sim_ros.physics.terms.base import Array
 class Observer(ABC):
     """Integrates quantities along the motion, without changing a bit of it.
 
-    Integrators call it at quadrature points: the sum of weight * g(t, x, v) is the time integral of g over the advance, at the
-    integrator's order.
+    Integrators call it at quadrature points: the sum of weight * g(t, x, v) is the time integral of g over the
+    advance, at the integrator's order.
     """
 
     @abstractmethod
@@ -33,6 +34,11 @@ class UnstableError(RuntimeError):
     """The motion became non-finite, or no step was small enough for it."""
 
 
+#: What may bind a step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (a frame is one step
+#: already), `step` (the user's fixed step).
+BINDING = ("accuracy", "stability", "frame", "step")
+
+
 @attrs.frozen(kw_only=True)
 class Advance:
     """What an integrator did over one stretch of time."""
@@ -42,18 +48,31 @@ class Advance:
     evaluations: int
     #: Smallest step taken [s].
     step: float
-    #: Largest step that is stable by the bounds at the start [s].
+    #: Largest step that is stable by the bounds at the start [s]; infinite for a method that is stable at any step.
     limit: float
-    #: Attempts thrown away because the motion stiffened while they ran.
+    #: Attempts thrown away: the motion stiffened while they ran, or their error was too large.
     rejected: int = 0
+    #: Name of the integrator that ran.
+    integrator: str = ""
+    #: What bound the step, one of `BINDING`.
+    binds: str = ""
+    #: Estimated largest particle position error [m] made over the stretch; None where no tolerance is set.
+    error: float | None = None
+    #: Times that the smallest step was accepted although its error was above the tolerance's share.
+    flagged: int = 0
+    #: The choice in words.
+    reason: str = ""
 
 
 class Integrator(ABC):
     """Advances a state over a stretch of time, in as many steps as it needs, ending exactly on its end."""
 
     name: str
+    #: Order of the error in the step, damping and nonlinearity included.
     order: int
     evaluations_per_step: int
+    #: What it is for, in a line: damping and stiffness.
+    suits: str = ""
 
     @abstractmethod
     def step_limit(self, omega2: float, damping_rate: float) -> float:
@@ -65,6 +84,52 @@ class Integrator(ABC):
     ) -> Advance:
         """Advance ``state`` in place from time t [s] by duration [s].
 
+        What a controller remembers from one call to the next lies in ``state.memory`` under `MEMORY`.
+
         Raises:
             UnstableError: if the motion does not stay finite.
         """
+
+
+#: Name under which a controller keeps its memory in ``State.memory``.
+MEMORY = "stepper"
+
+
+def restart(state: State) -> None:
+    """Forget the controller's memory: after an event the next advance judges its step anew."""
+    state.memory.pop(MEMORY, None)
+
+
+def check_step(step: float | None) -> float | None:
+    """Return a fixed step as it is, None for none.
+
+    Raises:
+        ValueError: if it is not finite and above 0.
+    """
+    if step is not None and not (math.isfinite(step) and step > 0.0):
+        raise ValueError(f"step is {step} s; it must be finite and above 0")
+    return step
+
+
+def check_tolerance(tolerance: float | None) -> float | None:
+    """Return a tolerance as it is, None for none.
+
+    Raises:
+        ValueError: if it is not finite and above 0.
+    """
+    if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise ValueError(f"tolerance is {tolerance} m; it must be finite and above 0")
+    return tolerance
+
+
+def refuse_unstable(step: float, limit: float, name: str) -> None:
+    """Refuse a fixed step above the limit.
+
+    Raises:
+        ValueError: naming step, limit and remedy.
+    """
+    if step > limit:
+        raise ValueError(
+            f"step {step} s is above the stability limit {limit:.6g} s of '{name}'; "
+            "take a smaller step, or 0 to let it choose"
+        )

@@ -28,6 +28,31 @@ def kick_and_drift(x, v, a, half):  # type: ignore[no-untyped-def]
             x[c, i] += half * v[c, i]
 
 
+@numba.njit(**_JIT)
+def kick_whole(x, v, a, step):  # type: ignore[no-untyped-def]
+    """v += step a; x += step v."""
+    for c in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            v[c, i] += step * a[c, i]
+            x[c, i] += step * v[c, i]
+
+
+@numba.njit(**_JIT)
+def largest_distance(x, y):  # type: ignore[no-untyped-def]
+    """Return the largest distance between particles of two arrays (3, n); infinite if any entry is not finite."""
+    largest = 0.0
+    for i in range(x.shape[1]):
+        square = 0.0
+        for c in range(x.shape[0]):
+            d = x[c, i] - y[c, i]
+            square += d * d
+        if not square <= largest:  # catches a NaN too
+            largest = square
+            if not square < np.inf:
+                return np.inf
+    return np.sqrt(largest)
+
+
 @numba.njit(cache=True, nogil=True)
 def all_finite(x, v):  # type: ignore[no-untyped-def]
     """Return whether every entry of both arrays is finite."""

@@ -1,0 +1,93 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Error control of the extrapolated leapfrog: what it remembers, and how it chooses columns and steps.
+
+docs/time_stepping.md has the reasoning; the measurements behind the constants are made by `cloth_bench work-precision`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.integrators.base import MEMORY
+from cloth_sim_ros.physics.integrators.columns import RATIOS
+from cloth_sim_ros.physics.state import State
+
+#: Most columns whose combination is taken; one more is run to judge it.
+MOST_COLUMNS = len(RATIOS) - 1
+#: Share of the tolerance that may be lost in one second: errors of early frames grow while later ones add to them.
+SHARE_PER_SECOND = 0.25
+#: Choices aim at this part of the budget, so that a slow growth does not throw work away.
+AIM = 0.5
+#: Longest time between two judgements by a further column, in stretches.
+LONGEST_WAIT = 16
+#: The smallest step is the stability limit divided by this: below it errors are accepted, flagged and counted.
+FINEST = 64.0
+#: Below this rounding rules [m]: a difference of combinations says nothing.
+ROUNDING = 2e-14
+
+
+@attrs.define
+class Memory:
+    """What one advance tells the next; all of it lies in the state."""
+
+    #: Columns that are combined.
+    columns: int = 1
+    #: Step counts relative to what stability needs, at least 1.
+    refine: float = 1.0
+    #: Stretches until the next judgement by a further column; 0 judges now.
+    wait: int = 0
+    #: What `wait` restarts from.
+    interval: int = 1
+    #: Error of a stretch when last judged [m].
+    error: float = 0.0
+    #: That error relative to the difference of the last two columns' combinations.
+    ratio: float = 1.0
+    #: Largest change of a velocity over that stretch [m/s]: how violent it was.
+    activity: float = 0.0
+    #: Length of the stretches [s]; another length is judged anew.
+    stretch: float = 0.0
+    #: Squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance; negative when unknown.
+    omega2: float = -1.0
+    damping: float = -1.0
+
+    @classmethod
+    def of(cls, state: State) -> Memory:
+        """Read the memory of a state; a fresh one where it has none."""
+        stored = state.memory.get(MEMORY)
+        if stored is None or len(stored) != len(attrs.fields(cls)):
+            return cls()
+        values = stored.tolist()
+        whole = {"columns", "wait", "interval"}
+        return cls(
+            *(
+                int(value) if field.name in whole else value
+                for field, value in zip(attrs.fields(cls), values, strict=True)
+            )
+        )
+
+    def store(self, state: State) -> None:
+        """Write the memory into a state."""
+        state.memory[MEMORY] = np.array(attrs.astuple(self), dtype=np.float64)
+
+
+def cheapest(errors: Sequence[float], refine: float, budget: float, most: int) -> tuple[int, float]:
+    """Return the columns and the refinement that meet a budget with the fewest force evaluations.
+
+    Args:
+        errors: estimated errors [m] of T_1, T_2, ... at the present refinement; T_K's falls as h^(K + 1).
+        refine: present refinement.
+        budget: error that is allowed [m].
+        most: most columns.
+    """
+    best = (1, FINEST, float("inf"))
+    for columns, error in enumerate(errors[:most], start=1):
+        scale = (max(error, ROUNDING) / (AIM * budget)) ** (1.0 / (columns + 1))
+        wanted = min(FINEST, max(1.0, refine * scale))
+        work = wanted * (sum(RATIOS[:columns]) + RATIOS[columns] / LONGEST_WAIT)
+        if work < best[2] and (wanted < FINEST or columns == most):
+            best = (columns, wanted, work)
+    return best[0], best[1]

@@ -1,0 +1,252 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One advance of the extrapolated leapfrog, attempted until it is stable and accurate."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import attrs
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
+from cloth_sim_ros.physics.integrators.control import (
+    AIM,
+    FINEST,
+    LONGEST_WAIT,
+    MOST_COLUMNS,
+    SHARE_PER_SECOND,
+    Memory,
+    cheapest,
+)
+from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
+from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
+from cloth_sim_ros.physics.state import State
+
+#: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
+LONGEST_STRETCH = 0.04
+#: A stretch so much more violent than the one judged last is judged itself.
+LIVELIER = 1.5
+#: Refinement beyond which a judgement asks whether a further column were cheaper.
+COSTLY = 1.5
+_ATTEMPTS = 40
+
+
+class Options(Protocol):
+    """What the loop needs to know of its integrator."""
+
+    name: str
+    tolerance: float | None
+    step: float | None
+    columns: int
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        """Largest stable step [s]."""
+
+
+@attrs.frozen
+class _Choice:
+    """Columns and refinement of an attempt, and whether a further column judges it."""
+
+    columns: int
+    refine: float
+    judge: bool
+
+
+class ControlledAdvance:
+    """Advances a state by one duration; made anew for each."""
+
+    def __init__(
+        self,
+        options: Options,
+        dynamics: Dynamics,
+        state: State,
+        t: float,
+        duration: float,
+        observer: Observer | None,
+    ) -> None:
+        self._options, self._dynamics, self._state, self._observer = options, dynamics, state, observer
+        self._t, self._duration = t, duration
+        self._parts = steps_for(duration, LONGEST_STRETCH)
+        self._stretch = duration / self._parts
+        controlled = options.tolerance is not None
+        self._budget = SHARE_PER_SECOND * self._stretch * options.tolerance if options.tolerance else math.inf
+        memory = Memory.of(state)
+        if abs(memory.stretch - self._stretch) > 1e-6 * self._stretch:
+            memory.stretch, memory.wait = self._stretch, 0
+        self._memory = memory
+        columns = min(memory.columns, options.columns) if controlled else options.columns
+        self._choice = _Choice(columns, memory.refine if controlled else 1.0, controlled and memory.wait <= 0)
+        self._evaluations = self._steps = self._first = self._flagged = 0
+        self._kept: Columns | None = None
+
+    def run(self) -> Advance:
+        """Do it."""
+        options, state, memory = self._options, self._state, self._memory
+        if memory.omega2 < 0.0:
+            memory.omega2, memory.damping = self._dynamics.rates(state.x)
+        limit = options.step_limit(memory.omega2, memory.damping)
+        if options.step is not None:
+            refuse_unstable(options.step, limit, options.name)
+        self._limit = limit
+        start, begun = state.copy(), attrs.evolve(memory)
+        for rejected in range(_ATTEMPTS):
+            if self._observer is not None:
+                self._observer.restart()
+            self._flagged = self._steps = 0
+            error = self._attempt(start)
+            if error is not None:
+                break
+            state.restore(start)
+            memory.omega2, memory.damping = begun.omega2, begun.damping
+        else:
+            raise UnstableError(
+                f"{options.name}: no step down to {self._stretch / self._first:.3g} s "
+                "kept the motion finite and within its stability limit"
+            )
+        memory.store(state)
+        controlled = options.tolerance is not None
+        h = self._stretch / self._first
+        return Advance(
+            steps=self._steps,
+            evaluations=self._evaluations,
+            step=h,
+            limit=limit,
+            rejected=rejected,
+            integrator=options.name,
+            binds=self._binds(),
+            error=error if controlled else None,
+            flagged=self._flagged,
+            reason=self._reason(h),
+        )
+
+    def _binds(self) -> str:
+        if self._options.step is not None:
+            return "step"
+        if self._choice.refine > 1.0:
+            return "accuracy"
+        return "frame" if self._first == 1 else "stability"
+
+    def _reason(self, h: float) -> str:
+        columns = self._choice.columns
+        order = f"order {columns + 1}" + (f" by {columns} runs" if columns > 1 else "")
+        if self._options.tolerance is None:
+            return f"{self._options.name}: {order}, step {h:.3g} s, no tolerance set"
+        held = f"tolerance {self._options.tolerance:g} m"
+        if self._choice.refine > 1.0:
+            return f"{self._options.name}: {order}, step {h:.3g} s set by the {held}"
+        bound = "one step a frame" if self._first == 1 else f"step {h:.3g} s set by stability"
+        return f"{self._options.name}: {order}, {bound}; it holds the {held}"
+
+    def _attempt(self, start: State) -> float | None:
+        """Run all stretches; return the sum of their errors, or None if another choice has to be tried from the
+        start.""" total = 0.0
+        for part in range(self._parts):
+            error = self._part(part)
+            if error is None:
+                return None
+            total += error
+        if self._choice.judge:
+            self._choice = attrs.evolve(self._choice, judge=False)
+        elif self._options.tolerance is not None:
+            self._memory.wait -= 1
+        return total
+
+    def _part(self, part: int) -> float | None:
+        state, choice = self._state, self._choice
+        t = self._t + part * self._stretch
+        longest = self._options.step or SAFETY * self._limit
+        self._first = steps_for(self._stretch, longest / choice.refine)
+        columns = self._columns(part, t)
+        before = columns.evaluations
+        x, v = columns.combine(choice.columns)
+        if not all_finite(x, v):
+            self._evaluations += columns.evaluations - before
+            self._retry(choice.columns, 2.0 * choice.refine)
+            return None
+        error: float | None = 0.0
+        if self._options.tolerance is not None:
+            error = self._error(columns)
+        self._evaluations += columns.evaluations - before
+        if error is None:
+            return None
+        omega2, damping = self._dynamics.rates(x)
+        limit = self._options.step_limit(omega2, damping)
+        if not self._stretch / self._first <= limit and self._options.step is None:
+            self._limit = limit
+            self._retry(choice.columns, choice.refine)
+            return None
+        self._limit = min(self._limit, limit) if part + 1 < self._parts else self._limit
+        self._memory.omega2, self._memory.damping = omega2, damping
+        self._steps += columns.steps
+        state.x[:], state.v[:] = x, v
+        return error
+
+    def _columns(self, part: int, t: float) -> Columns:
+        """The runs of a stretch; those of the first are kept over attempts with the same steps, unless somebody looks
+        on.""" counts = step_counts(self._first, MOST_COLUMNS + 1)
+        if part == 0 and self._kept is not None and self._kept.counts == tuple(counts):
+            return self._kept
+        start = self._state.copy() if part == 0 else self._state
+        columns = Columns(
+            self._dynamics,
+            start,
+            t,
+            self._stretch,
+            counts,
+            observer=self._observer,
+            observed=self._choice.columns,
+        )
+        if part == 0 and self._observer is None:
+            self._kept = columns
+        return columns
+
+    def _retry(self, columns: int, refine: float) -> None:
+        self._choice = _Choice(columns, refine, self._choice.judge)
+
+    def _error(self, columns: Columns) -> float | None:
+        """Return the stretch's estimated error [m], or None after choosing what to try next."""
+        memory, choice = self._memory, self._choice
+        activity = float(largest_distance(columns.combine(choice.columns)[1], self._state.v))
+        if not choice.judge:
+            if choice.columns == 1:
+                estimate = memory.error * max(1.0, activity / memory.activity if memory.activity else 1.0)
+                livelier = activity > LIVELIER * memory.activity
+            else:
+                estimate = columns.difference(choice.columns - 1) * memory.ratio
+                livelier = False
+            if estimate <= self._budget and not livelier:
+                return estimate
+        errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
+        error = errors[-1]
+        accepted = error <= self._budget
+        most = self._options.columns
+        if not accepted or choice.refine > COSTLY:
+            while len(errors) < most and errors[-1] > AIM * self._budget:
+                errors.append(columns.difference(len(errors) + 1))
+        if not accepted and choice.refine >= FINEST:
+            self._flagged += 1
+            accepted = True
+        wanted, refine = cheapest(errors, choice.refine, self._budget, most)
+        if not accepted and wanted == choice.columns:
+            refine = max(refine, min(FINEST, 1.1 * choice.refine))
+        refine = max(refine, 0.5 * choice.refine)
+        self._remember(errors, wanted, refine, activity, error)
+        if accepted:
+            return error
+        self._choice = _Choice(wanted, refine, False)
+        return None
+
+    def _remember(self, errors: list[float], columns: int, refine: float, activity: float, error: float) -> None:
+        """Keep the judgement, scaled to the choice that follows from it."""
+        memory = self._memory
+        finer = self._choice.refine / refine
+        memory.columns, memory.refine, memory.activity = columns, refine, activity
+        memory.error = errors[columns - 1] * finer ** (columns + 1)
+        if columns > 1:
+            memory.ratio = min(1.0, errors[columns - 1] / errors[columns - 2] * finer) if errors[columns - 2] else 1.0
+        calm = memory.error <= AIM * self._budget * 1.01 and error <= self._budget
+        memory.interval = min(LONGEST_WAIT, 2 * memory.interval) if calm else 1
+        memory.wait = memory.interval

@@ -1,0 +1,85 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Equal steps within the stability limit: the loop that the explicit integrators without error control share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, Observer, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.kernels.leapfrog import all_finite
+from cloth_sim_ros.physics.state import State
+
+#: Fraction of the step limit that is used: room for stiffening by stretch within one advance.
+SAFETY = 0.9
+#: How often an advance is repeated with a smaller step before it is given up.
+ATTEMPTS = 12
+
+
+def steps_for(duration: float, step: float) -> int:
+    """Return the least number of equal steps of at most ``step`` that make the duration, up to rounding."""
+    return max(1, math.ceil(duration / step * (1.0 - 1e-12)))
+
+
+def advance_fixed(
+    integrator: Integrator,
+    run: Callable[[float, int], int],
+    dynamics: Dynamics,
+    state: State,
+    duration: float,
+    step: float | None,
+    observer: Observer | None,
+) -> Advance:
+    """Run an explicit method with equal steps; without a given step take `SAFETY` of its limit, smaller if the motion
+    stiffens.
+
+    Args:
+        integrator: gives the limit and the name.
+        run: advances the state by so many steps of h; returns its force evaluations.
+        dynamics: equations of motion.
+        state: advanced in place.
+        duration: time to advance [s].
+        step: the user's largest step [s], or None.
+        observer: told of every new attempt.
+
+    Raises:
+        ValueError: if the given step is above the limit.
+        UnstableError: if the motion does not stay finite.
+    """
+    limit = integrator.step_limit(*dynamics.rates(state.x))
+    if step is not None:
+        refuse_unstable(step, limit, integrator.name)
+    h_most = SAFETY * limit if step is None else step
+    start = state.copy()
+    evaluations = 0
+    for rejected in range(ATTEMPTS):
+        steps = steps_for(duration, h_most)
+        h = duration / steps
+        if observer is not None:
+            observer.restart()
+        evaluations += run(h, steps)
+        finite = all_finite(state.x, state.v)
+        if finite and (step is not None or h <= integrator.step_limit(*dynamics.rates(state.x))):
+            break
+        if step is not None:
+            raise UnstableError(
+                f"the motion became non-finite at a step of {h} s; its limit was {limit:.6g} s at the start"
+            )
+        state.restore(start)
+        h_most = 0.5 * h
+    else:
+        raise UnstableError(f"no step down to {h:.3g} s kept the motion within its stability limit")
+    binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
+    why = f"fixed step of {h:.3g} s" if step is not None else f"{SAFETY:g} of the stability limit {limit:.3g} s"
+    return Advance(
+        steps=steps,
+        evaluations=evaluations,
+        step=h,
+        limit=limit,
+        rejected=rejected,
+        integrator=integrator.name,
+        binds=binds,
+        reason=f"{integrator.name}: {why}, no tolerance set",
+    )

@@ -1,0 +1,56 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Symplectic Euler: the known baseline."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, Observer, check_step
+from cloth_sim_ros.physics.integrators.fixed import advance_fixed
+from cloth_sim_ros.physics.kernels.leapfrog import kick_whole
+from cloth_sim_ros.physics.state import State
+
+
+class SymplecticEuler(Integrator):
+    """``v' = v + h a(t, x, v)``, ``x' = x + h v'``.
+
+    Order 1. One force evaluation a step. Stable for ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial: the damping sees the
+    velocity of the step before).
+
+    Args:
+        step: fixed largest step [s]; None takes 0.9 of the stability limit.
+
+    Raises:
+        ValueError: if the step is not positive.
+    """
+
+    name = "symplectic_euler"
+    order = 1
+    evaluations_per_step = 1
+    suits = "a baseline to compare with; any damping within its limit"
+
+    def __init__(self, step: float | None = None) -> None:
+        self.step = check_step(step)
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        if omega2 == 0.0 and damping_rate == 0.0:
+            return float("inf")
+        half = 0.5 * damping_rate
+        return 2.0 / (half + float(np.sqrt(half * half + omega2)))
+
+    def advance(
+        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+    ) -> Advance:
+        a = np.empty_like(state.x)
+
+        def run(h: float, steps: int) -> int:
+            for k in range(steps):
+                dynamics.acceleration(t + k * h, state.x, state.v, a)
+                if observer is not None:
+                    observer.observe(t + k * h, state.x, state.v, h)
+                kick_whole(state.x, state.v, a, h)
+            return steps
+
+        return advance_fixed(self, run, dynamics, state, duration, self.step, observer)
