@@ -122,6 +122,7 @@ class ClothNode:
             place = tuple(trial.positions[-1].tolist())
             trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
             trial.state.digest()
+            self._recording.prepare()
         seconds = time.monotonic() - begun
         if seconds > 3.0:
             self.node.get_logger().info(
@@ -161,7 +162,8 @@ class ClothNode:
         count = self._simulation.state.particle_count
         grippers = ", ".join(scene.gripper_names) or "none"
         self.node.get_logger().info(
-            f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}; grippers: {grippers}"
+            f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, "
+            f"grippers: {grippers}"
         )
 
     def close(self, *, timeout: float = 1.5) -> bool:
@@ -192,7 +194,7 @@ class ClothNode:
             self._parameters.return_to(self._simulation.scene)
         if self._stepper.trouble and not self._failure:
             self.node.get_logger().error(
-                f"the motion is stopped: {self._stepper.trouble} Set other parameters or call ~/reset, then ~/pause false"
+                f"time is stopped: {self._stepper.trouble}; set other parameters or call ~/reset, then ~/pause false"
             )
         self._failure = self._stepper.trouble
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
@@ -214,7 +216,7 @@ class ClothNode:
         if late and not self.node.get_parameter("use_sim_time").value:
             self._log.warn(
                 "late",
-                f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms, {self.tally.late} late so far",
+                f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms; {self.tally.late} late",
             )
 
     def _on_jump_back(self, before: int, now: int) -> None:
@@ -229,7 +231,7 @@ class ClothNode:
     def _on_jump_ahead(self, skipped: int) -> None:
         self._log.warn(
             "ahead",
-            f"/clock is ahead by more than can be made up for: {skipped} frames are left out, the cloth lags behind it",
+            f"/clock is ahead by more than can be made up for: {skipped} frames are left out for good",
         )
         self._extras = {"skipped": skipped}
 

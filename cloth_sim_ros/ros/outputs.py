@@ -88,11 +88,11 @@ class Outputs:
     """Points, topology, mesh and wrenches of one cloth."""
 
     def __init__(self, node: Node, scene: Scene, tape: Tape) -> None:
-        rows, columns = scene.cloth.resolution
+        height, width = scene.shape
         sheet = scene.sheet
         triangles = sheet.triangles()
         self._frame_id = scene.frame_id
-        self._cloud = CloudMessage(frame_id=scene.frame_id, height=rows, width=columns)
+        self._cloud = CloudMessage(frame_id=scene.frame_id, height=height, width=width)
         self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
         self._points = Output(node, PointCloud2, "~/points", tape, droppable=True)
         self._mesh = Output(node, Marker, "~/mesh", tape, droppable=True)

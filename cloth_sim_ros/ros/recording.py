@@ -47,6 +47,14 @@ class SessionRecording:
         """Whether messages are recorded."""
         return self._recorder is not None
 
+    def prepare(self) -> None:
+        """Load what recording needs, so that no frame is late because of it; nothing where it is not installed."""
+        try:
+            from cloth_sim_ros.session import cdr, frame_record, layouts, recorder, writer  # noqa: F401
+        except ImportError:
+            return
+        layouts.describe(_FRAME_TYPE)
+
     def begin(self, stamp: int) -> None:
         """Begin a recording with a snapshot, at a ROS time [ns]; its file is made in the background, see `status`.
 
@@ -93,7 +101,7 @@ class SessionRecording:
         return recorder.status() if recorder is not None else self._last
 
     def tell(self, listener: Callable[[RecorderStatus], None]) -> None:
-        """Have a listener told, once, when the recording that was just begun has its file, or the one ended is closed."""
+        """Have a listener told, once, when the recording just begun has its file, or the one ended is closed."""
         self._told.append(listener)
 
     def poll(self) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node's services. What changes the cloth is queued like any event, and answered after the frame that it changed."""
+"""The node's services. What changes the cloth is queued like any event, and answered after the frame it changed."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Services:
                 future.set_result(
                     Outcome(
                         frame=None,
-                        reason=f"no frame was due within {PATIENCE:g} s (/clock stands still); it takes effect with the next",
+                        reason=f"no frame was due within {PATIENCE:g} s: /clock stands still; the next one does it",
                     )
                 )
         self._waiting = [entry for entry in self._waiting if not entry[1].done()]

@@ -9,7 +9,7 @@ import attrs
 _SECOND = 1_000_000_000
 #: How far ahead of now a stamp may be [ns].
 AHEAD = _SECOND
-#: After this long without a command [ns] an older stamp counts again: a sender that was restarted, or a bag played once more.
+#: After this long without a command [ns] an older stamp counts again: a sender was restarted, a bag played once more.
 FORGET = _SECOND
 
 
@@ -42,8 +42,8 @@ class StampGate:
         effective = stamp or now
         if effective > now + AHEAD:
             raise StampError(
-                f"its stamp is {(effective - now) / _SECOND:.3f} s ahead, at most {AHEAD / _SECOND:g} s can wait; are the clocks of "
-                "sender and cloth the same (use_sim_time)?"
+                f"its stamp is {(effective - now) / _SECOND:.3f} s ahead, at most {AHEAD / _SECOND:g} s can wait; "
+                "do sender and cloth follow the same clock (use_sim_time)?"
             )
         silent = now - self._heard
         if self._newest is not None and effective < self._newest and 0 <= silent < FORGET:

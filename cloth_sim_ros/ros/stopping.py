@@ -19,8 +19,8 @@ class StopRequestedError(Exception):
 class StopSignals:
     """Takes note of signals. `ros2 launch` sends SIGINT twice on Ctrl-C: the second one changes nothing.
 
-    rclpy's own handlers would shut the context down at once, with a recording still open and frames still to publish; Python's
-    would raise anywhere. Here the loop looks at `requested`, and only what lies within `interruptible` is interrupted.
+    rclpy's own handlers would shut the context down at once, with a recording still open and frames still to publish;
+    Python's would raise anywhere. Here the loop looks at `requested`, and only what is `interruptible` is interrupted.
     """
 
     def __init__(self) -> None:
