@@ -23,7 +23,8 @@ class LeapfrogPlan(Protocol):
         self, t: float, x: Array, v: Array, step: float, steps: int, observer: Observer | None, weight: float
     ) -> None:
         """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
-        weight."""
+        weight.
+        """
 
 
 class Dynamics:

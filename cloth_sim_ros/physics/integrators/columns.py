@@ -4,8 +4,8 @@
 errors.
 
 The predicted midpoint velocity makes the leapfrog's error a series in h^2, h^3, h^4, ... (without damping in h^2,
-h^4, ...; docs/time_stepping.md). K columns with step counts n_1 < ... < n_K are combined with the weights w that solve ``sum w = 1, sum w n^-p = 0`` for p = 2, ..., K:
-the combination T_K has order K + 1.
+h^4, ...; docs/time_stepping.md). K columns with step counts n_1 < ... < n_K are combined with the weights w that solve
+``sum w = 1, sum w n^-p = 0`` for p = 2, ..., K: the combination T_K has order K + 1.
 """
 
 from __future__ import annotations
@@ -90,7 +90,9 @@ class Columns:
 
     def difference(self, columns: int) -> float:
         """Return the largest distance of a particle in T_(K+1) from the same in T_K [m], K = columns; the error of
-        T_K.""" return float(largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0]))
+        T_K.
+        """
+        return float(largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0]))
 
     def _run(self) -> None:
         column = len(self._runs)

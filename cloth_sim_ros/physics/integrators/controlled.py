@@ -92,7 +92,8 @@ class ControlledAdvance:
             refuse_unstable(options.step, limit, options.name)
         self._limit = limit
         start, begun = state.copy(), attrs.evolve(memory)
-        for rejected in range(_ATTEMPTS):
+        rejected = 0
+        while True:
             if self._observer is not None:
                 self._observer.restart()
             self._flagged = self._steps = 0
@@ -101,11 +102,12 @@ class ControlledAdvance:
                 break
             state.restore(start)
             memory.omega2, memory.damping = begun.omega2, begun.damping
-        else:
-            raise UnstableError(
-                f"{options.name}: no step down to {self._stretch / self._first:.3g} s "
-                "kept the motion finite and within its stability limit"
-            )
+            rejected += 1
+            if rejected == _ATTEMPTS:
+                raise UnstableError(
+                    f"{options.name}: no step down to {self._stretch / self._first:.3g} s "
+                    "kept the motion finite and within its stability limit"
+                )
         memory.store(state)
         controlled = options.tolerance is not None
         h = self._stretch / self._first
@@ -142,7 +144,9 @@ class ControlledAdvance:
 
     def _attempt(self, start: State) -> float | None:
         """Run all stretches; return the sum of their errors, or None if another choice has to be tried from the
-        start.""" total = 0.0
+        start.
+        """
+        total = 0.0
         for part in range(self._parts):
             error = self._part(part)
             if error is None:
@@ -186,7 +190,9 @@ class ControlledAdvance:
 
     def _columns(self, part: int, t: float) -> Columns:
         """The runs of a stretch; those of the first are kept over attempts with the same steps, unless somebody looks
-        on.""" counts = step_counts(self._first, MOST_COLUMNS + 1)
+        on.
+        """
+        counts = step_counts(self._first, MOST_COLUMNS + 1)
         if part == 0 and self._kept is not None and self._kept.counts == tuple(counts):
             return self._kept
         start = self._state.copy() if part == 0 else self._state

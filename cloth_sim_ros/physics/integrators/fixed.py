@@ -54,7 +54,8 @@ def advance_fixed(
     h_most = SAFETY * limit if step is None else step
     start = state.copy()
     evaluations = 0
-    for rejected in range(ATTEMPTS):
+    rejected = 0
+    while True:
         steps = steps_for(duration, h_most)
         h = duration / steps
         if observer is not None:
@@ -69,8 +70,9 @@ def advance_fixed(
             )
         state.restore(start)
         h_most = 0.5 * h
-    else:
-        raise UnstableError(f"no step down to {h:.3g} s kept the motion within its stability limit")
+        rejected += 1
+        if rejected == ATTEMPTS:
+            raise UnstableError(f"no step down to {h:.3g} s kept the motion within its stability limit")
     binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
     why = f"fixed step of {h:.3g} s" if step is not None else f"{SAFETY:g} of the stability limit {limit:.3g} s"
     return Advance(

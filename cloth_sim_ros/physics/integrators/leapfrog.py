@@ -19,7 +19,8 @@ class Leapfrog(Integrator):
     starts that with one extra evaluation, so that no history crosses its boundary.
 
     Order 2. One force evaluation a step. Time-reversible and symplectic without damping. An oscillator of angular
-    frequency w and damping rate c is stable for h^2 w^2 / 4 + h c <= 1 (characteristic polynomial; without damping h w <= 2).
+    frequency w and damping rate c is stable for h^2 w^2 / 4 + h c <= 1 (characteristic polynomial; without damping
+    h w <= 2).
 
     Args:
         step: fixed largest step [s]; None takes 0.9 of the stability limit.

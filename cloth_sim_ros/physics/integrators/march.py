@@ -24,8 +24,9 @@ def leapfrog(
 ) -> int:
     """Advance x, v (3, n) in place by leapfrog with a predicted midpoint velocity; return the force evaluations.
 
-    With h the step: ``x_m = x + h/2 v``, ``a' = a(t + h/2, x_m, v + h/2 a)``, ``v' = v + h a'``, ``x' = x_m + h/2 v'``. The midpoint
-    velocity is predicted with the acceleration of the step before, the first with one extra evaluation at the start.
+    With h the step: ``x_m = x + h/2 v``, ``a' = a(t + h/2, x_m, v + h/2 a)``, ``v' = v + h a'``, ``x' = x_m + h/2 v'``.
+    The midpoint velocity is predicted with the acceleration of the step before, the first with one
+    extra evaluation at the start.
 
     Args:
         dynamics: equations of motion.

@@ -16,8 +16,8 @@ from cloth_sim_ros.physics.state import State
 class SymplecticEuler(Integrator):
     """``v' = v + h a(t, x, v)``, ``x' = x + h v'``.
 
-    Order 1. One force evaluation a step. Stable for ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial: the damping sees the
-    velocity of the step before).
+    Order 1. One force evaluation a step. Stable for ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial: the
+    damping sees the velocity of the step before).
 
     Args:
         step: fixed largest step [s]; None takes 0.9 of the stability limit.
