@@ -55,6 +55,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    # What lies beside the code and is not Python: the C kernel that `cloth_bench speed` builds and compares with.
+    package_data={"": ["*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

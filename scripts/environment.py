@@ -20,7 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ("setup.py", "setup.cfg", "constraints.txt")
-PURPOSES = {"demo": "`make run`", "dev": "the tests and tools"}
+PURPOSES = {"demo": "`make run` needs", "dev": "the tests and tools need"}
 
 
 def fingerprint() -> str:
@@ -51,11 +51,11 @@ def install(folder: Path, extras: str) -> None:
     unfinished = folder / "unfinished"
     if is_sound(folder):
         unfinished.touch()
-        say(f"adding to {folder.name} what {purpose} need from PyPI; a minute or two, once ...")
+        say(f"adding to {folder.name} what {purpose} from PyPI; a minute or two, once ...")
     else:
         version = ".".join(map(str, sys.version_info[:3]))
-        say(f"making {folder.name} with Python {version} for {purpose}: real ROS 2 and the rest from PyPI,")
-        say("some 400 MB, one to five minutes with a fast connection, once ...")
+        say(f"making {folder.name} with Python {version} and what {purpose}, real ROS 2 included, from PyPI:")
+        say("some 400 MB, half a minute with a fast connection, minutes with a slow one, once ...")
         if folder.exists():
             shutil.rmtree(folder)
         folder.mkdir()

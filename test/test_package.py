@@ -106,6 +106,13 @@ def test_every_room_is_a_package(setup_arguments: dict[str, object]) -> None:
     assert expected == set(setup_arguments["packages"])  # type: ignore[call-overload]
 
 
+def test_every_file_beside_the_code_is_declared(setup_arguments: dict[str, object]) -> None:
+    patterns = [pattern for patterns in setup_arguments["package_data"].values() for pattern in patterns]  # type: ignore[attr-defined]
+    for path in (ROOT / "cloth_sim_ros").rglob("*"):
+        if path.is_file() and path.suffix not in {".py", ".pyc", ".nbi", ".nbc"}:
+            assert any(path.match(pattern) for pattern in patterns), f"{path} would not be installed"
+
+
 def test_every_data_file_is_declared(setup_arguments: dict[str, object]) -> None:
     declared = {file for _, files in setup_arguments["data_files"] for file in files}  # type: ignore[attr-defined]
     present = {
