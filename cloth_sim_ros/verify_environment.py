@@ -10,40 +10,36 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-#: Packages whose version can change the last bit of a run.
-PACKAGES = ("cloth_sim_ros", "numpy", "scipy", "numba", "llvmlite")
-VERSION = "version."
-MACHINE = "machine."
+#: Packages, beside this one, whose version can change the last bit of a run.
+_PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 
 
 def environment() -> dict[str, str]:
-    """The versions and the machine that this process runs on; a session's metadata holds the recording's."""
-    found = {f"{VERSION}python": platform.python_version()}
-    for package in PACKAGES:
-        found[f"{VERSION}{package}"] = _version(package)
-    found[f"{MACHINE}architecture"] = platform.machine()
-    found[f"{MACHINE}processor"] = _processor()
-    found[f"{MACHINE}system"] = f"{platform.system()} {platform.libc_ver()[0]} {platform.libc_ver()[1]}".strip()
-    return found
+    """Versions and machine of this process, under the names that they have in a session's metadata."""
+    from cloth_sim_ros import __version__
+
+    return {
+        "version": __version__,
+        "python": platform.python_version(),
+        **{package: _version(package) for package in _PACKAGES},
+        "machine": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+    }
 
 
-def differences(recorded: Mapping[str, str], present: Mapping[str, str]) -> list[str]:
-    """What of the environment differs, as ``version.numba 0.67 (recorded) 0.68 (here)``; sorted.
+def differences(recorded: Mapping[str, str]) -> list[str]:
+    """What differs from the environment that a session's metadata tells of, as ``numba 0.67 -> 0.68``.
 
-    Entries that the recording lacks count as different: nothing is known of them.
+    What the recording does not tell is not compared.
     """
     return [
-        f"{key.split('.', 1)[1]} {recorded.get(key, 'unknown')} then, {value} now"
-        for key, value in sorted(present.items())
-        if recorded.get(key) != value
+        f"{'cloth_sim_ros' if key == 'version' else key} {recorded[key]} -> {value}"
+        for key, value in environment().items()
+        if key in recorded and recorded[key] != value
     ]
 
 
 def _version(package: str) -> str:
-    if package == "cloth_sim_ros":
-        from cloth_sim_ros import __version__
-
-        return __version__
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

@@ -28,6 +28,7 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 _MESH = "shape_msgs/msg/Mesh"
 _STRING = "std_msgs/msg/String"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+_WRENCH = "geometry_msgs/msg/WrenchStamped"
 _POSE = "geometry_msgs/msg/PoseStamped"
 
 
@@ -60,12 +61,12 @@ def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int]) -> by
 
 
 def mesh_bytes(scene: Scene) -> bytes:
-    """CDR bytes of the topology: triangles and the sheet as it lies at the start."""
+    """CDR bytes of the topology: triangles and the rest shape, flat in its own x-y plane."""
     triangle, point = message_class("shape_msgs/msg/MeshTriangle"), message_class("geometry_msgs/msg/Point")
     return encode(
         message_class(_MESH)(
             triangles=[triangle(vertex_indices=np.asarray(t, np.uint32)) for t in scene.sheet.triangles()],
-            vertices=[point(x=float(x), y=float(y), z=float(z)) for x, y, z in scene.initial_positions()],
+            vertices=[point(x=float(x), y=float(y), z=float(z)) for x, y, z in scene.sheet.positions()],
         ),
         _MESH,
     )
@@ -93,6 +94,15 @@ def target_bytes(event: Target, log_time: int) -> bytes:
         orientation=message_class("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw),
     )
     return encode(message_class(_POSE)(header=_header(log_time), pose=pose), _POSE)
+
+
+def wrench_bytes(wrench: Sequence[float], log_time: int) -> bytes:
+    """CDR bytes of a force [N] and torque [N m], 6 numbers."""
+    vector = message_class("geometry_msgs/msg/Vector3")
+    values = [float(value) for value in wrench]
+    force, torque = (vector(**dict(zip("xyz", part, strict=True))) for part in (values[:3], values[3:]))
+    both = message_class("geometry_msgs/msg/Wrench")(force=force, torque=torque)
+    return encode(message_class(_WRENCH)(header=_header(log_time), wrench=both), _WRENCH)
 
 
 class SessionMaker:
@@ -150,6 +160,8 @@ class SessionMaker:
         self._write(f"{NODE}/frame", _STRING, change, encode_string(record.to_json()))
         cloud = cloud_bytes(self.simulation.positions, now, self.simulation.scene.cloth.resolution)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
+        for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
+            self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))
         if diagnostics is not None:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
 
@@ -228,6 +240,6 @@ def make_grasp(folder: Path, *, seconds: float = 4.0, stem: str = "grasp", **val
     for k, events in enumerate(carried_corner(scene, seconds)):
         diagnostics = None
         if k % 60 == 59:
-            diagnostics = {"real-time factor": "1.00", "late frames": "0", "recording": "recording"}
+            diagnostics = {"real_time_factor": "1.0000", "late_frames": "0", "recording": "recording"}
         maker.add(events, diagnostics=diagnostics)
     return maker.finish()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.replay.plots import PLOTS
 from cloth_sim_ros.replay.rows import SIM_TIME
+from cloth_sim_ros.replay.stream import target_path
 from cloth_sim_ros.replay.survey import Survey
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 _AZIMUTH, _ELEVATION = 35.0, 14.0
 #: Distance of the eye in radii of what is shown: the viewer's vertical field of view is 55 degrees, and some air.
 _DISTANCE = 1.75
+#: How long a gripper's commanded path stays visible [s].
+_TRAIL_SECONDS = 1.5
 
 Floats = NDArray[np.float64]
 
@@ -47,17 +50,23 @@ def eye_of(survey: Survey) -> tuple[Floats, Floats]:
     return target + _DISTANCE * radius * way, target
 
 
-def blueprint_of(survey: Survey, *, following: bool = False, with_log: bool = True) -> rrb.Blueprint:
-    """The blueprint for a session; `following` keeps the time cursor on the newest frame."""
+def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:
+    """The blueprint for a session; `following` keeps the time cursor on the newest frame, a `picture` has no menus."""
     import rerun.blueprint as rrb
 
     position, target = eye_of(survey)
     floor = float(np.floor(4.0 * survey.low[2]) / 4.0) if abs(survey.low[2]) > 0.3 else 0.0
+    trail = rrb.VisibleTimeRanges(
+        timeline=SIM_TIME,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL_SECONDS),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
     view = rrb.Spatial3DView(
         origin="/world",
         name=f"Cloth, coloured by strain: light 0, red {100.0 * survey.strain_limit:g} %",
         background=rrb.Background(color=[38, 42, 50]),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.25, plane=_plane(min(floor, 0.0)), color=[255, 255, 255, 14]),
+        overrides={target_path(start.name): trail for start in survey.opening.grippers},
         eye_controls=rrb.EyeControls3D(position=position.tolist(), look_target=target.tolist(), eye_up=[0, 0, 1]),
     )
     plots: list[Any] = [
@@ -69,10 +78,12 @@ def blueprint_of(survey: Survey, *, following: bool = False, with_log: bool = Tr
         )
         for path in survey.plots
     ]
-    if with_log:
-        plots.append(rrb.TextLogView(origin="/log", name="What happened"))
+    columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["Body"])
+    plots.append(rrb.TextLogView(origin="/log", name="What happened", columns=columns))
+    panels = [rrb.TopPanel(state="hidden")] if picture else []
     return rrb.Blueprint(
         rrb.Horizontal(view, rrb.Vertical(*plots), column_shares=[2.4, 1.0]),
+        *panels,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(

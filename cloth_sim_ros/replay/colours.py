@@ -17,7 +17,7 @@ ANCHOR = 0x3D7EFFFF
 OPEN_GRIPPER = 0xE8E8E8FF
 CLOSED_GRIPPER = 0x25C26EFF
 HELD = 0x25C26EFF
-TRAIL = 0x25C26E90
+TRAIL = 0x7BE0AAFF
 
 
 def strain_colours(strain: NDArray[np.float32], limit: float, out: NDArray[np.uint32]) -> None:
@@ -36,9 +36,9 @@ def _table() -> NDArray[np.uint32]:
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     even = np.linspace(0.0, along[-1], 256)
     lab = np.stack([np.interp(even, along, corners[:, k]) for k in range(3)], axis=1)
-    rgb = np.round(255.0 * _srgb(lab)).astype(np.uint32)
-    table: NDArray[np.uint32] = (rgb[:, 0] << 24) | (rgb[:, 1] << 16) | (rgb[:, 2] << 8) | np.uint32(0xFF)
-    return table.astype(np.uint32)
+    rgb = np.round(255.0 * _srgb(lab)).astype(np.uint8)
+    rgba = np.concatenate([rgb, np.full((256, 1), 255, np.uint8)], axis=1)
+    return np.ascontiguousarray(rgba).view(">u4")[:, 0].astype(np.uint32)
 
 
 def _srgb(lab: NDArray[np.float64]) -> NDArray[np.float64]:

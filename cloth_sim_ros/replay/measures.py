@@ -7,7 +7,7 @@ slack or shortened. Edges are those of the surface's triangles; on a grid also t
 no direction is favoured. Lengths l0 are those of the recorded rest shape.
 
 The viewer lights a point by its normal alone, whichever side is looked at. So that a sheet shows its bright side, all
-normals are turned over where those of the rest shape face away from the viewer's main light.
+normals are turned over where those of the cloth at its start face away from the viewer's main light.
 
 A grid's clouds are measured by whole-array operations on shifted views, several times faster than by gathering: a long
 session has a hundred million particle positions.
@@ -37,20 +37,27 @@ class Measures(ABC):
         """Write unit normals (n, 3) and strains (n,) of positions xyz (n, 3) [m] into the given arrays."""
 
 
-def measures_of(triangles: NDArray[np.uint32], rest: NDArray[np.float64], rows: int, columns: int) -> Measures:
-    """Measures for clouds of rows x columns particles whose rest shape (n, 3) and triangles (m, 3) were recorded.
+def measures_of(
+    triangles: NDArray[np.uint32], rest: NDArray[np.float64], start: NDArray[np.float64], rows: int, columns: int
+) -> Measures:
+    """Measures for clouds of rows x columns particles; a cloud of one row is that of a mesh.
 
-    A cloud of one row is that of a mesh.
+    Args:
+        triangles: particles of each triangle, shape (m, 3).
+        rest: rest shape [m], shape (n, 3), in any frame.
+        start: positions from which the bright side is taken [m], shape (n, 3).
+        rows: height of the clouds.
+        columns: width of the clouds.
     """
     if rows > 1 and columns > 1:
-        return GridMeasures(rest, rows, columns)
-    return MeshMeasures(triangles, rest)
+        return GridMeasures(rest, start, rows, columns)
+    return MeshMeasures(triangles, rest, start)
 
 
 class MeshMeasures(Measures):
     """Any triangulated surface: normals are means over triangles, weighted by area."""
 
-    def __init__(self, triangles: NDArray[np.uint32], rest: NDArray[np.float64]) -> None:
+    def __init__(self, triangles: NDArray[np.uint32], rest: NDArray[np.float64], start: NDArray[np.float64]) -> None:
         faces = np.asarray(triangles, dtype=np.intp)
         self._faces = faces
         self._corner_order, self._corner_starts, self._used = _grouped(faces.T.ravel())
@@ -62,7 +69,7 @@ class MeshMeasures(Measures):
         self._end_order, self._end_starts, _ = _grouped(ends.T.ravel())
         self._corner_order %= max(len(faces), 1)
         self._end_order %= max(len(ends), 1)
-        self._sign = np.float32(_bright_side(self._areas(np.ascontiguousarray(rest.T, dtype=np.float32))))
+        self._sign = np.float32(_bright_side(self._areas(np.ascontiguousarray(start.T, dtype=np.float32))))
 
     def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
         """As in `Measures`."""
@@ -91,14 +98,15 @@ class MeshMeasures(Measures):
 class GridMeasures(Measures):
     """A grid of rows x columns particles: normals from differences along rows and columns."""
 
-    def __init__(self, rest: NDArray[np.float64], rows: int, columns: int) -> None:
+    def __init__(self, rest: NDArray[np.float64], start: NDArray[np.float64], rows: int, columns: int) -> None:
         self._shape = (rows, columns)
         grid = np.ascontiguousarray(rest.T.reshape(3, rows, columns))
         self._inverse_rest2 = [
             (1.0 / np.maximum(((far - near) ** 2).sum(axis=0), 1e-24)).astype(np.float32)
             for near, far in _families(grid)
         ]
-        along, down = np.gradient(grid, axis=2), np.gradient(grid, axis=1)
+        place = start.T.reshape(3, rows, columns)
+        along, down = np.gradient(place, axis=2), np.gradient(place, axis=1)
         self._sign = np.float32(_bright_side(np.cross(along, down, axis=0).reshape(3, -1)))
 
     def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:

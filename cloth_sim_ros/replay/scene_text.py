@@ -43,20 +43,17 @@ class Opening:
     def anchored(self, rows: int, columns: int) -> NDArray[np.intp]:
         """Numbers of the anchored particles of a grid; of a mesh (one row), those given by number."""
         grid = np.arange(rows * columns, dtype=np.intp).reshape(rows, columns)
-        ends = {"top": np.s_[0, :], "bottom": np.s_[-1, :], "left": np.s_[:, 0], "right": np.s_[:, -1]}
+        lines = {"top": grid[0], "bottom": grid[-1], "left": grid[:, 0], "right": grid[:, -1]}
         corners = {
-            f"{row}_{side}": (at, along)
-            for row, at in (("top", 0), ("bottom", -1))
-            for side, along in (("left", 0), ("right", -1))
+            f"{row}_{side}": lines[row][[at]] for row in ("top", "bottom") for side, at in (("left", 0), ("right", -1))
         }
+        known = {**lines, **corners}
         found: set[int] = set()
         for name in self.anchors:
             if name.isdecimal() and int(name) < grid.size:
                 found.add(int(name))
-            elif rows > 1 and name in ends:
-                found.update(grid[ends[name]].tolist())
-            elif rows > 1 and name in corners:
-                found.add(int(grid[corners[name]]))
+            elif rows > 1 and name in known:
+                found.update(known[name].tolist())
         return np.array(sorted(found), dtype=np.intp)
 
 

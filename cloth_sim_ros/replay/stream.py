@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, ex
 from cloth_sim_ros.replay.rows import Moment, Rows
 from cloth_sim_ros.replay.survey import Survey, check_fit
 from cloth_sim_ros.session.cdr import decode, decode_cloud
-from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import read_frame
 
@@ -28,6 +27,16 @@ _BATCH = 12 << 20
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
+
+
+class _Shown(NamedTuple):
+    """A cloud, measured."""
+
+    moment: Moment
+    xyz: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    strain: NDArray[np.float32]
+    held: dict[str, NDArray[np.float32]]
 
 
 class Stream:
@@ -54,13 +63,11 @@ class Stream:
         self._anchored = survey.opening.anchored(survey.rows, survey.columns)
         self._grippers = GripperTracks(survey.opening, self._anchored)
         self._before: Message | None = None
-        self._record: FrameRecord | None = None
-        self._record_time = -1
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
         self._mesh = self._table(CLOTH, rr.Mesh3D, ragged=("vertex_positions", "vertex_normals", "vertex_colors"))
         self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
-        self._kept: tuple[Moment, Message] | None = None
+        self._kept: _Shown | None = None
         #: Clouds that were in the messages, and those that were shown.
         self.clouds_seen = self.clouds_shown = 0
         self._start()
@@ -112,7 +119,7 @@ class Stream:
     def finish(self) -> None:
         """Show what was held back, and send what waits."""
         if self._kept is not None:
-            self._show_cloud(*self._kept)
+            self._show(self._kept)
             self._kept = None
         self.flush()
 
@@ -150,19 +157,18 @@ class Stream:
                 static=True,
             )
             recording.log(
-                f"{path}/target",
+                target_path(start.name),
                 rr.Points3D.from_fields(colors=np.array([colours.TRAIL], np.uint32), radii=[0.0022 * size]),
                 static=True,
             )
             recording.log(
-                f"/world/held/{start.name}",
+                held_path(start.name),
                 rr.Points3D.from_fields(colors=np.array([colours.HELD], np.uint32), radii=[0.0055 * size]),
                 static=True,
             )
 
     def _add_frame(self, message: Message) -> None:
         record = read_frame(message)
-        self._record, self._record_time = record, message.log_time
         moment = self._moment = Moment(record.time, message.log_time, record.frame)
         self._grippers.advance(record, self._positions_before)
         self._scalar("plots/steps/steps", moment, float(record.steps))
@@ -186,37 +192,41 @@ class Stream:
         )
         colour = np.uint32(colours.CLOSED_GRIPPER if closed else colours.OPEN_GRIPPER)
         self._table(f"{path}/body", rr.Ellipsoids3D).add(moment, colors=colour)
+        self._table(target_path(name), rr.Points3D).add(moment, positions=target[:3].astype(np.float32))
 
     def _add_cloud(self, message: Message) -> None:
         self._before = message
         self.clouds_seen += 1
-        if self._only is not None:
-            if self._moment.sim_time <= self._only or self._kept is None:
-                self._kept = (self._moment, message)
-        elif (self.clouds_seen - 1) % self._every == 0:
-            moment = self._moment if message.log_time == self._record_time else None
-            self._show_cloud(moment or self._moment._replace(ros_time=message.log_time), message)
-            if sum(table.size for table in self._tables.values()) >= _BATCH:
-                self.flush()
-
-    def _show_cloud(self, moment: Moment, message: Message) -> None:
-        import rerun as rr
-
+        if (self.clouds_seen - 1) % self._every:
+            return
         cloud = decode_cloud(message.data)
         check_fit(cloud, len(self._survey.opening.positions))
         xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float32)
         normals, strain = np.empty_like(xyz), np.empty(len(xyz), np.float32)
         self._survey.measures.measure(xyz, normals, strain)
+        # A cloud whose frame's record was lost is shown at the last simulated time that is known.
+        moment = self._moment._replace(ros_time=message.log_time)
+        self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
+        held = {name: xyz[track.held] for name, track in self._grippers.tracks.items()}
+        shown = _Shown(moment, xyz, normals, strain, held)
+        if self._only is None:
+            self._show(shown)
+        elif self._kept is None or moment.sim_time <= self._only:
+            self._kept = shown
+        if sum(table.size for table in self._tables.values()) >= _BATCH:
+            self.flush()
+
+    def _show(self, shown: _Shown) -> None:
+        import rerun as rr
+
+        moment, xyz, normals, strain, held = shown
         colour = np.empty(len(xyz), np.uint32)
         colours.strain_colours(strain, self._survey.strain_limit, colour)
         self._mesh.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
-        self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
         if len(self._anchored):
             self._pins.add(moment, positions=xyz[self._anchored])
-        for name, track in self._grippers.tracks.items():
-            self._table(f"/world/held/{name}", rr.Points3D, ragged=("positions",)).add(
-                moment, positions=xyz[track.held]
-            )
+        for name, places in held.items():
+            self._table(held_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=places)
         self.clouds_shown += 1
 
     def _add_wrench(self, message: Message) -> None:
@@ -254,6 +264,16 @@ _LEVELS = {10: "DEBUG", 20: "INFO", 30: "WARN", 40: "ERROR", 50: "CRITICAL"}
 def gripper_path(name: str) -> str:
     """Entity path of a gripper."""
     return f"/world/grippers/{name}"
+
+
+def target_path(name: str) -> str:
+    """Entity path of the places that a gripper is commanded to."""
+    return f"/world/targets/{name}"
+
+
+def held_path(name: str) -> str:
+    """Entity path of the particles that a gripper holds."""
+    return f"/world/held/{name}"
 
 
 def _story(event: Any, grippers: GripperTracks) -> str:

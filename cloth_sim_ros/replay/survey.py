@@ -39,7 +39,7 @@ class Survey:
     triangles: NDArray[np.uint32]
     measures: Measures
     normal: NDArray[np.float64]
-    """Mean normal of the rest shape, shape (3,)."""
+    """Mean normal of the cloth at its start, shape (3,)."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     """Corners of the box that holds cloth and grippers [m]."""
@@ -77,18 +77,18 @@ def survey(reader: SessionReader, *, strain_limit: float | None = None, followed
         if measures is None:
             rows, columns = cloud.height, cloud.width
             check_fit(cloud, len(rest))
-            measures = measures_of(surface.triangles, rest, rows, columns)
+            measures = measures_of(surface.triangles, rest, opening.positions, rows, columns)
         check_fit(cloud, len(rest))
         measures.measure(cloud.xyz, normals, strain)
         strains.append(float(np.quantile(strain, 1.0 - _BEYOND)))
         low, high = np.minimum(low, cloud.xyz.min(axis=0)), np.maximum(high, cloud.xyz.max(axis=0))
     if measures is None:
         rows, columns = 1, len(rest)
-        measures = measures_of(surface.triangles, rest, rows, columns)
+        measures = measures_of(surface.triangles, rest, opening.positions, rows, columns)
     grips = np.array(gathered.grips).reshape(-1, 3)
     if len(grips):
         low, high = np.minimum(low, grips.min(axis=0)), np.maximum(high, grips.max(axis=0))
-    measures.measure(np.ascontiguousarray(rest, dtype=np.float32), normals, strain)
+    measures.measure(np.ascontiguousarray(opening.positions, dtype=np.float32), normals, strain)
     # A snap when the cloth is let go lasts a few frames, and may be shown in one colour.
     usual = float(np.quantile(strains, 0.9)) if strains else 0.0
     always = {"plots/strain", "plots/steps"}
@@ -132,8 +132,8 @@ class _Gathered:
         windows = _windows(reader, samples)
         first = windows[0][0]
         if first is not None:
-            # Diagnostics come once a second or so: a cloud's own stretch may hold none.
-            for message in reader.messages([DIAGNOSTICS_TOPIC], start=first, end=first + _PERIODIC):
+            # What comes before a stretch's first cloud is not all there is: diagnostics come once a second or so.
+            for message in reader.messages(start=first, end=first + _PERIODIC):
                 self._note(message)
         for start, end in windows:
             due = start

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer as a process of its own: without a screen for pictures, and the checks before one is opened on a screen."""
+"""The viewer as a process of its own: without a screen for pictures, and the check before one opens on a screen."""
 
 from __future__ import annotations
 

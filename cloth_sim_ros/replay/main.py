@@ -1,0 +1,115 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`cloth_replay`: shows a recorded session in the Rerun viewer, or saves it as .rrd or as a picture. Needs no ROS."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cloth_sim_ros.replay.viewer import ViewerError
+from cloth_sim_ros.session.errors import SessionError
+
+#: Exit statuses: what was asked for was done; it cannot be done here; the session or the command line is at fault.
+DONE, CANNOT, WRONG = 0, 1, 2
+
+_LARGEST_SIZE = 8192
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; its exit status."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    _check(parser, options)
+    if importlib.util.find_spec("rerun") is None:
+        print("cloth_replay needs the Rerun viewer: pip install 'cloth_sim_ros[replay]'", file=sys.stderr)
+        return CANNOT
+    from cloth_sim_ros.replay import show
+
+    try:
+        if options.screenshot is not None:
+            show.save_picture(
+                options.session,
+                options.screenshot,
+                at=options.at,
+                size=options.size,
+                strain_limit=options.strain_limit,
+            )
+        elif options.save is not None:
+            show.save_recording(
+                options.session,
+                options.save,
+                every=options.every,
+                strain_limit=options.strain_limit,
+                follow=options.follow,
+            )
+        else:
+            show.open_viewer(
+                options.session, every=options.every, strain_limit=options.strain_limit, follow=options.follow
+            )
+    except SessionError as error:
+        print(f"cloth_replay: {error}", file=sys.stderr)
+        return WRONG
+    except ViewerError as error:
+        print(f"cloth_replay: {error}", file=sys.stderr)
+        return CANNOT
+    except OSError as error:
+        print(f"cloth_replay: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        return CANNOT
+    except KeyboardInterrupt:
+        return CANNOT
+    return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cloth_replay",
+        description="Show a recorded cloth session in the Rerun viewer, or save it as a recording or a picture of it.",
+    )
+    parser.add_argument("session", nargs="+", type=Path, help="session.mcap; all files of a split session, in order")
+    output = parser.add_mutually_exclusive_group()
+    output.add_argument("--save", metavar="OUT.rrd", type=Path, help="write a Rerun recording instead of showing it")
+    output.add_argument(
+        "--screenshot", metavar="OUT.png", type=Path, help="save a picture; needs neither a screen nor a GPU"
+    )
+    parser.add_argument("--at", metavar="SECONDS", type=float, help="simulated time of the picture; default: the end")
+    parser.add_argument(
+        "--size", metavar="WxH", type=_size, default=(1600, 900), help="size of the picture; default: 1600x900"
+    )
+    parser.add_argument("--every", metavar="N", type=int, default=1, help="show every Nth cloud; default: all")
+    parser.add_argument(
+        "--strain-limit", metavar="PERCENT", type=float, help="strain of the last colour; default: from the session"
+    )
+    parser.add_argument(
+        "--follow", action="store_true", help="go on with what is still being recorded, until the recording ends"
+    )
+    return parser
+
+
+def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    if options.every < 1:
+        parser.error(f"--every {options.every}: it must be at least 1")
+    if options.strain_limit is not None:
+        if not 0.0 < options.strain_limit <= 1e4:
+            parser.error(f"--strain-limit {options.strain_limit:g}: it must be within (0, 10000] per cent")
+        options.strain_limit /= 100.0
+    if options.screenshot is not None and (options.follow or options.every != 1):
+        parser.error("--screenshot shows one moment: it takes --at, not --follow or --every")
+    if options.at is not None and options.screenshot is None:
+        parser.error("--at is the time of a picture: it needs --screenshot")
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal()):
+        raise argparse.ArgumentTypeError(f"'{text}' is no size; write it as 1600x900")
+    if not all(200 <= int(side) <= _LARGEST_SIZE for side in (width, height)):
+        raise argparse.ArgumentTypeError(f"'{text}': either side must be within 200 and {_LARGEST_SIZE}")
+    return int(width), int(height)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,149 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The three ways to show a session: in the viewer, as a recording, as a picture."""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.replay.blueprint import blueprint_of
+from cloth_sim_ros.replay.stream import Stream
+from cloth_sim_ros.replay.survey import Survey, survey
+from cloth_sim_ros.replay.viewer import check_screen, save_screenshot
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.reader import SessionReader
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from cloth_sim_ros.session.part import Message
+
+APPLICATION = "cloth_sim"
+#: How often a session that is still being recorded is looked at [s].
+_POLL = 0.05
+
+
+def save_recording(
+    paths: Sequence[Path], out: Path, *, every: int = 1, strain_limit: float | None = None, follow: bool = False
+) -> None:
+    """Write a session as a Rerun recording. Raises SessionError or OSError with the reason."""
+    with SessionReader(list(paths)) as reader:
+        seen = _look(reader, strain_limit, follow)
+        _check_writable(out)
+        recording = _recording(reader)
+        recording.save(out, default_blueprint=blueprint_of(seen))
+        _play(reader, Stream(recording, seen, node=reader.node, every=every), follow)
+        recording.disconnect()
+        _tell_missing(reader)
+
+
+def open_viewer(
+    paths: Sequence[Path], *, every: int = 1, strain_limit: float | None = None, follow: bool = False
+) -> None:
+    """Show a session in a viewer's window. Raises SessionError, or ViewerError where there is no screen."""
+    check_screen()
+    with SessionReader(list(paths)) as reader:
+        seen = _look(reader, strain_limit, follow)
+        recording = _recording(reader)
+        recording.spawn(default_blueprint=blueprint_of(seen, following=follow), hide_welcome_screen=True)
+        _play(reader, Stream(recording, seen, node=reader.node, every=every), follow)
+        recording.disconnect()
+        _tell_missing(reader)
+
+
+def save_picture(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    at: float | None = None,
+    size: tuple[int, int] = (1600, 900),
+    strain_limit: float | None = None,
+) -> None:
+    """Save a picture of a session at a simulated time [s], the end where left out.
+
+    Raises:
+        SessionError: with the reason why the session cannot be shown.
+        ViewerError: where the viewer cannot paint.
+        OSError: if the picture cannot be written.
+    """
+    with SessionReader(list(paths)) as reader, tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder:
+        seen = survey(reader, strain_limit=strain_limit)
+        _check_writable(out)
+        rrd = Path(folder) / "picture.rrd"
+        recording = _recording(reader)
+        recording.save(rrd, default_blueprint=blueprint_of(seen, picture=True))
+        stream = Stream(recording, seen, node=reader.node, only=math.inf if at is None else at)
+        _play(reader, stream, follow=False)
+        recording.disconnect()
+        _tell_missing(reader)
+        if not stream.clouds_seen:
+            raise SessionError(f"{paths[0]} holds no clouds: there is nothing to paint")
+        save_screenshot(rrd, out, at=stream.time if at is None else at, size=size)
+
+
+def _look(reader: SessionReader, strain_limit: float | None, follow: bool) -> Survey:
+    if follow:
+        _wait_for_surface(reader)
+    return survey(reader, strain_limit=strain_limit, followed=follow)
+
+
+def _wait_for_surface(reader: SessionReader) -> None:
+    """A recording that has just begun has not written its first chunk yet."""
+    while reader.topology() is None and reader.parts[-1].is_being_written():
+        time.sleep(_POLL)
+
+
+def _play(reader: SessionReader, stream: Stream, follow: bool) -> None:
+    if not follow:
+        stream.add_all(_with_progress(reader, reader.messages(stream.topics)))
+        return
+
+    def keep_waiting() -> bool:
+        stream.flush()
+        return True
+
+    try:
+        stream.add_all(reader.follow(stream.topics, poll=_POLL, keep_waiting=keep_waiting))
+    except KeyboardInterrupt:
+        stream.finish()
+
+
+def _with_progress(reader: SessionReader, messages: Iterator[Message]) -> Iterator[Message]:
+    """The same messages, with a bar of the bytes read; on a terminal, and if it takes longer than a moment."""
+    from tqdm import tqdm
+
+    total = sum(part.size() for part in reader.parts)
+    with tqdm(total=total, unit="B", unit_scale=True, desc="replay", delay=1.0, disable=None) as bar:
+        for message in messages:
+            yield message
+            read = sum(part.position for part in reader.parts)
+            if read > bar.n:
+                bar.update(read - bar.n)
+
+
+def _recording(reader: SessionReader) -> rr.RecordingStream:
+    import rerun as rr
+
+    recording = rr.RecordingStream(APPLICATION)
+    recording.send_recording_name(reader.parts[0].session)
+    return recording
+
+
+def _check_writable(out: Path) -> None:
+    """Raise OSError for a place where no file can be written, before the work is done."""
+    existed = out.exists()
+    with out.open("ab"):
+        pass
+    if not existed:
+        out.unlink()
+
+
+def _tell_missing(reader: SessionReader) -> None:
+    if reader.missing:
+        print(f"cloth_replay: {reader.missing}", file=sys.stderr)
