@@ -24,7 +24,7 @@ from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.scene_physics import Sheet, anchored_particles, build_model, build_sheet, grid_threads_of
-from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Gripper, Material, Record
+from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Record
 
 MOST_PARTICLES = 4_000_000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -65,6 +65,7 @@ class Scene:
         "double", 0.0, "Fixed time step; 0 takes it from the stability limit", unit="s", least=0.0, most=1.0, live=True
     )
     record: Record = section(Record)
+    diagnostics: Diagnostics = section(Diagnostics)
     #: Content of the files that parameters name, by that name; what a recording must hold to run again.
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 

@@ -161,6 +161,20 @@ class Gripper:
         most=10.0,
         live=True,
     )
+    timeout: float = parameter(
+        "double",
+        0.0,
+        "A closed gripper lets go when no target has come for this long; 0 never, it keeps its last target",
+        unit="s",
+        least=0.0,
+        most=1e6,
+        live=True,
+    )
+    frame: str = parameter(
+        "string",
+        "",
+        "TF frame that a gripper follows, {gripper} standing for its name; empty for none. Needs tf2_ros",
+    )
 
 
 @attrs.frozen(kw_only=True)
@@ -169,3 +183,24 @@ class Record:
 
     enabled: bool = parameter("bool", False, "Record a session from the start")
     folder: str = parameter("string", "sessions", "Folder for session files; made if missing")
+    split: int = parameter(
+        "int", 0, "Go on in a new file when one holds this much; 0 never", unit="B", least=0, most=1 << 50
+    )
+    compression: str = parameter(
+        "string", "lz4", "How chunks of the file are compressed", choices=("lz4", "zstd", "none")
+    )
+    least_free_space: int = parameter(
+        "int",
+        100_000_000,
+        "The recording ends before the disk has less room than this",
+        unit="B",
+        least=0,
+        most=1 << 50,
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Diagnostics:
+    """What is reported beyond the usual."""
+
+    energy: bool = parameter("bool", False, "Report the cloth's energy; it is computed once a second", live=True)
