@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -186,6 +188,21 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
     ]
     assert first.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in (first, second, third))
+
+
+def test_what_a_killed_process_left_hidden_is_swept_later(tmp_path: Path) -> None:
+    old = tmp_path / ".session_000.mcap.0123abcd.unfinished"
+    used = tmp_path / ".session_000.mcap.1123abcd.unfinished"
+    young = tmp_path / ".session_000.mcap.2123abcd.unfinished"
+    other = tmp_path / ".notes"
+    for path in (old, used, young, other):
+        path.touch()
+        if path != young:
+            os.utime(path, (0, 0))
+    with used.open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        samples.write_session(tmp_path, [])
+    assert [path.exists() for path in (old, used, young, other)] == [False, True, True, True]
 
 
 def test_a_session_without_messages_is_whole(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import errno
 import fcntl
 import os
 import secrets
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from cloth_sim_ros.session.errors import RecordingError
 
 _NO_HARD_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 _NAME_LIMIT = 1000
+_HIDDEN_ENDING = ".unfinished"
+_LEFTOVER_SECONDS = 3600.0
 
 
 class AppendFile:
@@ -30,7 +33,7 @@ class AppendFile:
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
         self._stem = stem
         self._suffix = suffix
-        self._hidden: Path | None = folder / f".{stem}{suffix}.{secrets.token_hex(4)}.unfinished"
+        self._hidden: Path | None = folder / f".{stem}{suffix}.{secrets.token_hex(4)}{_HIDDEN_ENDING}"
         self._descriptor = os.open(self._hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self.path = folder / f"{stem}{suffix}"
         """The final name; settled once published."""
@@ -122,6 +125,21 @@ def make_folder(folder: Path) -> None:
         raise RecordingError(f"cannot create {folder}: {error.strerror}; set record.folder") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise RecordingError(f"cannot write into {folder}: permission denied; set record.folder")
+
+
+def remove_leftovers(folder: Path, suffix: str) -> None:
+    """Remove hidden files that a process killed at the wrong moment never published; none that is in use."""
+    for path in folder.glob(f".*{suffix}.????????{_HIDDEN_ENDING}"):
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            continue
+        try:
+            # Their age counts too: where the file system has no locks, nothing else tells.
+            if time.time() - os.fstat(descriptor).st_mtime > _LEFTOVER_SECONDS and not is_being_written(descriptor):
+                path.unlink(missing_ok=True)
+        finally:
+            os.close(descriptor)
 
 
 def _lock(descriptor: int) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from cloth_sim_ros.session.errors import RecordingError
 from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, Qos, channel_metadata, describe
-from cloth_sim_ros.session.storage import AppendFile, make_folder
+from cloth_sim_ros.session.storage import AppendFile, make_folder, remove_leftovers
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.mcap_builder import Compression
@@ -106,6 +106,7 @@ class SessionWriter:
         """Messages that are in the file."""
         folder = Path(folder)
         make_folder(folder)
+        remove_leftovers(folder, SUFFIX)
         metadata = {
             **snapshot.metadata,
             "format": FORMAT_VERSION,

@@ -1,0 +1,163 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Kill recording processes at random moments and look at what they leave behind.
+
+    python test/soak_session_kills.py --count 500
+
+Each child records as a node does, with splits and stops at random, and notes in shared memory what it handed over.
+After SIGKILL every file in its folder must open, hold no message that was not recorded, in order and without a gap, and
+lack nothing that was handed over more than a second before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import mmap
+import os
+import random
+import shutil
+import signal
+import struct
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import session_samples as samples
+
+from cloth_sim_ros.session import cdr
+from cloth_sim_ros.session.layouts import standard_types
+from cloth_sim_ros.session.reader import SessionReader, session_files
+from cloth_sim_ros.session.recorder import Recorder, RecorderOptions
+from cloth_sim_ros.session.recover import recover
+from cloth_sim_ros.session.writer import WriterOptions
+
+LIMIT = 20_000
+NOTE = struct.Struct("<QQ")
+"""Frames handed over in the session of that name; then for each frame of the child its time."""
+
+
+def record(folder: Path, seed: int, notes: mmap.mmap) -> None:
+    """The child: sessions one after the other, until it is killed."""
+    generator = random.Random(seed)
+    points = generator.choice([10, 900, 16_000])
+    frame = 0
+    while True:
+        options = RecorderOptions(
+            writer=WriterOptions(
+                compression=generator.choice(["none", "lz4", "zstd"]),  # type: ignore[arg-type]
+                sync_seconds=generator.choice([0.0, 0.3]),
+            ),
+            split_seconds=generator.choice([0.0, 0.1, 0.3]),
+        )
+        recorder = Recorder(folder, snapshot=samples.SNAPSHOT, log_time=time.monotonic_ns(), options=options)
+        for _ in range(generator.choice([1, 50, 300])):
+            now = time.monotonic_ns()
+            NOTE.pack_into(notes, NOTE.size * frame, frame, now)
+            text = samples.frame_record(frame).to_json()
+            recorder.record(
+                samples.FRAME, "std_msgs/msg/String", cdr.encode_string(text), log_time=now, droppable=False
+            )
+            cloud = samples.cloud(samples.positions(frame, points), now)
+            recorder.record(samples.POINTS, "sensor_msgs/msg/PointCloud2", cloud, log_time=now, droppable=False)
+            if recorder.wants_split:
+                recorder.split(samples.SNAPSHOT, log_time=now)
+            frame += 1
+            time.sleep(1 / 240)
+        recorder.close()
+
+
+def check(folder: Path, notes: mmap.mmap, killed: int, within: float) -> tuple[str, float]:
+    """What the child left: the state of its last file, and how much of the end is missing [s]."""
+    files = sorted(folder.glob("*.mcap"))
+    sessions = sorted({tuple(session_files(path)) for path in files}, key=lambda paths: _first_frame(paths))
+    expected = 0
+    for paths in sessions:
+        with SessionReader(paths) as reader:
+            for recorded in reader.clouds():
+                assert recorded.frame is not None, f"{paths}: a cloud without its frame"
+                number = recorded.frame.frame
+                assert number == expected, f"{paths}: frame {number} where {expected} was recorded"
+                assert recorded.frame == samples.frame_record(number)
+                assert recorded.log_time == NOTE.unpack_from(notes, NOTE.size * number)[1]
+                assert np.array_equal(recorded.cloud.xyz, samples.positions(number, len(recorded.cloud.xyz)))
+                expected += 1
+            damage = [sentence for part in reader.parts for sentence in part.damage]
+            assert not damage, damage
+    handed = [
+        NOTE.unpack_from(notes, NOTE.size * number)[1]
+        for number in range(expected, LIMIT)
+        if NOTE.unpack_from(notes, NOTE.size * number)[1]
+    ]
+    lost = (killed - handed[0]) * 1e-9 if handed else 0.0
+    assert lost <= within, f"what was handed over {lost:.3f} s before the kill is missing"
+    state = "nothing visible yet"
+    for paths in sessions:
+        for path in paths:
+            with SessionReader(path) as reader:
+                list(reader.messages())
+                state = "finished" if reader.complete else "unfinished"
+            if state == "unfinished":
+                mended = recover(path, path.with_name("mended.mcap"))
+                with SessionReader(mended.path, strict=True) as reader:
+                    list(reader.messages())
+                    assert reader.complete
+                mended.path.unlink()
+    return state, lost
+
+
+def _first_frame(paths: tuple[Path, ...]) -> float:
+    with SessionReader(list(paths)) as reader:
+        return next((frame.frame for frame in reader.frames()), float("inf"))
+
+
+def main() -> int:
+    """Run the kills; 0 if nothing is wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--longest", type=float, default=2.0, help="latest moment of the kill [s]")
+    parser.add_argument("--within", type=float, default=1.0, help="what may be missing at the end [s]")
+    parser.add_argument("--folder", type=Path, help="where to record; by default in the system's temporary folder")
+    options = parser.parse_args()
+    # Loaded once, before the children are forked.
+    standard_types()
+    states: Counter[str] = Counter()
+    worst = 0.0
+    leftovers = 0
+    for number in range(options.seed, options.seed + options.count):
+        folder = Path(tempfile.mkdtemp(prefix="kill_", dir=options.folder))
+        notes = mmap.mmap(-1, NOTE.size * LIMIT)
+        wait = random.Random(f"kill {number}").uniform(0.0, options.longest)
+        child = os.fork()
+        if child == 0:
+            try:
+                record(folder, number, notes)
+            finally:
+                os._exit(3)
+        time.sleep(wait)
+        killed = time.monotonic_ns()
+        os.kill(child, signal.SIGKILL)
+        _, status = os.waitpid(child, 0)
+        if not os.WIFSIGNALED(status):
+            print(f"kill {number}: the child ended by itself, status {status}", file=sys.stderr)
+            return 1
+        try:
+            state, lost = check(folder, notes, killed, options.within)
+        except Exception as error:
+            print(f"kill {number} after {wait:.3f} s, files kept in {folder}: {error!r}", file=sys.stderr)
+            return 1
+        states[state] += 1
+        worst = max(worst, lost)
+        leftovers += len(list(folder.glob(".*")))
+        shutil.rmtree(folder)
+    print(
+        f"{options.count} kills: last file {dict(states)}; at most {worst:.3f} s missing; {leftovers} hidden leftovers"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
