@@ -42,6 +42,9 @@ class Scene:
         "double", 60.0, "Published frames in a second of simulated time", unit="Hz", least=0.1, most=10000.0
     )
     frame_id: str = parameter("string", "world", "Coordinate frame of the cloth and of commands")
+    initial_state: str = parameter(
+        "string", "", "State to start from: a file of ~/save_state, or session.mcap@frame; empty for the flat sheet"
+    )
     cloth: Cloth = section(Cloth)
     material: Material = section(Material)
     bending: Bending = section(Bending)
@@ -187,8 +190,14 @@ class Scene:
         turn = rotation_matrix(normalised(self.cloth.orientation))
         return np.einsum("ij,nj->ni", turn, self.sheet.positions()) + np.asarray(self.cloth.position)
 
-    def initial_state(self) -> State:
-        """Starting state: at rest, but for velocities that a springs file gives."""
+    def starting_state(self) -> State:
+        """Starting state: that of `initial_state`, at frame 0 and running; else at rest, but for a springs file's velocities.
+
+        Raises:
+            ParameterError: for a state that does not fit the cloth.
+        """
+        if self.initial_state:
+            return self._loaded_state()
         sheet = self.sheet
         velocities = None
         if isinstance(sheet, RawSprings):
@@ -200,11 +209,27 @@ class Scene:
         """The integrator that the scene asks for."""
         return Leapfrog(self.step or None)
 
+    def _loaded_state(self) -> State:
+        what = f"initial_state '{self.initial_state}'"
+        try:
+            state = State.from_bytes(self.files[self.initial_state])
+        except ValueError as error:
+            raise ParameterError(f"{what} is no state file of ~/save_state: {error}") from error
+        rows, columns = self.shape
+        if state.particle_count != rows * columns:
+            raise ParameterError(f"{what} has {state.particle_count} particles, the cloth {rows * columns}")
+        grippers = len(state.memory.get("gripper.pose", ()))
+        if grippers and grippers != len(self.gripper_names):
+            raise ParameterError(f"{what} has {grippers} grippers, the cloth {len(self.gripper_names)}")
+        state.frame = 0
+        state.memory.pop("paused", None)
+        return state
+
     def _check_sheet(self) -> None:
         cloth, model, modulus = self.cloth, self.bending.model, self.material.bending_modulus
         if cloth.mesh and cloth.springs:
             raise ParameterError(f"both cloth.mesh '{cloth.mesh}' and cloth.springs '{cloth.springs}' are set; set one")
-        for path in (cloth.mesh, cloth.springs):
+        for path in (cloth.mesh, cloth.springs, self.initial_state):
             if path and path not in self.files:
                 raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
         sheet = self.sheet
@@ -214,6 +239,8 @@ class Scene:
             fitting = "none" if isinstance(sheet, RawSprings) else "none, opposite, crossed or altitude"
             raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
         anchored_particles(self, sheet)
+        if self.initial_state:
+            self._loaded_state()
         if model in ("axial", "opposite") and modulus:
             from cloth_sim_ros.physics.bending_calibration import refuse_bending_modulus
 

@@ -11,7 +11,7 @@ from typing import Any
 from cloth_sim_ros.parameters import ParameterError
 
 #: Parameters that name a file.
-NAMES = ("cloth.mesh", "cloth.springs")
+NAMES = ("cloth.mesh", "cloth.springs", "initial_state")
 #: A file larger than this is a mistake [bytes].
 MOST_BYTES = 1 << 30
 

@@ -62,7 +62,7 @@ class Simulation:
     """
 
     def __init__(self, scene: Scene, state: State | None = None) -> None:
-        initial = scene.initial_state()
+        initial = scene.starting_state()
         if state is not None and state.particle_count != initial.particle_count:
             raise ValueError(
                 f"the state has {state.particle_count} particles, the scene {initial.particle_count}: "

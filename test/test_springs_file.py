@@ -40,7 +40,7 @@ def test_a_springs_file_is_a_scene_with_masses_springs_joints_and_velocities():
     assert spring.stiffness == pytest.approx([50.0, 20.0])
     assert spring.damping == pytest.approx([0.4 * np.sqrt(0.2 * 50.0), 0.0])
     assert system.shape == (1, 3)
-    assert system.initial_state().velocities[2] == pytest.approx([0, 2, 0])
+    assert system.starting_state().velocities[2] == pytest.approx([0, 2, 0])
 
 
 def test_an_unanchored_system_keeps_its_momentum():
