@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S7, S8 and S9 as forces: energy, balance, invariance, bounds, derivatives, degenerate states, and their known lengths."""
+"""S7, S8 and S9 as forces: energy, balance, invariance, bounds, derivatives, degenerate states, lengths."""
 
 import itertools
 
@@ -150,7 +150,7 @@ def test_blocks_bound_stiffness_and_damping(term, seed):
 
 
 def candidates(p):
-    """6V and |a x b| of the seven candidates of tetrahedron p (4, 3): three edge pairs, the lecture's first, and four faces."""
+    """6V and |a x b| of the seven candidates of tetrahedron p (4, 3): three edge pairs (S8's first), four faces."""
     pairs = [((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2))]
     areas = [np.cross(p[b] - p[a], p[d] - p[c]) for (a, b), (c, d) in pairs]
     areas += [np.cross(p[b] - p[a], p[c] - p[a]) for a, b, c in itertools.combinations(range(4), 3)]

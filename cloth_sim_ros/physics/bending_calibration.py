@@ -2,20 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the bending modulus of a sheet to bending springs, calibrated for each mesh pattern.
 
-The modulus D [N m] is what a cantilever test measures: moment per width over curvature of a strip with free long edges. A fold θ of a hinge shall cost
-k_θ θ²/2, with the hinge constant k_θ [N m] from D and the pattern of the mesh.
+The modulus D [N m] is what a cantilever test measures: moment per width over curvature of a strip with free long
+edges. A fold θ of a hinge shall cost k_θ θ²/2, with the hinge constant k_θ [N m] from D and the pattern of the mesh.
 
-*Grid.* In a strip along the rows under the moment M per width, the hinge of an edge across it (length hy) carries M hy, and that of a diagonal (length l,
-at an angle to the strip) M hy (hy/l); each turns by its moment over k_θ, the diagonal by (hy/l) of that about the strip's cross direction. Over one cell
-the sum is M hx / D, so hx/(D hy) = 1/k_across + (hy/l)²/k_diagonal, and the same along the columns. Statics fix the moments, so this holds for
-any width and layout. Free is the diagonals' share: k_diagonal = 1.5 D (l²/(2 hx hy))² makes square cells of `alternating` and `both` isotropic (all hinges alike,
-Poisson's ratio of bending -1/3).
+*Grid.* Hinges of both checkerboards (`surface.grid_hinges`), each at half strength, so that all particles are alike
+and a smooth bending leaves each where the smooth surface passes. With the curvatures κ the hinge of an edge along the
+columns (length hy) folds by κ_xx hx, one along the rows by κ_yy hy, a diagonal (length l) by κ_xy l. Per cell the
+energy is ½ D hx hy (κ_xx² + κ_yy² + 2 κ_xy²), a plate without Poisson's ratio, if
 
-*Other meshes.* k_θ = (9/8) D e/h̄, h̄ the mean height of the two triangles: exact for regular triangles (isotropic, Poisson's ratio -1/3). On irregular
-ones the sheet comes out stiffer, because its vertices lock one another; docs/bending.md has the measured figures.
+    k_θ = D hy/hx,   D hx/hy,   2 D hx hy/l².
 
-*Springs.* With h(θ) and L(θ) of `HingeShape`, a fold from rest costs ½ (κ̂ h'² + κ7 L'²) Δθ², which fixes κ̂ once S7's κ7 [N/m] is
-κ̂ (h_max / ½ΔL)² / ρ with the stiffness ratio ρ.
+*Other meshes.* k_θ = (9/8) D e/h̄, h̄ the mean height of the two triangles: exact for regular triangles (isotropic,
+Poisson's ratio -1/3). On irregular ones the sheet comes out stiffer, because its vertices lock one another;
+docs/bending.md has the measured figures.
+
+*Springs.* With h(θ) and L(θ) of `HingeShape`, a fold from rest costs ½ (κ̂ h'² + κ7 L'²) Δθ², which fixes κ̂ once
+S7's κ7 [N/m] is κ̂ (h_max / ½ΔL)² / ρ with the stiffness ratio ρ.
 """
 
 from __future__ import annotations
@@ -37,11 +39,12 @@ from cloth_sim_ros.physics.terms.tetrahedron import TetrahedronSprings
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 
-#: Stiffness ratio ρ of S8 to S7 (model `crossed`).
-CROSSED_RATIO = 1.0
-#: Stiffness ratio ρ of S9 to S7 (model `altitude`) for rest folds up to 90 degrees, and above.
-ALTITUDE_RATIO = 0.5
-ALTITUDE_RATIO_FOLDED = 1.0
+#: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which it is another, and that other: the middle of
+#: where a pair finds its rest shape again (docs/bending.md has the map).
+RATIOS = {
+    "crossed": (0.5, math.radians(50.0), 1.4),
+    "altitude": (0.5, math.radians(80.0), 1.4),
+}
 
 
 def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_modulus: float) -> Array:
@@ -58,13 +61,13 @@ def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_mod
 def grid_hinge_constants(
     hinges: ArrayLike, *, columns: int, spacing: tuple[float, float], bending_modulus: float
 ) -> Array:
-    """Return k_θ [N m] of hinges (m, 4) of a grid's surface, any layout, shape (m,).
+    """Return k_θ [N m] of the hinges of `surface.grid_hinges`, (m,), each already at half strength.
 
     Args:
-        hinges: of the grid's `Surface`.
+        hinges: of both checkerboards, shape (m, 4).
         columns: number of particles in a row.
         spacing: distances hx of neighbours in a row and hy in a column [m].
-        bending_modulus: D [N m], along rows and along columns.
+        bending_modulus: D [N m].
 
     Raises:
         ValueError: for a modulus that is not finite and at least 0, or a spacing that is not above 0.
@@ -73,16 +76,11 @@ def grid_hinge_constants(
     hx, hy = spacing
     if not (math.isfinite(hx * hy) and min(hx, hy) > 0.0):
         raise ValueError(f"spacing is ({hx}, {hy}) m; both must be finite and above 0")
-    quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
-    row, column = np.divmod(quads[:, :2], columns)
-    along_row = row[:, 0] == row[:, 1]
-    along_column = column[:, 0] == column[:, 1]
-    square = hx * hx + hy * hy
-    diagonal = 1.5 * (square / (2.0 * hx * hy)) ** 2
-    constants = np.full(len(quads), diagonal)
-    constants[along_column] = 1.0 / (hx / hy - hy * hy / (square * diagonal))
-    constants[along_row] = 1.0 / (hy / hx - hx * hx / (square * diagonal))
-    return bending_modulus * constants
+    row, column = np.divmod(np.asarray(hinges, dtype=np.int64).reshape(-1, 4)[:, :2], columns)
+    constants = np.full(len(row), 2.0 * hx * hy / (hx * hx + hy * hy))
+    constants[column[:, 0] == column[:, 1]] = hy / hx
+    constants[row[:, 0] == row[:, 1]] = hx / hy
+    return 0.5 * bending_modulus * constants
 
 
 def bending_terms(
@@ -105,9 +103,11 @@ def bending_terms(
         model: the bending model.
         hinges: of the surface, shape (m, 4).
         positions: particles of the surface at rest [m], shape (n, 3).
-        hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`, `mesh_hinge_constants`.
+        hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`,
+            `mesh_hinge_constants`.
         spring_stiffness: k_s [N] of S7, one number or shape (m,), for `opposite` alone.
-        rest_angle: fold of every hinge at rest [rad], positive to the side of the normal; None takes each from `positions`.
+        rest_angle: fold of every hinge at rest [rad], positive to the side of the normal; None takes each from
+            `positions`.
         ratio: stiffness ratio ρ; None is the one that docs/bending.md recommends.
         damping: the dimensionless k_d0 of every bending spring.
         masses: particle masses [kg], shape (n,); needed where there is damping.
@@ -163,8 +163,8 @@ def spring_constants(
         what = f"{constants[wrong[0]]} at hinge {wrong[0]}" if wrong.size else f"of shape {constants.shape}"
         raise ValueError(f"hinge constants are {what}; give {shape.edge.shape[0]} finite numbers of at least 0 N m")
     if ratio is None:
-        folded = np.where(np.abs(shape.angle) > 0.5 * math.pi, ALTITUDE_RATIO_FOLDED, ALTITUDE_RATIO)
-        share = folded if model == "altitude" else np.full_like(constants, CROSSED_RATIO)
+        flat, angle, folded = RATIOS[model]
+        share = np.where(np.abs(shape.angle) > angle, folded, flat)
     elif not (math.isfinite(ratio) and ratio > 0.0):
         raise ValueError(f"ratio is {ratio}; it must be finite and above 0")
     else:
@@ -182,7 +182,8 @@ def refuse_bending_modulus(model: str) -> None:
         ValueError: always.
     """
     raise ValueError(
-        f"bending model '{model}' has no bending modulus: near flat its energy grows with the fourth power of the fold, so its modulus there is zero. "
+        f"bending model '{model}' has no bending modulus: near flat its energy grows with the fourth power of the "
+        "fold, so its modulus there is zero. "
         "Give the stiffness of its springs instead, or choose 'crossed' or 'altitude'"
     )
 
@@ -190,11 +191,18 @@ def refuse_bending_modulus(model: str) -> None:
 def _opposite(
     quads: np.ndarray, distance: Array, k_s: Array, kept: np.ndarray, damping: float, mass: Array, weak: bool
 ) -> OppositeSprings:
-    pairs = quads[kept][:, 2:]
+    """S7 between the wings of the kept hinges; springs of one pair and rest length are one, stiffnesses added."""
+    pairs, first, same = np.unique(np.sort(quads[kept][:, 2:], axis=1), axis=0, return_index=True, return_inverse=True)
+    rest = distance[kept][first]
+    same = same.ravel()
+    if np.abs(distance[kept] - rest[same]).max(initial=0.0) > 1e-9 * rest.max(initial=0.0):
+        pairs, rest, same = quads[kept][:, 2:], distance[kept], np.arange(np.count_nonzero(kept))
+    stiffness = np.zeros(len(pairs))
+    np.add.at(stiffness, same, k_s[kept])
     inverse = 1.0 / mass[pairs[:, 0]] + 1.0 / mass[pairs[:, 1]]
     # the lecture's m of two unequal ends is the reduced mass times two
-    k_d = damping * np.sqrt(2.0 / inverse * k_s[kept] / distance[kept])
-    return OppositeSprings(pairs, distance[kept], k_s[kept], k_d, weak=weak)
+    k_d = damping * np.sqrt(2.0 / inverse * stiffness / rest)
+    return OppositeSprings(pairs, rest, stiffness, k_d, weak=weak)
 
 
 def _hinge_damping(

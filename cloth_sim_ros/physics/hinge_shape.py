@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A hinge as its fold angle changes: the lengths of its springs (S7, S8, S9) in closed form.
 
-Two rigid triangles share an edge of length e; wing i stands at height h_i over it, its foot at f_i along it. Folded by θ, with t = cos θ,
+Two rigid triangles share an edge of length e; wing i stands at height h_i over it, its foot at f_i along it. Folded
+by θ, with t = cos θ,
 
     L² = h0² + h1² + d² + 2 h0 h1 t               the distance of the wings (S7), d = f1 - f0
     6V = e h0 h1 sin θ
     M² = e² (h0² + h1² + 2 h0 h1 t)               of the edge and the wings' line (S8)
     M² = e² (h0² + h1²) + Σ (p_k² q_k² - (α_k - h0 h1 t)²)   of the four faces (S9), k = 0, 1 the ends of the edge,
 
-where p_k, q_k are the distances of the wings from end k and α_k = (f0 - e_k)(f1 - e_k). So every M² is a + b t + c t², and h = 6V / M.
+where p_k, q_k are the distances of the wings from end k and α_k = (f0 - e_k)(f1 - e_k). So every M² is a + b t + c
+t², and h = 6V / M.
 """
 
 from __future__ import annotations
@@ -113,7 +115,8 @@ class HingeShape:
     def half_range_ratio(self, kind: Length) -> Array:
         """Return (largest h / half the range of L) over all folds.
 
-        Scaled by it, the closed curve of (L, h) is as wide as it is high, and the energies of S7 and of S8 or S9 have the same depth.
+        Scaled by it, the closed curve of (L, h) is as wide as it is high, and the energies of S7 and of S8 or S9 have
+        the same depth.
         """
         a, b, c = self._areas(kind)
         # h² = (6V)² (1 - t²) / (a + b t + c t²) is largest where b t² + 2 (a + c) t + b = 0, |t| < 1

@@ -75,7 +75,8 @@ class Surface:
             a, b = sorted((int(tail[first[bad]]), int(head[first[bad]])))
             owners = [int(i) for i in np.flatnonzero(inverse == bad) // 3]
             raise SurfaceError(
-                f"edge ({a}, {b}) belongs to {uses[bad]} triangles, {owners[:6]}; a surface has at most 2: split it there"
+                f"edge ({a}, {b}) belongs to {uses[bad]} triangles, {owners[:6]}; "
+                "a surface has at most 2: split it there"
             )
         start = np.cumsum(uses) - uses
         one = order[start]
@@ -190,8 +191,8 @@ def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
     - `both`: springs on both diagonals; the surface is cut as `alternating`, because a surface cut along one family of
       diagonals twists when it is bent (docs/bending.md).
 
-    The normal is (direction of rising column) x (direction of rising row). Triangles 2 q and 2 q + 1 are those of cell
-    q = r (columns - 1) + c.
+    The normal is (direction of rising column) x (direction of rising row). Triangles 2 q and 2 q + 1 are those of
+    cell q = r (columns - 1) + c.
     """
     p00, p01, p10, p11, left = _cells(rows, columns, layout)
     cut_left = np.stack((p00, p01, p11, p00, p11, p10), axis=1)
@@ -209,6 +210,21 @@ def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
     return np.where(left[:, None], np.stack((p00, p11), axis=1), np.stack((p01, p10), axis=1))
 
 
+def grid_hinges(rows: int, columns: int) -> IndexArray:
+    """Hinges that give a grid its bending stiffness, for every shear layout: those of both checkerboards, (m, 4).
+
+    One checkerboard has two kinds of particle, with four and with eight edges; bent, they move against each other,
+    and the sheet comes out with a Poisson's ratio of -1/3. Cut along one family of diagonals it twists. The two
+    checkerboards together, each at half strength, do neither.
+    """
+    cuts = [grid_triangles(rows, columns, "alternating")]
+    left, right = grid_triangles(rows, columns, "left"), grid_triangles(rows, columns, "right")
+    cells = np.arange(len(left)) // 2
+    odd = (cells // (columns - 1) + cells % (columns - 1)) % 2 == 1
+    cuts.append(np.where(odd[:, None], left, right))
+    return np.concatenate([Surface.from_triangles(cut).hinges for cut in cuts])
+
+
 def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
     """Corners p(row)(column) of every cell and whether its triangles are cut along the left diagonal, each (cells,)."""
     if rows < 2 or columns < 2:
@@ -217,10 +233,8 @@ def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
         raise ValueError(f"layout {layout!r} is none of {', '.join(LAYOUTS)}")
     row, column = (index.ravel() for index in np.mgrid[: rows - 1, : columns - 1])
     p00 = row * columns + column
-    if layout in ("alternating", "both"):
-        left = (row + column) % 2 == 0
-    else:
-        left = np.full(p00.shape, layout != "right")
+    checkerboard = layout in ("alternating", "both")
+    left = (row + column) % 2 == 0 if checkerboard else np.full(p00.shape, layout == "left")
     return p00, p00 + 1, p00 + columns, p00 + columns + 1, left
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels of springs on a tetrahedron's signed length: energy k (h - h0)^2 / 2, damping -k_d (grad h . v) grad h.
 
-`crossed` chooses the length: True the edge-edge length of S8, False the blend of all seven candidates of S9 (see `tetrahedron`). The force of
-S8 has a faster kernel in `crossed`; everything else of S8 is here.
+`crossed` chooses the length: True the edge-edge length of S8, False the blend of all seven candidates of S9 (see
+`tetrahedron`). The force of S8 has a faster kernel in `crossed`; everything else of S8 is here.
 """
 
 from __future__ import annotations
@@ -132,10 +132,12 @@ def add_gradient_blocks(hinges, weight, crossed, x, blocks):  # type: ignore[no-
 def add_curvature_blocks(hinges, rest, stiffness, crossed, x, blocks):  # type: ignore[no-untyped-def]
     """Add blocks that bound the part k (h - h0) h'' of the stiffness, h'' the second derivative of h along u.
 
-    S8: with P = [-a, b] of smallest singular value sigma, r = (-n.da, n.db) and u_in the in-plane motion of the two feet,
+    S8: with P = [-a, b] of smallest singular value sigma, r = (-n.da, n.db) and u_in the in-plane motion of the two
+        feet,
     h'' = -2 r'(P'P)^-1 P'u_in - h r'(P'P)^-1 r, at most (2 sqrt(2) |w| / sigma + 2 |h| / sigma^2) |u|^2.
 
-    S9: h'' = 6V''/M - 2 M'h'/M - h M''/M. |6V''| <= sum of |opposite edge| |u_i||u_j|; |M'h'| <= |G||g|/M |u|^2; and, c the
+    S9: h'' = 6V''/M - 2 M'h'/M - h M''/M. |6V''| <= sum of |opposite edge| |u_i||u_j|; |M'h'| <= |G||g|/M |u|^2; and,
+        c the
     area vectors of the faces, M M'' <= |c'|^2 + |c.c''| <= sum over faces of (squared sides + 2 |c|) |u|^2.
     """
     w = np.empty((8, 3))
@@ -184,7 +186,7 @@ def add_curvature_blocks(hinges, rest, stiffness, crossed, x, blocks):  # type: 
                 turn = abs(h) * (one + two + three + 2.0 * np.sqrt(dot(w[2], w[2]))) / square
                 around = (np.sqrt(one) + np.sqrt(two) + np.sqrt(three)) / root
                 for k in range(4):
-                    bound[k] += turn if k == o or k == q or k == r else around
+                    bound[k] += turn if k in (o, q, r) else around
         for k in range(4):
             q = hinges[e, k]
             add = bound[k] * stiffness[e] * abs(h - rest[e])
@@ -226,3 +228,18 @@ def add_tetrahedron_jacobian_product(hinges, rest, stiffness, damping, crossed, 
             q = hinges[e, k]
             for i in range(3):
                 out[i, q] += slope * g[k, i] + tension * hu[k, i]
+
+
+@numba.njit(**JIT)
+def gradient_squares(hinges, crossed, x, squares):  # type: ignore[no-untyped-def]
+    """Set squares (m, 4) to |g_i|^2 of the gradient of h with respect to each of the four particles."""
+    w = np.empty((8, 3))
+    p = np.empty((4, 3))
+    g = np.empty((4, 3))
+    ga = np.empty((4, 3))
+    gv = np.empty((4, 3))
+    for e in range(hinges.shape[0]):
+        gather(x, hinges, e, p)
+        length_and_gradient(p, crossed, g, ga, gv, w)
+        for k in range(4):
+            squares[e, k] = dot(g[k], g[k])

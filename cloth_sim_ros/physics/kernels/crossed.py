@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The force of the second bending spring (S8), between the shared edge and the line of the wings.
 
-With a = x1 - x0 along the edge, b = x3 - x2 along the wings, r = x2 - x0, n = (b x a) / |b x a|: h = n . r, and the feet of the common normal lie at
-x0 + s a and x2 + t b, s = (r x b) . (a x b) / |a x b|^2, t = (r x a) . (a x b) / |a x b|^2, unclamped. Because the feet minimise the distance, moving them
-does not change h to first order, and grad h is n times the weights -(1 - s), -s, (1 - t), t.
+With a = x1 - x0 along the edge, b = x3 - x2 along the wings, r = x2 - x0, n = (b x a) / |b x a|: h = n . r, and the
+feet of the common normal lie at x0 + s a and x2 + t b, s = (r x b) . (a x b) / |a x b|^2, t = (r x a) . (a x b) / |a
+x b|^2, unclamped. Because the feet minimise the distance, moving them does not change h to first order, and grad h is
+n times the weights -(1 - s), -s, (1 - t), t.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from cloth_sim_ros.physics.kernels.tetrahedron import CROSSED_SINE, JIT
 
 @numba.njit(**JIT)
 def add_crossed_forces(hinges, rest, stiffness, damping, x, v, f):  # type: ignore[no-untyped-def]
-    """Add the forces of hinges (m, 4) with signed rest lengths, stiffnesses and damping coefficients (m,) to f (3, n)."""
+    """Add the forces of hinges (m, 4) with rest lengths, stiffnesses and damping coefficients (m,) to f (3, n)."""
     for e in range(hinges.shape[0]):
         p0 = hinges[e, 0]
         p1 = hinges[e, 1]

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The signed length h = 6V / M of a tetrahedron, its gradient and the gradient's derivative (S8 and S9).
 
-Particles 0, 1 are the shared edge, 2, 3 the wings; 6V = (x1 - x0) . ((x2 - x0) x (x3 - x0)), positive where the wings rise to the side that the
-normal points to. M^2 is the squared |a x b| of the edge and the line of the wings (`crossed`, S8), or the sum of the squared |a x b| of the four faces
-(`altitude`, S9). Both are smooth, so with G = grad(M^2) / 2
+Particles 0, 1 are the shared edge, 2, 3 the wings; 6V = (x1 - x0) . ((x2 - x0) x (x3 - x0)), positive where the wings
+rise to the side that the normal points to. M^2 is the squared |a x b| of the edge and the line of the wings
+(`crossed`, S8), or the sum of the squared |a x b| of the four faces (`altitude`, S9). Both are smooth, so with G =
+grad(M^2) / 2
 
     grad h = grad(6V) / M - h G / M^2.
 
@@ -86,7 +87,7 @@ def _scatter(t, s, face, out):  # type: ignore[no-untyped-def]
 
 @numba.njit(**JIT)
 def length_and_gradient(x, crossed, gradient, area_gradient, volume_gradient, w):  # type: ignore[no-untyped-def]
-    """Return (defined, h, M^2); set gradient, area_gradient (G) and volume_gradient (of 6V), each (4, 3). w: (8, 3) of work.
+    """Return (defined, h, M^2); set gradient, area_gradient (G), volume_gradient (of 6V), each (4, 3); w (8, 3): work.
 
     Where h is not defined (collinear, for S8 parallel lines) all gradients are zero.
     """
@@ -133,7 +134,7 @@ def length_and_gradient(x, crossed, gradient, area_gradient, volume_gradient, w)
 
 @numba.njit(**JIT)
 def hessian_product(x, u, crossed, h, square, gradient, area_gradient, volume_gradient, out, work, w):  # type: ignore[no-untyped-def]
-    """Set out (4, 3) to the derivative of grad h along u (4, 3), from what `length_and_gradient` gave. work: (4, 3), w: (8, 3)."""
+    """Set out (4, 3) to the derivative of grad h along u (4, 3); work (4, 3) and w (8, 3) are scratch."""
     a, b, c, t, s, da, db, dc = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7]
     work[:] = 0.0
     first = 4 if crossed else 0

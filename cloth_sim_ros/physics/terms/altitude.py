@@ -12,13 +12,14 @@ from cloth_sim_ros.physics.terms.tetrahedron import TetrahedronSprings
 class AltitudeSprings(TetrahedronSprings):
     """One spring a hinge on the blend of the seven candidates (three edge-edge, four point-face) of its tetrahedron.
 
-    Candidate c has the signed length h_c = 6V/M_c, with M_c = |a × b| of its face or its pair of edges. Their blend is
+    Candidate c has the signed length h_c = 6V/M_c, with M_c = |a × b| of its face or its pair of edges. They blend
+    into
 
         1/h² = ½ Σ 1/h_c², h = 6V / √(½ Σ M_c²) = 6V / √(Σ over the faces of M_f²)
 
-    (the squares of the three edge-edge M_c sum to those of the four faces). Its gradient is Σ ½ (M_c/M)³ ∇h_c: all seven springs pull at once, the
-    shortest most. So there is no choice to switch and nothing to remember; force and energy are smooth until all four points are collinear,
-    where the force is zero (thinner than 1e-12).
+    (the squares of the three edge-edge M_c sum to those of the four faces). Its gradient is Σ ½ (M_c/M)³ ∇h_c: all
+    seven springs pull at once, the shortest most. So there is no choice to switch and nothing to remember; force and
+    energy are smooth until all four points are collinear, where the force is zero (thinner than 1e-12).
 
     Args:
         quads: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).

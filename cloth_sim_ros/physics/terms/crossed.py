@@ -15,9 +15,10 @@ from cloth_sim_ros.physics.terms.tetrahedron import TetrahedronSprings
 class CrossedSprings(TetrahedronSprings):
     """Edge-edge springs (S8): h is the signed distance of the lines of the shared edge and of the wings.
 
-    h = n·(point of the wings' line - point of the edge's line), n their common normal on the side of the surface's normal;
-    the force is shared by the four particles with the weights of the feet of the common normal, which are not clamped. With the lines parallel, as
-    in a symmetric pair folded by exactly 180°, there is no such normal and no force (sine below 1e-6); S9 has no such gap.
+    h = n·(point of the wings' line - point of the edge's line), n their common normal on the side of the surface's
+    normal; the force is shared by the four particles with the weights of the feet of the common normal, which are not
+    clamped. With the lines parallel, as in a symmetric pair folded by exactly 180°, there is no such normal and no
+    force (sine below 1e-6); S9 has no such gap.
 
     Args:
         edges: the shared edges, shape (m, 2).

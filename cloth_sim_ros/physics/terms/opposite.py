@@ -13,8 +13,9 @@ from cloth_sim_ros.physics.terms.pair_springs import PairSprings
 class OppositeSprings(PairSprings):
     """Bending springs (S7): pair springs between the wings of each hinge.
 
-    At a fold θ of two equal triangles they have the energy k L θ⁴/128 and the moment k L θ³/32 (L the distance of the wings when flat), so they resist
-    no small fold and have no bending modulus. With a rest angle that is not flat they push neither way when the wings are coplanar. S8 and S9 cure both.
+    At a fold θ of two equal triangles they have the energy k L θ⁴/128 and the moment k L θ³/32 (L the distance of the
+    wings when flat), so they resist no small fold and have no bending modulus. With a rest angle that is not flat
+    they push neither way when the wings are coplanar. S8 and S9 cure both.
 
     Args:
         wings: opposite vertices, shape (m, 2); see `surface.opposite_pairs`.
@@ -43,7 +44,7 @@ class OppositeSprings(PairSprings):
         wrong = np.flatnonzero(~(rest > 0.0))
         if wrong.size:
             raise ValueError(
-                f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is {rest[wrong[0]]}; it must be above 0: "
-                "a pair folded shut at rest has no such spring"
+                f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is {rest[wrong[0]]}; "
+                "it must be above 0: a pair folded shut at rest has no such spring"
             )
         super().__init__(pairs, rest, np.asarray(stiffness, dtype=np.float64) / rest, damping, name=name, weak=weak)

@@ -18,14 +18,16 @@ class TetrahedronSprings(Term):
 
     Args:
         hinges: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).
-        rest_length: signed rest lengths h0 [m], shape (m,) or one number; 0 is flat, positive where the wings rise to the side of the normal.
+        rest_length: signed rest lengths h0 [m], shape (m,) or one number; 0 is flat, positive where the wings rise to
+            the side of the normal.
         stiffness: κ̂ [N/m], shape (m,) or one number, at least 0.
         damping: k_d [N s/m], shape (m,) or one number, at least 0.
         name: the term's name in a model.
         weak: whether it may be evaluated less often than every step.
 
     Raises:
-        ValueError: for a shape that does not fit, a particle that a hinge names twice, or a value that is not finite or negative.
+        ValueError: for a shape that does not fit, a particle that a hinge names twice, or a value that is not finite
+            or negative.
     """
 
     _crossed: bool
@@ -48,7 +50,8 @@ class TetrahedronSprings(Term):
         wrong = np.flatnonzero((ordered[:, :-1] == ordered[:, 1:]).any(axis=1) | (ordered[:, :1] < 0).any(axis=1))
         if wrong.size:
             raise ValueError(
-                f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; it needs four different particles, counted from 0"
+                f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; "
+                "it needs four different particles, counted from 0"
             )
         self.rest_length = self._per_hinge("rest_length", rest_length, count, signed=True)
         self.stiffness = self._per_hinge("stiffness", stiffness, count)
@@ -69,7 +72,7 @@ class TetrahedronSprings(Term):
         return array
 
     def lengths(self, x: Array) -> Array:
-        """Return the signed length h [m] of every hinge at positions x (3, n); NaN where it is not defined, shape (m,)."""
+        """Return the signed length h [m] of every hinge at positions x (3, n), NaN where undefined, shape (m,)."""
         return signed_lengths(self.hinges, x, crossed=self._crossed)
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
@@ -97,7 +100,7 @@ class TetrahedronSprings(Term):
 
 
 def signed_lengths(hinges: ArrayLike, x: Array, *, crossed: bool) -> Array:
-    """Return the signed lengths [m] of hinges (m, 4) at x (3, n): S8's if `crossed`, else S9's; NaN where not defined."""
+    """Return the signed lengths [m] of hinges (m, 4) at x (3, n), S8's if `crossed`, else S9's; NaN where undefined."""
     quads = np.ascontiguousarray(hinges, dtype=np.int64).reshape(-1, 4)
     lengths = np.empty(len(quads))
     kernels.tetrahedron_lengths(quads, crossed, np.ascontiguousarray(x, dtype=np.float64), lengths)

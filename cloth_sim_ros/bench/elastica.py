@@ -1,0 +1,182 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A strip of cloth clamped level at one end bends under its weight: the heavy elastica, and bending springs.
+
+With the load b = w L³/D (w weight per area, D bending modulus) and σ = s/L from the clamp, the slope φ below the
+level obeys φ'' = -b (1 - σ) cos φ, φ(0) = 0, φ'(1) = 0 (Bickley, Phil. Mag. 17, 1934).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.bending_calibration import bending_terms, grid_hinge_constants
+from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
+from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Elastica:
+    """The exact shape of a strip of length 1 m."""
+
+    load: float
+    """b = w L³/D."""
+    slope_at_tip: float
+    """Angle of the tip below the level [rad]."""
+    arc: Array
+    """Arc lengths from the clamp [m], ascending, (k,)."""
+    curve: Array
+    """Distance from the clamp and height below it at those [m], (k, 2)."""
+
+    def at(self, arc: Array) -> Array:
+        """Return distance and depth [m] at arc lengths (m,), (m, 2)."""
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(self.arc, self.curve)(arc))
+
+
+def heavy_elastica(slope_at_tip: float) -> Elastica:
+    """Solve for the load that bends the tip by `slope_at_tip` [rad], between 0 and π/2, and for the shape.
+
+    Raises:
+        ValueError: for an angle out of range.
+        RuntimeError: if the boundary value problem is not solved to 1e-10.
+    """
+    from scipy.integrate import solve_bvp
+
+    if not 0.0 < slope_at_tip < 0.5 * math.pi:
+        raise ValueError(f"slope_at_tip is {slope_at_tip} rad; it must lie between 0 and π/2")
+
+    def rates(s: Array, y: Array, p: Array) -> Array:
+        return np.vstack((y[1], -p[0] * (1.0 - s) * np.cos(y[0]), np.cos(y[0]), np.sin(y[0])))
+
+    def ends(a: Array, b: Array, p: Array) -> Array:
+        return np.array((a[0], b[1], b[0] - slope_at_tip, a[2], a[3]))
+
+    s = np.linspace(0.0, 1.0, 101)
+    guess = np.vstack((slope_at_tip * (1 - (1 - s) ** 3), 3 * slope_at_tip * (1 - s) ** 2, s, 0 * s))
+    solved = solve_bvp(rates, ends, s, guess, p=[6.0 * slope_at_tip], tol=1e-10, max_nodes=100_000)
+    if not solved.success:
+        raise RuntimeError(f"the elastica of tip slope {slope_at_tip} rad was not solved: {solved.message}")
+    return Elastica(load=float(solved.p[0]), slope_at_tip=slope_at_tip, arc=solved.x, curve=solved.y[2:].T.copy())
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Strip:
+    """A clamped strip of springs at rest under its weight."""
+
+    arc: Array
+    """Arc length from the clamp of every column of particles beyond it [m], (c,)."""
+    curve: Array
+    """Mean distance from the clamp and depth below it of the columns [m], (c, 2)."""
+    aside: float
+    """Largest sideways offset of a column's mean [m]: a strip that twists leaves its plane."""
+
+
+def hanging_strip(
+    model: Literal["crossed", "altitude"],
+    exact: Elastica,
+    *,
+    columns: int,
+    rows: int = 3,
+    stretch: float = 1e6,
+) -> Strip:
+    """Find the equilibrium, under the load of `exact`, of a strip of length 1 m and modulus 1 N m.
+
+    The first two columns are clamped. The hinges at a column stand for the curvature of half a cell on either side,
+    so the continuum's clamp lies half a cell before column 1. The tip carries half a column's mass, the border rows
+    half a row's.
+
+    Args:
+        model: bending model.
+        exact: the elastica, whose load is taken, and whose shape is where the search begins.
+        columns: particles along the strip, the clamped two among them.
+        rows: particles across.
+        stretch: stiffness of the edge and shear springs [N/m] in units of D/L².
+
+    Raises:
+        RuntimeError: if no equilibrium is found.
+    """
+    cell = 1.0 / (columns - 1.5)
+    along: Array = (np.arange(columns) - 0.5) * cell
+    column = np.tile(np.arange(columns), rows)
+    row = np.repeat(np.arange(rows), columns)
+    rest = np.stack((along[column], row * cell, np.zeros(rows * columns)), axis=1)
+    masses = np.full(rows * columns, exact.load * cell * cell)  # gravity is 1
+    masses[column == columns - 1] *= 0.5
+    masses[(row == 0) | (row == rows - 1)] *= 0.5
+    hinges = grid_hinges(rows, columns)
+    edges = Surface.from_triangles(grid_triangles(rows, columns, "left")).edges
+    pairs = np.concatenate((edges, grid_diagonals(rows, columns, "right")))
+    lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
+    constants = grid_hinge_constants(hinges, columns=columns, spacing=(cell, cell), bending_modulus=1.0)
+    terms: list[Term] = [PairSprings(pairs, lengths, stretch)]
+    terms += bending_terms(model, hinges, rest, hinge_constants=constants, existing=pairs)
+    free = np.flatnonzero(column > 1)
+    start = rest.copy()
+    curve = exact.at(along[column[free]])
+    start[free, 0], start[free, 2] = curve[:, 0], -curve[:, 1]
+    x = _equilibrium(terms, start, masses, free)
+    mean = np.array([x[column == k].mean(axis=0) for k in range(2, columns)])
+    centre = rest[:, 1].mean()
+    return Strip(arc=along[2:], curve=mean[:, [0, 2]] * (1.0, -1.0), aside=float(np.abs(mean[:, 1] - centre).max()))
+
+
+def _equilibrium(terms: list[Term], start: Array, masses: Array, free: np.ndarray) -> Array:
+    """Positions (n, 3) of least energy under gravity -1 along z, by Newton's method in a trust region from `start`."""
+    from scipy.optimize import minimize
+
+    x = np.ascontiguousarray(start.T)
+    still = np.zeros_like(x)
+    count = free.size
+
+    def place(y: Array) -> Array:
+        x[:, free] = y.reshape(3, count)
+        return x
+
+    def energy(y: Array) -> float:
+        p = place(y)
+        return sum(term.energy(0.0, p) for term in terms) + float(masses @ p[2])
+
+    def gradient(y: Array) -> Array:
+        p, f = place(y), np.zeros_like(x)
+        for term in terms:
+            term.add_force(0.0, p, still, f)
+        f[2] -= masses
+        return -f[:, free].ravel()
+
+    def hessian(y: Array) -> Array:
+        p, push, out = place(y), np.zeros_like(x), np.zeros_like(x)
+        matrix = np.empty((y.size, y.size))
+        for j in range(y.size):
+            push[j // count, free[j % count]] = 1.0
+            out[:] = 0.0
+            for term in terms:
+                term.add_jacobian_product(0.0, p, still, push, still, out)
+            push[j // count, free[j % count]] = 0.0
+            matrix[j] = -out[:, free].ravel()
+        return 0.5 * (matrix + matrix.T)
+
+    weight = float(masses.sum())
+    y = minimize(
+        energy,
+        x[:, free].ravel(),
+        (),
+        "trust-exact",
+        gradient,
+        hessian,
+        options={"gtol": 1e-5 * weight, "maxiter": 2000},
+    ).x
+    for _ in range(4):  # the energy's rounding ends the search too early; the force's does not
+        y = y - np.linalg.solve(hessian(y), gradient(y))
+    left = float(np.abs(gradient(y)).max())
+    if not left < 1e-6 * weight:
+        raise RuntimeError(
+            f"no equilibrium of the strip: a force of {left:.2e} N remains of a weight of {weight:.2e} N"
+        )
+    return place(y).T.copy()
