@@ -63,6 +63,10 @@ soak: $(DEV)
 bench: $(DEV)
 	@$(BIN)/cloth_bench $(ARGS)
 
+# The pictures of the README and docs, anew, from real sessions.
+screenshots: $(DEV)
+	@$(BIN)/python scripts/screenshots.py $(ARGS)
+
 # The layout that `ros2 run` and `ros2 launch` expect, into install/.
 colcon: $(DEV)
 	@$(BIN)/colcon build --base-paths . $(ARGS)
