@@ -67,6 +67,10 @@ class Grippers:
         """Whether the gripper has had a target, and so has a pose."""
         return bool(self._state.memory["gripper.placed"][index])
 
+    def is_closed(self, index: int) -> bool:
+        """Whether the gripper is closed, on whatever it holds or on nothing."""
+        return bool(self._state.memory["gripper.closed"][index])
+
     def held(self, index: int) -> np.ndarray:
         """Indices of the particles that a gripper holds."""
         starts = self._state.memory["grip.starts"]

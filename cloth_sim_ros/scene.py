@@ -191,7 +191,7 @@ class Scene:
         return np.einsum("ij,nj->ni", turn, self.sheet.positions()) + np.asarray(self.cloth.position)
 
     def starting_state(self) -> State:
-        """Starting state: that of `initial_state`, at frame 0 and running; else at rest, but for a springs file's velocities.
+        """Starting state: that of `initial_state`, at frame 0 and running; else at rest, or as a springs file has it.
 
         Raises:
             ParameterError: for a state that does not fit the cloth.

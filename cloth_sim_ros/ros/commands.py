@@ -60,6 +60,7 @@ class Commands:
         self._tape = tape
         self._log = log
         self._gates = {name: StampGate() for name in grippers}
+        self._heard: dict[str, int] = {}
         #: Messages that arrived, and of them those that were refused or older than the newest.
         self.received = 0
         self.refused = 0
@@ -77,10 +78,15 @@ class Commands:
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
                 node.create_subscription(kind, topic, _single(take), qos, raw=True)
 
+    def heard(self, gripper: str) -> int | None:
+        """When the newest target of a gripper came, ROS time [ns]; None if none has."""
+        return self._heard.get(gripper)
+
     def forget_stamps(self) -> None:
         """Accept any stamp next: the clock was set back, or the cloth was."""
         for gate in self._gates.values():
             gate.forget()
+        self._heard.clear()
 
     def _take(
         self,
@@ -131,6 +137,7 @@ class Commands:
         event = Target(gripper, position, orientation)
         self._check(event)
         self._queue.put(event, stamp=self._gates[gripper].accept(stamp, now))
+        self._heard[gripper] = now
 
     def _grasp(self, gripper: str, message: Bool, _now: int) -> None:
         event = Grasp(gripper, bool(message.data))

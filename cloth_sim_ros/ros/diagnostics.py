@@ -32,15 +32,13 @@ class Tally:
     #: Wall time that frames took, the longest since the last report and the sum [s].
     longest: float = 0.0
     busy: float = 0.0
-    steps: int = 0
     _reported: tuple[int, int, float] = (0, 0, 0.0)
     _since: float = attrs.field(factory=time.monotonic)
     _begun: float = attrs.field(factory=time.monotonic)
 
-    def add(self, *, moved: bool, steps: int, seconds: float) -> None:
+    def add(self, *, moved: bool, seconds: float) -> None:
         """Count a frame that took some wall time [s]."""
         self.frames += moved
-        self.steps = steps if moved else self.steps
         self.busy += seconds
         self.longest = max(self.longest, seconds)
 

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 
 from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_matrix
+from cloth_sim_ros.ros.messages import read_stamp
 
 Pose = tuple[tuple[float, ...], tuple[float, ...] | None]
 
@@ -31,6 +32,7 @@ class FrameTransformer:
         self._tf2: Any = None
         self._buffer: Any = None
         self._listener: Any = None
+        self._found = 0
 
     def to_cloth(
         self, frame_id: str, position: tuple[float, ...], orientation: tuple[float, ...] | None, stamp: int
@@ -53,15 +55,25 @@ class FrameTransformer:
         turned = None if orientation is None else tuple(product(turn, normalised(orientation)).tolist())
         return tuple(moved.tolist()), turned
 
+    def newest(self, frame_id: str) -> tuple[tuple[float, ...], tuple[float, ...], int]:
+        """Return position [m], orientation and stamp [ns] of a frame in the cloth's frame, as newly as it is known.
+
+        Raises:
+            FrameError: if there is no way from one frame to the other.
+        """
+        translation, turn = self._lookup(frame_id, 0)
+        return tuple(translation.tolist()), tuple(turn.tolist()), self._found
+
     def _lookup(self, frame_id: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:
         self._listen(frame_id)
         try:
-            found = self._buffer.lookup_transform(self._frame_id, frame_id, Time(nanoseconds=stamp)).transform
+            answer = self._buffer.lookup_transform(self._frame_id, frame_id, Time(nanoseconds=stamp))
         except self._tf2.TransformException as error:
             raise FrameError(
                 f"no transform from '{frame_id}' to the cloth's frame '{self._frame_id}': {error}"
             ) from error
-        t, r = found.translation, found.rotation
+        self._found = read_stamp(answer.header.stamp)
+        t, r = answer.transform.translation, answer.transform.rotation
         return np.array([t.x, t.y, t.z]), normalised([r.x, r.y, r.z, r.w])
 
     def _listen(self, frame_id: str) -> None:

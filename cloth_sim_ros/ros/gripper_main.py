@@ -12,9 +12,8 @@ import attrs
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
+from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
 from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.locations import config_file
@@ -28,7 +27,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 when it was played, 1 if it could not be, 130 if a signal ended it.
     """
     argv = list(sys.argv if arguments is None else ["cloth_gripper", *arguments])
-    options = _read(remove_ros_args(argv)[1:])
+    try:
+        options = read_and_start(_parser(), argv)
+    except ArgumentsError as error:
+        return _refuse(str(error))
+    try:
+        return _play(options)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _play(options: argparse.Namespace) -> int:
     try:
         script = GripperScript.from_file(options.script or config_file("grasp.yaml"))
     except ScriptError as error:
@@ -39,7 +48,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(f"gripper name '{script.gripper}' is no ROS name; use letters, digits and _, a letter first")
     signals = StopSignals()
     signals.install()
-    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     node = Node("cloth_gripper")
     player = GripperPlayer(node, script, target=options.node, proceed=lambda: signals.requested is None)
     try:
@@ -55,11 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     finally:
         node.destroy_node()
-        rclpy.try_shutdown()
     return 0
 
 
-def _read(arguments: Sequence[str]) -> argparse.Namespace:
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cloth_gripper",
         description="Plays a scripted grasp (YAML: times, poses, close, open) into a cloth's command topics.",
@@ -74,7 +81,7 @@ def _read(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="SECONDS",
         help="how long to wait for the node (default: %(default)s)",
     )
-    return parser.parse_args(arguments)
+    return parser
 
 
 def _refuse(reason: str) -> int:

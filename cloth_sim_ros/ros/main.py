@@ -16,11 +16,10 @@ from rclpy.exceptions import (
     InvalidTopicNameException,
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
 from cloth_sim_ros import __version__
 from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.recording import RecordingUnavailableError
@@ -50,16 +49,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "ros2 param describe tells what they mean.",
     )
     parser.add_argument("--version", action="version", version=__version__)
-    parser.parse_args(remove_ros_args(argv)[1:])
     signals = StopSignals()
     signals.install()
     try:
         with signals.interruptible():
-            rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+            read_and_start(parser, argv)
     except StopRequestedError:
         return 0
-    except RuntimeError as error:
-        return _refuse(str(error).split(", at ./", 1)[0])
+    except ArgumentsError as error:
+        return _refuse(str(error))
     try:
         return _run(signals)
     finally:
@@ -73,7 +71,7 @@ def _run(signals: StopSignals) -> int:
     except StopRequestedError:
         return 0
     except (ParameterError, RuntimeError, *_BAD_NAMES) as error:
-        return _refuse(str(error))
+        return _refuse(readable(error))
     started = False
     try:
         cloth.warm_up()

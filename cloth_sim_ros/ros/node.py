@@ -16,9 +16,11 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from cloth_sim_ros.events import Grasp, Reset, SetParameters, Target
+from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.ros import diagnostics, parameters
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
+from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
@@ -27,6 +29,7 @@ from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecord
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
+from cloth_sim_ros.ros.strain import StrainGauge
 from cloth_sim_ros.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -67,6 +70,7 @@ class ClothNode:
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
         self._queue = EventQueue()
+        self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, interruptible=interruptible)
         self._recording = SessionRecording(node_name=self.node.get_fully_qualified_name(), simulation=self._simulation)
         self._outputs = Outputs(self.node, scene, self._recording)
@@ -75,10 +79,11 @@ class ClothNode:
             grippers=scene.gripper_names,
             queue=self._queue,
             check=self._simulation.check,
-            frames=FrameTransformer(self.node, scene.frame_id),
+            frames=self._frames,
             tape=self._recording,
             log=self._log,
         )
+        self._companions = GripperCompanions(self._simulation, self._frames, self._commands.heard, self._log)
         self._services = Services(
             self.node,
             grippers=scene.gripper_names,
@@ -90,12 +95,15 @@ class ClothNode:
         )
         self._parameters = parameters.LiveParameters(self.node, scene, self._change_parameters)
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
+        self._gauge = StrainGauge(scene)
         self.tally = diagnostics.Tally()
         self._pacer: Pacer | None = None
         self._started = time.monotonic()
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
         self._failure = ""
+        self._advance: Advance | None = None
+        self._namesakes = False
 
     @property
     def simulation(self) -> Simulation:
@@ -186,7 +194,7 @@ class ClothNode:
         begun = time.monotonic()
         self._recording.before_frame(due.stamp)
         try:
-            frame = self._stepper.step(due.stamp)
+            frame = self._stepper.step(due.stamp, self._companions.events(due.stamp))
         except StopRequestedError:
             return
         if self._stepper.refused_parameters:
@@ -203,8 +211,9 @@ class ClothNode:
             self._recording.add_frame(frame, due.stamp, self._extras)
             self._extras = {}
             self._outputs.send(self._simulation.state.x, frame.wrenches, due.stamp)
+        self._advance = frame.advance or self._advance
         taken = time.monotonic() - begun
-        self.tally.add(moved=frame.moved, steps=frame.advance.steps if frame.advance else 0, seconds=taken)
+        self.tally.add(moved=frame.moved, seconds=taken)
         self._count_late(due, taken)
 
     def _count_late(self, due: Due, taken: float) -> None:
@@ -216,7 +225,8 @@ class ClothNode:
         if late and not self.node.get_parameter("use_sim_time").value:
             self._log.warn(
                 "late",
-                f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms; {self.tally.late} late",
+                f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms, "
+                f"{self.tally.late} were late so far",
             )
 
     def _on_jump_back(self, before: int, now: int) -> None:
@@ -291,8 +301,35 @@ class ClothNode:
             if silent > _CLOCK_PATIENCE:
                 self._log.warn("clock", f"use_sim_time is set, and for {silent:.0f} s nothing has come on /clock")
 
+    def _describe_motion(self) -> dict[str, str]:
+        advance = self._advance
+        strain = self._gauge.largest(self._simulation.state.x)
+        asked = self._simulation.scene.diagnostics.energy
+        values = {
+            "largest_strain": "not measured" if strain is None else f"{strain:.6f}",
+            "energy_j": f"{self._simulation.energy():.9g}" if asked else "off",
+        }
+        if advance is not None:
+            values["steps_per_frame"] = str(advance.steps)
+            values["integrator"] = advance.integrator
+            values["integrator_why"] = advance.reason
+            values["error_estimate_m"] = "none" if advance.error is None else f"{advance.error:.3g}"
+        return values
+
+    def _look_for_namesakes(self) -> None:
+        """Warn once when another node has this one's name: services and parameters would reach either of them."""
+        own = (self.node.get_name(), self.node.get_namespace())
+        found = self.node.get_node_names_and_namespaces().count(own) > 1
+        if found and not self._namesakes:
+            self.node.get_logger().warning(
+                f"there are several nodes {self.node.get_fully_qualified_name()}: give each its own name or namespace "
+                "(--ros-args -r __node:=other)"
+            )
+        self._namesakes = found
+
     def _report(self) -> tuple[bytes, str, dict[str, str]]:
         scene = self._simulation.scene
+        self._look_for_namesakes()
         rates = self.tally.report(scene.period)
         values = {
             "frame": str(self._simulation.frame),
@@ -303,8 +340,7 @@ class ClothNode:
             "late_frames": str(self.tally.late),
             "load": f"{rates['load']:.4f}",
             "longest_frame_ms": f"{rates['longest'] * 1e3:.3f}",
-            "steps_per_frame": str(self.tally.steps),
-            "integrator": scene.integrator,
+            **self._describe_motion(),
             "commands_received": str(self._commands.received),
             "commands_refused": str(self._commands.refused),
             "commands_outdated": str(self._commands.outdated),

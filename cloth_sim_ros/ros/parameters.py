@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from cloth_sim_ros.parameters import Parameter, ParameterError
+from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.scene import Scene
 
 _TYPES = {
@@ -44,7 +45,7 @@ def declare(node: Node) -> Scene:
             # Declared by the override, of whatever type that has: checked here, where the message says what to do.
             values[entry.name] = entry.check(_plain(node.get_parameter(entry.name).value))
             node.undeclare_parameter(entry.name)
-    scene = Scene.from_parameters(values)
+    scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
     for entry in known:
         value = values.get(entry.name, entry.default)
         node.declare_parameter(

@@ -5,18 +5,18 @@
 from __future__ import annotations
 
 import datetime
-import platform
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from cloth_sim_ros import __version__, events, parameter_file
+from cloth_sim_ros import events, parameter_file
 from cloth_sim_ros.simulation import Frame, Simulation
+from cloth_sim_ros.verify_environment import environment
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.session.recorder import Recorder, RecorderStatus
+    from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
     from cloth_sim_ros.session.writer import Snapshot
 
 _FRAME_TYPE = "std_msgs/msg/String"
@@ -66,7 +66,7 @@ class SessionRecording:
         if self._closing is not None:
             raise RecordingUnavailableError("the recording before is still being closed; ask again")
         try:
-            from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, session_stem
+            from cloth_sim_ros.session.recorder import Recorder, session_stem
         except ImportError as error:
             raise RecordingUnavailableError(
                 f"recording needs {error.name}, which is not installed: pip install mcap rosbags zstandard lz4"
@@ -77,7 +77,7 @@ class SessionRecording:
             snapshot=self._snapshot(),
             log_time=stamp,
             stem=session_stem(name, datetime.datetime.now(datetime.UTC)),
-            options=RecorderOptions(),
+            options=self._options(),
         )
 
     def wait_until_open(self) -> Path:
@@ -176,6 +176,17 @@ class SessionRecording:
             f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False
         )
 
+    def _options(self) -> RecorderOptions:
+        from cloth_sim_ros.session.recorder import RecorderOptions
+        from cloth_sim_ros.session.writer import WriterOptions
+
+        record = self._simulation.scene.record
+        writer = WriterOptions(
+            compression=record.compression,  # type: ignore[arg-type]
+            least_free_space=record.least_free_space,
+        )
+        return RecorderOptions(writer=writer, split_bytes=record.split)
+
     def _snapshot(self) -> Snapshot:
         from cloth_sim_ros.session.writer import Snapshot
 
@@ -185,22 +196,9 @@ class SessionRecording:
             metadata={
                 "node": self._node_name,
                 "period": repr(self._simulation.scene.period),
-                **_versions(),
-                "machine": f"{platform.system()} {platform.machine()}",
+                **environment(),
             },
         )
-
-
-def _versions() -> dict[str, str]:
-    import numba
-    import numpy
-
-    return {
-        "version": __version__,
-        "python": platform.python_version(),
-        "numpy": numpy.__version__,
-        "numba": numba.__version__,
-    }
 
 
 def _type_name(kind: Any) -> str:

@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from cloth_sim_ros.events import Grasp, Pause, SetParameters
+from cloth_sim_ros.events import Event, Grasp, Pause, SetParameters
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
 from cloth_sim_ros.simulation import Frame, Simulation
@@ -37,12 +37,12 @@ class Stepper:
         #: Why parameters that were accepted could not take effect, in the newest frame; empty if they did.
         self.refused_parameters = ""
 
-    def step(self, due: int) -> Frame:
-        """Compute the frame that was due at a ROS time [ns].
+    def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
+        """Compute the frame that was due at a ROS time [ns], with events of the node's own before those that wait.
 
         Where the motion becomes unstable the commands take effect, time stands still, and `trouble` says why.
         """
-        entries = self._queue.take(due)
+        entries = [*(Entry(event=event) for event in own), *self._queue.take(due)]
         self.refused_parameters = ""
         try:
             frame = self._advance(entries)

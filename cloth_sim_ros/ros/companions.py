@@ -1,0 +1,73 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a gripper does by itself: lets go when its commands fall silent, follows a TF frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from cloth_sim_ros.events import Event, Grasp, Target
+from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import EventError, Simulation
+
+
+class GripperCompanions:
+    """Adds events of its own before a frame.
+
+    Args:
+        simulation: the cloth.
+        frames: looks frames up.
+        heard: when a gripper's newest target came, ROS time [ns], or None.
+        log: says what happened.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        frames: FrameTransformer,
+        heard: Callable[[str], int | None],
+        log: ThrottledLog,
+    ) -> None:
+        self._simulation = simulation
+        self._frames = frames
+        self._heard = heard
+        self._log = log
+        self._followed: dict[str, int] = {}
+
+    def events(self, now: int) -> list[Event]:
+        """Return the events of a frame that is due at a ROS time [ns]."""
+        scene = self._simulation.scene
+        if not scene.gripper.timeout and not scene.gripper.frame:
+            return []
+        found: list[Event] = []
+        for index, name in enumerate(scene.gripper_names):
+            if scene.gripper.frame:
+                found += self._follow(scene, name)
+            found += self._let_go(scene, index, name, now)
+        return found
+
+    def _follow(self, scene: Scene, name: str) -> list[Event]:
+        frame = scene.gripper.frame.replace("{gripper}", name)
+        try:
+            position, orientation, stamp = self._frames.newest(frame)
+            if stamp == self._followed.get(name):
+                return []
+            target = Target(name, position, orientation)
+            self._simulation.check(target)
+        except (FrameError, EventError) as error:
+            self._log.warn(f"follow {name}", f"'{name}' can't follow frame '{frame}': {error}")
+            return []
+        self._followed[name] = stamp
+        return [target]
+
+    def _let_go(self, scene: Scene, index: int, name: str, now: int) -> list[Event]:
+        heard = self._heard(name)
+        if not scene.gripper.timeout or heard is None or not self._simulation.grippers.is_closed(index):
+            return []
+        silent = (now - heard) * 1e-9
+        if silent <= scene.gripper.timeout:
+            return []
+        self._log.warn(f"silent {name}", f"'{name}' lets go: no target has come for {silent:.2f} s (gripper.timeout)")
+        return [Grasp(name, False)]

@@ -1,0 +1,34 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The largest strain of a cloth, for its report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.scene import Scene
+
+#: Above this many edges the report would hold up frames.
+MOST_EDGES = 400_000
+
+
+class StrainGauge:
+    """Measures the edges of a cloth's surface against their rest lengths."""
+
+    def __init__(self, scene: Scene) -> None:
+        sheet = scene.sheet
+        triangles = sheet.triangles()
+        edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+        edges = np.unique(np.sort(edges, axis=1), axis=0)
+        rest = sheet.positions()
+        lengths = np.linalg.norm(rest[edges[:, 1]] - rest[edges[:, 0]], axis=1)
+        self._near, self._far = edges[lengths > 0.0].T
+        self._lengths = lengths[lengths > 0.0]
+
+    def largest(self, x: Array) -> float | None:
+        """Return the largest relative elongation at positions x [m], shape (3, n); None without edges, or with too many."""
+        if not 0 < len(self._lengths) <= MOST_EDGES:
+            return None
+        lengths = np.linalg.norm(x[:, self._far] - x[:, self._near], axis=0)
+        return float(np.max(lengths / self._lengths) - 1.0)
