@@ -31,6 +31,7 @@ SNAPSHOT = Snapshot(
     scene_yaml="/**:\n  ros__parameters:\n    rate: 60.0\n",
     state=bytes(range(256)) * 20,
     metadata={"node": NODE, "period": "0.016666666666666666", "package": "0.1.0"},
+    files={"cloth.springs": b"springs"},
 )
 SMALL_CHUNKS = WriterOptions(chunk_bytes=8192, sync_seconds=0)
 

@@ -39,6 +39,7 @@ def test_own_reader_gives_back_everything(session: Path) -> None:
         assert reader.missing is None
         assert reader.state == samples.SNAPSHOT.state
         assert reader.scene_yaml == samples.SNAPSHOT.scene_yaml
+        assert reader.files == samples.SNAPSHOT.files
         assert reader.metadata["period"] == "0.016666666666666666"
         assert reader.node == samples.NODE
         assert [frame.frame for frame in reader.frames()] == list(range(90))
@@ -86,6 +87,7 @@ def test_mcap_readers_agree(session: Path) -> None:
         assert attachments == {
             "scene.yaml": samples.SNAPSHOT.scene_yaml.encode(),
             "state.npz": samples.SNAPSHOT.state,
+            "file:cloth.springs": b"springs",
         }
         assert [item.name for item in reader.iter_metadata()] == ["cloth_sim", "cloth_sim_end"]
 

@@ -314,6 +314,23 @@ def test_times_that_are_none_are_refused_at_the_call(tmp_path: Path) -> None:
     assert recorder.close().state == "closed"
 
 
+def test_log_times_keep_the_order_of_recording(tmp_path: Path) -> None:
+    recorder = _start(tmp_path)
+    second = 10**9
+    # A command came before the frame that was due earlier; then the clock was set back by an hour.
+    given = [5 * second, 5 * second + 700, 5 * second + 300, 5 * second + 800, 5 * second - second // 2]
+    given += [7200 * second, 3600 * second, 3600 * second - 1]
+    for time_given in given:
+        recorder.record(samples.FRAME, "std_msgs/msg/String", b"", log_time=time_given, droppable=False)
+    status = recorder.close()
+    assert status.path is not None
+    messages = samples.read_all(status.path)
+    last = 5 * second + 800
+    raised = [5 * second, last - 100, last - 100, last, last, 7200 * second, 3600 * second, 3600 * second]
+    assert [item.log_time for item in messages] == raised
+    assert [item.publish_time for item in messages] == given
+
+
 def test_closing_on_a_stuck_disk_gives_up_in_time(tmp_path: Path) -> None:
     class Gated(GatedFile):
         gate = threading.Event()

@@ -36,6 +36,7 @@ from cloth_sim_ros.session.mcap_scan import (
 from cloth_sim_ros.session.storage import is_being_written
 from cloth_sim_ros.session.writer import (
     END_METADATA_NAME,
+    FILE_PREFIX,
     FORMAT_VERSION,
     METADATA_NAME,
     SCENE_NAME,
@@ -116,6 +117,15 @@ class SessionPart:
     def state(self) -> bytes:
         """The full state before the file's first frame, the bytes of an .npz."""
         return self.attachments[STATE_NAME].data
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """Content of the files that the parameters name, by that name."""
+        return {
+            name.removeprefix(FILE_PREFIX): attachment.data
+            for name, attachment in self.attachments.items()
+            if name.startswith(FILE_PREFIX)
+        }
 
     @property
     def finished(self) -> bool:

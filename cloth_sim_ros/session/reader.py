@@ -87,6 +87,11 @@ class SessionReader:
         return self._parts[0].state
 
     @property
+    def files(self) -> Mapping[str, bytes]:
+        """Content of the files that the parameters name, by that name."""
+        return self._parts[0].files
+
+    @property
     def node(self) -> str:
         """Resolved name of the node, the beginning of its topics' names."""
         return self.metadata.get("node", "/cloth_sim")

@@ -25,6 +25,8 @@ _ITEM_OVERHEAD = 400
 """Memory that Python keeps for a queued message beyond its bytes; estimated on the high side [bytes]."""
 
 _LATEST = 1 << 63
+_CLOCK_JUMP = 1_000_000_000
+"""A log time that lies back by this much is no matter of the order in which callbacks ran [ns]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,6 +126,7 @@ class Recorder:
         self._taken_count = self._taken_bytes = 0
         self._dropped = 0
         self._sequences: dict[str, int] = {}
+        self._last_log_time = 0
         self._put_lock = threading.Lock()
         self._splits_asked = 0
         self._full_part = -1
@@ -162,7 +165,11 @@ class Recorder:
     ) -> bool:
         """Queue a message (CDR bytes); never blocks. False if it was dropped or the recording has ended.
 
-        Times in nanoseconds since the epoch (ValueError if they are none). `qos` counts with the first message of a
+        Times in nanoseconds since the epoch (ValueError if they are none); without a publish time it is the given log
+        time. A log time that lies before the last one by less than a second is raised to it, so that whoever sorts by
+        it
+        gets what was recorded in the order in which it was; the clock's greater jumps stay. `qos` counts with the first
+        message of a
         topic; the newest message of a
         transient local topic is repeated at the beginning of each further file.
         """
@@ -173,6 +180,7 @@ class Recorder:
         with self._put_lock:
             if self._stop_asked or self._status.state in ("failed", "closed"):
                 return False
+            log_time = self._in_order(log_time)
             # The number counts dropped messages too, so that the file itself shows the gaps.
             sequence = self._sequences.get(topic, 0)
             self._sequences[topic] = sequence + 1
@@ -186,6 +194,12 @@ class Recorder:
             self._put(_Message(topic, type_name, data, log_time, publish_time, sequence, qos))
             return True
 
+    def _in_order(self, log_time: int) -> int:
+        if 0 < self._last_log_time - log_time < _CLOCK_JUMP:
+            return self._last_log_time
+        self._last_log_time = log_time
+        return log_time
+
     @property
     def wants_split(self) -> bool:
         """Whether the file has reached its limit; then call `split` with a snapshot at the next frame boundary."""
@@ -196,7 +210,7 @@ class Recorder:
         with self._put_lock:
             if not self._stop_asked and self._status.state != "failed":
                 self._splits_asked += 1
-                self._put(_Split(snapshot, log_time))
+                self._put(_Split(snapshot, self._in_order(log_time)))
 
     def status(self) -> RecorderStatus:
         """What the recording is doing."""

@@ -23,6 +23,8 @@ METADATA_NAME = "cloth_sim"
 END_METADATA_NAME = "cloth_sim_end"
 SCENE_NAME = "scene.yaml"
 STATE_NAME = "state.npz"
+FILE_PREFIX = "file:"
+"""Before the name of an attachment that holds a file which a parameter names."""
 SUFFIX = ".mcap"
 
 
@@ -36,6 +38,8 @@ class Snapshot:
     """The full state before the file's first frame, as the bytes of an .npz."""
     metadata: Mapping[str, str] = field(default_factory=dict)
     """Versions, machine, node (its resolved name, e.g. ``/cloth_sim``), period [s]; all as text."""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """Content of the files that parameters name (a mesh, springs), by that name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +126,7 @@ class SessionWriter:
                 for name, media_type, data in (
                     (SCENE_NAME, "application/yaml", snapshot.scene_yaml.encode()),
                     (STATE_NAME, "application/octet-stream", snapshot.state),
+                    *((FILE_PREFIX + name, "application/octet-stream", data) for name, data in snapshot.files.items()),
                 )
             ],
         )
