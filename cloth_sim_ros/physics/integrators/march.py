@@ -40,7 +40,22 @@ def leapfrog(
     """
     if dynamics.plan is not None:
         dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight)
-        return steps + 1
+    else:
+        leapfrog_by_terms(dynamics, t, x, v, step, steps, observer, weight)
+    return steps + 1
+
+
+def leapfrog_by_terms(
+    dynamics: Dynamics,
+    t: float,
+    x: Array,
+    v: Array,
+    step: float,
+    steps: int,
+    observer: Observer | None,
+    weight: float,
+) -> None:
+    """As `leapfrog`, evaluating the terms one by one."""
     a = np.empty_like(x)
     predicted = np.empty_like(x)
     dynamics.acceleration(t, x, v, a)
@@ -51,7 +66,6 @@ def leapfrog(
         if observer is not None:
             observer.observe(middle, x, v + 0.5 * step * a, weight * step)
         kick_and_drift(x, v, a, 0.5 * step)
-    return steps + 1
 
 
 def leapfrog_limit(omega2: float, damping_rate: float) -> float:
