@@ -29,7 +29,12 @@ _MESH = "shape_msgs/msg/Mesh"
 _STRING = "std_msgs/msg/String"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
+_POINT = "geometry_msgs/msg/PointStamped"
+_BOOL = "std_msgs/msg/Bool"
 _POSE = "geometry_msgs/msg/PoseStamped"
+
+
+Change = Callable[[str, bytes], bytes | None]
 
 
 def _time(nanoseconds: int) -> Any:
@@ -87,13 +92,20 @@ def diagnostics_bytes(log_time: int, values: Mapping[str, str]) -> bytes:
 
 def target_bytes(event: Target, log_time: int) -> bytes:
     """CDR bytes of a commanded pose."""
+    assert event.orientation is not None
     x, y, z = event.position
-    qx, qy, qz, qw = event.orientation or (0.0, 0.0, 0.0, 1.0)
+    qx, qy, qz, qw = event.orientation
     pose = message_class("geometry_msgs/msg/Pose")(
         position=message_class("geometry_msgs/msg/Point")(x=x, y=y, z=z),
         orientation=message_class("geometry_msgs/msg/Quaternion")(x=qx, y=qy, z=qz, w=qw),
     )
     return encode(message_class(_POSE)(header=_header(log_time), pose=pose), _POSE)
+
+
+def point_bytes(event: Target, log_time: int) -> bytes:
+    """CDR bytes of a commanded position."""
+    point = message_class("geometry_msgs/msg/Point")(**dict(zip("xyz", event.position, strict=True)))
+    return encode(message_class(_POINT)(header=_header(log_time), point=point), _POINT)
 
 
 def wrench_bytes(wrench: Sequence[float], log_time: int) -> bytes:
@@ -113,11 +125,19 @@ class SessionMaker:
         scene: what is simulated.
         stem: beginning of the files' names.
         options: layout of the files.
+        metadata: entries of the files' metadata, over those of the present environment.
     """
 
     def __init__(
-        self, folder: Path, scene: Scene, *, stem: str = "session", options: WriterOptions | None = None
+        self,
+        folder: Path,
+        scene: Scene,
+        *,
+        stem: str = "session",
+        options: WriterOptions | None = None,
+        metadata: Mapping[str, str] | None = None,
     ) -> None:
+        self._metadata = dict(metadata or {})
         self.simulation = Simulation(scene)
         self.paths: list[Path] = []
         self._folder, self._stem = folder, stem
@@ -137,14 +157,22 @@ class SessionMaker:
         *,
         extras: Mapping[str, Any] | None = None,
         diagnostics: Mapping[str, str] | None = None,
-        change: Callable[[str, bytes], bytes] = lambda _topic, data: data,
+        change: Change = lambda _topic, data: data,
     ) -> None:
-        """Advance one frame and write it; `change` may spoil a message's bytes before they are written."""
+        """Advance one frame and write it; `change` may spoil a message's bytes, or leave it out by None."""
         self._clock += 1
         now = self.log_time
         for event in events:
             if isinstance(event, Target):
-                self._write(f"{NODE}/{event.gripper}/target", _POSE, change, target_bytes(event, now))
+                leaf, kind, data = (
+                    ("target", _POSE, target_bytes(event, now))
+                    if event.orientation
+                    else ("point", _POINT, point_bytes(event, now))
+                )
+                self._write(f"{NODE}/{event.gripper}/{leaf}", kind, change, data)
+            elif isinstance(event, Grasp):
+                data = encode(message_class(_BOOL)(data=event.closed), _BOOL)
+                self._write(f"{NODE}/{event.gripper}/grasp", _BOOL, change, data)
         frame = self.simulation.advance(events)
         record = FrameRecord(
             frame=frame.index,
@@ -158,7 +186,7 @@ class SessionMaker:
             extras=dict(extras or {}),
         )
         self._write(f"{NODE}/frame", _STRING, change, encode_string(record.to_json()))
-        cloud = cloud_bytes(self.simulation.positions, now, self.simulation.scene.cloth.resolution)
+        cloud = cloud_bytes(self.simulation.positions, now, self.simulation.scene.shape)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
         for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))
@@ -187,7 +215,7 @@ class SessionMaker:
             snapshot=Snapshot(
                 scene_yaml=parameter_file.dump(simulation.scene.parameters()),
                 state=simulation.state.to_bytes(),
-                metadata={**environment(), "node": NODE, "period": repr(simulation.scene.period)},
+                metadata={**environment(), "node": NODE, "period": repr(simulation.scene.period), **self._metadata},
             ),
             stem=self._stem,
             part=len(self.paths),
@@ -199,10 +227,12 @@ class SessionMaker:
         self._writer.declare(f"{NODE}/topology", _MESH, latched)
         self._add(f"{NODE}/topology", mesh_bytes(simulation.scene))
 
-    def _write(self, topic: str, kind: str, change: Callable[[str, bytes], bytes], data: bytes) -> None:
+    def _write(self, topic: str, kind: str, change: Change, data: bytes) -> None:
         if not self._writer.is_declared(topic):
             self._writer.declare(topic, kind)
-        self._add(topic, change(topic, data))
+        changed = change(topic, data)
+        if changed is not None:
+            self._add(topic, changed)
 
     def _add(self, topic: str, data: bytes) -> None:
         sequence = self._sequences.get(topic, 0)

@@ -1,0 +1,110 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`cloth_verify`: runs recorded sessions again and says, in a sentence each, whether they came out the same."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.reader import SessionReader
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.verify_run import Verdict
+
+#: Exit statuses: all came out the same; something differs; something could not be read.
+SAME, DIFFERENT, UNREADABLE = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; its exit status."""
+    parser = argparse.ArgumentParser(
+        prog="cloth_verify",
+        description="Run recorded sessions again from their own snapshots and events, and compare every frame. "
+        "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read.",
+    )
+    parser.add_argument(
+        "session", nargs="+", type=Path, help="session.mcap, one or more; files of a split session together, in order"
+    )
+    options = parser.parse_args(arguments)
+    status = SAME
+    try:
+        for paths in _sessions(options.session):
+            try:
+                verdict = _verify(paths)
+            except SessionError as error:
+                print(f"cloth_verify: {error}", file=sys.stderr)
+                status = UNREADABLE
+                continue
+            print(describe(verdict), flush=True)
+            if verdict.damaged:
+                status = UNREADABLE
+            elif not verdict.same:
+                status = max(status, DIFFERENT)
+    except KeyboardInterrupt:
+        return 130
+    return status
+
+
+def describe(verdict: Verdict) -> str:
+    """A verdict in words: the outcome in the first sentence, what qualifies it after that."""
+    where = f"{verdict.name}: "
+    pace = f"{verdict.simulated:.1f} s run in {verdict.seconds:.1f} s"
+    counts = f"{_count(verdict.frames, 'frame')} and {_count(verdict.clouds, 'cloud')}"
+    if not verdict.frames:
+        sentences = ["it holds no frames: there is nothing to compare."]
+    elif verdict.same:
+        sentences = [f"{counts} came out the same to the last bit ({pace})."]
+    else:
+        sentences = [
+            f"it differs from frame {verdict.first_frame} ({verdict.first_time:.3f} s) on, in {verdict.first_reason}.",
+            f"Of {counts}, {_count(verdict.different, 'frame')} {'differs' if verdict.different == 1 else 'differ'}; "
+            f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({pace}).",
+        ]
+    if verdict.environment:
+        changed = "; ".join(verdict.environment)
+        promise = "" if verdict.same else ", where equal bits are not promised"
+        sentences.append(f"It was recorded elsewhere{promise}: {changed}.")
+    if verdict.missing:
+        sentences.append(f"Not all of it is there: {'; '.join(verdict.missing)}.")
+    return where + " ".join(sentences)
+
+
+def _verify(paths: Sequence[Path]) -> Verdict:
+    from tqdm import tqdm
+
+    from cloth_sim_ros.verify_run import verify
+
+    total = sum(path.stat().st_size for path in paths if path.is_file())
+    with tqdm(total=total, unit="B", unit_scale=True, desc="verify", delay=1.0, disable=None, leave=False) as bar:
+        return verify(paths, progress=lambda read: bar.update(max(read - bar.n, 0)))
+
+
+def _sessions(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """The files, those of one split session together; what cannot be read stays alone, to be told of in its turn."""
+    together: list[Path] = []
+    last = ""
+    for path in paths:
+        try:
+            with SessionReader(path) as reader:
+                session = reader.parts[0].session
+        except SessionError:
+            session = ""
+        if together and not (session and session == last):
+            yield together
+            together = []
+        together.append(path)
+        last = session
+    yield together
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,247 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Running a recorded session again from its own snapshots and events, and comparing every frame."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cloth_sim_ros import parameter_file
+from cloth_sim_ros.events import Event, from_dict
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.session.cdr import decode, decode_cloud
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.frame_record import FrameRecord
+from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.simulation import Frame, Simulation
+from cloth_sim_ros.verify_commands import CommandCheck
+from cloth_sim_ros.verify_environment import differences
+
+_WRENCH = "geometry_msgs/msg/WrenchStamped"
+
+
+@dataclass(kw_only=True)
+class Verdict:
+    """How a session came out when it was run again."""
+
+    name: str
+    """The session's files."""
+    frames: int = 0
+    """Frames that were run and compared."""
+    clouds: int = 0
+    """Clouds that were compared."""
+    different: int = 0
+    """Frames of which anything differs."""
+    first_frame: int | None = None
+    """Number of the first of them."""
+    first_time: float = 0.0
+    """Its simulated time [s]."""
+    first_reason: str = ""
+    """What differs there."""
+    largest_deviation: float = 0.0
+    """Of any particle's position in any cloud [m]; infinite where a cloud holds something that is no number."""
+    simulated: float = 0.0
+    """Simulated time that was run [s]."""
+    seconds: float = 0.0
+    """Wall time that it took [s]."""
+    environment: list[str] = field(default_factory=list)
+    """How versions, machine and files differ from the recording's, or may."""
+    missing: list[str] = field(default_factory=list)
+    """What the session lacks, a sentence each."""
+    damaged: bool = False
+    """Whether frames are damaged or missing in the middle, so that they could not be compared."""
+
+    @property
+    def same(self) -> bool:
+        """Whether all that was compared came out the same to the last bit."""
+        return self.first_frame is None
+
+
+def verify(paths: Sequence[Path], *, progress: Callable[[int], None] = lambda _bytes: None) -> Verdict:
+    """Run a session again, all its files in order, and compare it with what was recorded.
+
+    Args:
+        paths: the files of one session, in order.
+        progress: told the bytes that have been read so far.
+
+    Raises:
+        SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
+    """
+    begun = time.perf_counter()
+    with SessionReader(list(paths)) as reader:
+        verdict = Verdict(name=", ".join(path.name for path in paths), environment=differences(reader.metadata))
+        done = 0
+        before: _Run | None = None
+        for part in reader.parts:
+            run = _Run(part, reader.node, verdict, before)
+            part.rewind()
+            for message in part.messages(topics=run.topics):
+                if not run.take(message):
+                    break
+                progress(done + part.position)
+            run.finish()
+            verdict.damaged = verdict.damaged or bool(part.damage)
+            done += part.size()
+            before = run
+        if reader.missing:
+            verdict.missing.insert(0, reader.missing)
+    verdict.seconds = time.perf_counter() - begun
+    return verdict
+
+
+class _Run:
+    """One file's run."""
+
+    def __init__(self, part: SessionPart, node: str, verdict: Verdict, before: _Run | None) -> None:
+        self.simulation = _simulation(part)
+        self._part = part
+        self._verdict = verdict
+        self._differs = False
+        self._check_snapshot(before)
+        scene = self.simulation.scene
+        if scene.files:
+            names = ", ".join(sorted(scene.files))
+            verdict.environment.append(f"{names} as found here: the session does not hold it")
+        self._frame_topic, self._points = f"{node}/frame", f"{node}/points"
+        self._wrenches = {f"{node}/{name}/wrench": k for k, name in enumerate(scene.gripper_names)}
+        # Commands wait across the end of a file.
+        self._commands = before._commands if before else _commands(self.simulation, node)
+        self._frame: Frame | None = None
+        self._frame_log_time = -1
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """The topics that are compared."""
+        return frozenset({self._frame_topic, self._points, *self._wrenches}) | self._commands.topics
+
+    def take(self, message: Message) -> bool:
+        """Run or compare what a message tells; False where the session cannot be run any further."""
+        if message.topic == self._frame_topic:
+            return self._run_frame(read_frame(message), message.log_time)
+        if message.topic == self._points:
+            self._compare_cloud(message)
+        elif message.topic in self._wrenches:
+            self._compare_wrench(message)
+        else:
+            self._commands.receive(message)
+        return True
+
+    def finish(self) -> None:
+        """Count what the last frame showed."""
+        self._close_frame()
+
+    def _check_snapshot(self, before: _Run | None) -> None:
+        """A file of a split session opens with the state at which the one before ended."""
+        if before is None or before.simulation.frame != self.simulation.frame:
+            return
+        if before.simulation.state.digest() != self.simulation.state.digest():
+            self._note_difference(f"the snapshot that {self._part.path.name} opens with")
+            self._close_frame()
+
+    def _run_frame(self, record: FrameRecord, log_time: int) -> bool:
+        self._close_frame()
+        simulation = self.simulation
+        if record.frame > simulation.frame + 1:
+            self._verdict.damaged = True
+            self._verdict.missing.append(
+                f"{self._part.path.name}: frames {simulation.frame + 1} to {record.frame - 1} are missing; "
+                "what follows them cannot be run"
+            )
+            return False
+        was = simulation.time
+        try:
+            events: list[Event] = [from_dict(dict(event)) for event in record.events]
+            self._frame = simulation.advance(events)
+        except (ValueError, UnstableError) as error:
+            self._verdict.frames += 1
+            self._note_difference(f"it cannot be run: {error}", record)
+            self._close_frame()
+            return False
+        self._frame_log_time = log_time
+        self._verdict.frames += 1
+        self._verdict.simulated += simulation.time - was
+        self._compare_frame(record)
+        uncommanded = self._commands.compare(record, log_time)
+        if uncommanded:
+            self._note_difference(uncommanded, record)
+        return True
+
+    def _compare_frame(self, record: FrameRecord) -> None:
+        frame, simulation = self._frame, self.simulation
+        assert frame is not None
+        steps = frame.advance.steps if frame.advance else 0
+        for what, recorded, again in (
+            ("its number", record.frame, frame.index),
+            ("its time", record.time, frame.time),
+            ("the digest of its state", record.digest, simulation.state.digest()),
+            ("its steps", record.steps, steps),
+            ("its integrator", record.integrator, frame.integrator),
+            ("whether it is paused", record.paused, simulation.paused),
+        ):
+            if recorded != again:
+                self._note_difference(f"{what} ({recorded} was recorded, {again} came out)", record)
+                return
+
+    def _compare_cloud(self, message: Message) -> None:
+        if message.log_time != self._frame_log_time:
+            return
+        recorded = decode_cloud(message.data).xyz
+        again = self.simulation.state.x.T.astype(np.float32)
+        self._verdict.clouds += 1
+        if recorded.shape != again.shape:
+            self._note_difference(f"its cloud has {len(recorded)} points, the cloth {len(again)}")
+        elif not np.array_equal(recorded.view(np.uint32), again.view(np.uint32)):
+            away = np.linalg.norm(recorded.astype(np.float64) - again, axis=1)
+            worst = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
+            deviation = float(away[worst]) if math.isfinite(away[worst]) else math.inf
+            self._verdict.largest_deviation = max(self._verdict.largest_deviation, deviation)
+            self._note_difference(f"its cloud, by {deviation:.3g} m at particle {worst}")
+
+    def _compare_wrench(self, message: Message) -> None:
+        if message.log_time != self._frame_log_time or self._frame is None:
+            return
+        wrench = decode(message.data, _WRENCH).wrench
+        recorded = [getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"]
+        again = self._frame.wrenches[self._wrenches[message.topic]]
+        if recorded != [float(value) for value in again]:
+            self._note_difference(f"the wrench on {message.topic.split('/')[-2]}")
+
+    def _note_difference(self, reason: str, record: FrameRecord | None = None) -> None:
+        self._differs = True
+        verdict = self._verdict
+        if verdict.first_frame is None:
+            verdict.first_frame = self.simulation.frame if record is None else record.frame
+            verdict.first_time = self.simulation.time if record is None else record.time
+            verdict.first_reason = reason
+
+    def _close_frame(self) -> None:
+        self._verdict.different += self._differs
+        self._differs = False
+
+
+def _commands(simulation: Simulation, node: str) -> CommandCheck:
+    scene = simulation.scene
+    return CommandCheck(
+        node=node,
+        grippers=scene.gripper_names,
+        frame_id=scene.frame_id,
+        follows_frame=bool(scene.gripper.frame),
+        from_start=simulation.frame == 0,
+    )
+
+
+def _simulation(part: SessionPart) -> Simulation:
+    try:
+        values = parameter_file.parse(part.scene_yaml, node=part.metadata.get("node", ""), source="scene.yaml")
+        return Simulation(Scene.from_parameters(values), State.from_bytes(part.state))
+    except ValueError as error:
+        raise SessionError(f"{part.path} holds no scene that can be run here: {error}") from error
