@@ -127,7 +127,11 @@ def chain() -> Problem:
         return x
 
     return Problem(
-        name="chain", build=build, frames=60, description="S2: 24 particles between anchors, a wave along it", exact=exact
+        name="chain",
+        build=build,
+        frames=60,
+        description="S2: 24 particles between anchors, a wave along it",
+        exact=exact,
     )
 
 

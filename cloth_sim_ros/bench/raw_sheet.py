@@ -82,9 +82,7 @@ class RawSheet:
             near, far = index[r0 : r0 + rows, c0 : c0 + columns], index[r1 : r1 + rows, c1 : c1 + columns]
             pairs = np.stack([near.ravel(), far.ravel()], axis=1)
             k = family.stiffness / family.rest_length
-            terms.append(
-                PairSprings(pairs, family.rest_length, k, family.damping, name=family.name, weak=family.weak)
-            )
+            terms.append(PairSprings(pairs, family.rest_length, k, family.damping, name=family.name, weak=family.weak))
         return terms
 
     def model(self, anchors: Iterable[int], extra: Iterable[Term] = ()) -> Model:

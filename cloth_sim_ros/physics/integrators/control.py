@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.state import State
 #: Most columns whose combination is taken; one more is run to judge it.
 MOST_COLUMNS = len(RATIOS) - 1
 #: Share of the tolerance that may be lost in one second: errors of early frames grow while later ones add to them.
-SHARE_PER_SECOND = 0.8
+SHARE_PER_SECOND = 0.6
 #: Choices aim at this part of the budget, so that a slow growth does not throw work away.
 AIM = 0.5
 #: Longest time between two judgements by a further column, in stretches.

@@ -1,0 +1,70 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The order that each integrator claims, measured on a soft, smooth, damped, nonlinear sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cloth_sim_ros.bench.raw_sheet import RawSheet
+from cloth_sim_ros.bench.reference import RightSide
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import Integrator
+from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
+from cloth_sim_ros.physics.state import State
+
+DURATION = 0.04
+
+
+def soft_sheet() -> tuple[Dynamics, State]:
+    """6 x 6, 15 % stretched, swung and sheared: neither direction nor length of any spring is constant."""
+    sheet = RawSheet(resolution=6, stiffness=0.1, k_d0=0.3, drag=1.0)
+    positions = 1.15 * sheet.flat(hung=True)
+    velocities = np.zeros_like(positions)
+    velocities[:, 1] = np.sin(2.0 * positions[:, 2])
+    velocities[:, 0] = 0.5 * positions[:, 2] ** 2
+    velocities[sheet.index[0]] = 0.0
+    return Dynamics(sheet.model(sheet.index[0])), State(positions, velocities)
+
+
+@pytest.fixture(scope="module")
+def exact() -> np.ndarray:
+    dynamics, state = soft_sheet()
+    right = RightSide(dynamics)
+    end = solve_ivp(right, (0.0, DURATION), right.start(state), method="DOP853", rtol=3e-14, atol=1e-15)
+    return right.positions(end.y[:, -1])
+
+
+def measured_order(make: Callable[[float], Integrator], counts: list[int], exact: np.ndarray) -> float:
+    errors = []
+    for count in counts:
+        dynamics, state = soft_sheet()
+        make(DURATION / count).advance(dynamics, state, 0.0, DURATION)
+        errors.append(float(np.abs(state.x - exact).max()))
+    assert min(errors) > 1e-12, f"rounding would be fitted: {errors}"
+    return float(-np.polyfit(np.log(counts), np.log(errors), 1)[0])
+
+
+@pytest.mark.parametrize(
+    ("make", "counts", "order", "margin"),
+    [
+        (lambda h: SymplecticEuler(h), [40, 80, 160], 1, 0.1),
+        (lambda h: Leapfrog(h), [20, 40, 80], 2, 0.1),
+        (lambda h: Extrapolated(step=h, columns=1), [20, 40, 80], 2, 0.1),
+        (lambda h: Extrapolated(step=h, columns=2), [20, 40, 80], 3, 0.1),
+        (lambda h: Extrapolated(step=h, columns=3), [20, 40, 80], 4, 0.1),
+        (lambda h: Extrapolated(step=h, columns=4), [32, 48, 64], 5, 0.5),
+    ],
+    ids=["symplectic_euler", "leapfrog", "columns_1", "columns_2", "columns_3", "columns_4"],
+)
+def test_order_is_the_claimed_one(
+    make: Callable[[float], Integrator], counts: list[int], order: int, margin: float, exact: np.ndarray
+) -> None:
+    assert make(DURATION / counts[0]).order == order
+    assert measured_order(make, counts, exact) == pytest.approx(order, abs=margin)
