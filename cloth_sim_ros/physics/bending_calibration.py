@@ -12,6 +12,11 @@ energy is ½ D hx hy (κ_xx² + κ_yy² + 2 κ_xy²), a plate without Poisson's 
 
     k_θ = D hy/hx,   D hx/hy,   2 D hx hy/l².
 
+*One triangulation of a grid.* In a strip along the rows under the moment M per width, statics give the hinge of an
+edge across it the moment M hy and that of a diagonal M hy²/l; each turns by its moment over k_θ, and over one cell
+hx/(D hy) = 1/k_across + (hy/l)²/k_diagonal. Free is the diagonals' share, k_diagonal = 1.5 D (l²/(2 hx hy))²: a
+square checkerboard becomes isotropic with Poisson's ratio -1/3. One family of diagonals still twists when bent.
+
 *Other meshes.* k_θ = (9/8) D e/h̄, h̄ the mean height of the two triangles: exact for regular triangles (isotropic,
 Poisson's ratio -1/3). On irregular ones the sheet comes out stiffer, because its vertices lock one another;
 docs/bending.md has the measured figures.
@@ -61,13 +66,13 @@ def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_mod
 def grid_hinge_constants(
     hinges: ArrayLike, *, columns: int, spacing: tuple[float, float], bending_modulus: float
 ) -> Array:
-    """Return k_θ [N m] of the hinges of `surface.grid_hinges`, (m,), each already at half strength.
+    """Return k_θ [N m] of hinges (m, 4) of a grid, shape (m,).
 
     Args:
-        hinges: of both checkerboards, shape (m, 4).
+        hinges: those of `surface.grid_hinges`, which bend best, or those of the grid's one surface.
         columns: number of particles in a row.
         spacing: distances hx of neighbours in a row and hy in a column [m].
-        bending_modulus: D [N m].
+        bending_modulus: D [N m], along rows and along columns.
 
     Raises:
         ValueError: for a modulus that is not finite and at least 0, or a spacing that is not above 0.
@@ -76,11 +81,19 @@ def grid_hinge_constants(
     hx, hy = spacing
     if not (math.isfinite(hx * hy) and min(hx, hy) > 0.0):
         raise ValueError(f"spacing is ({hx}, {hy}) m; both must be finite and above 0")
-    row, column = np.divmod(np.asarray(hinges, dtype=np.int64).reshape(-1, 4)[:, :2], columns)
-    constants = np.full(len(row), 2.0 * hx * hy / (hx * hx + hy * hy))
-    constants[column[:, 0] == column[:, 1]] = hy / hx
-    constants[row[:, 0] == row[:, 1]] = hx / hy
-    return 0.5 * bending_modulus * constants
+    quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
+    row, column = np.divmod(quads[:, :2], columns)
+    along_column, along_row = column[:, 0] == column[:, 1], row[:, 0] == row[:, 1]
+    square = hx * hx + hy * hy
+    diagonals = quads[~(along_column | along_row)]
+    cells = np.unique(np.sort(diagonals, axis=1), axis=0)
+    if len(diagonals) == 2 * len(cells):  # both diagonals of every cell: both checkerboards
+        across, along, diagonal = 0.5 * hy / hx, 0.5 * hx / hy, hx * hy / square
+    else:
+        diagonal = 1.5 * (square / (2.0 * hx * hy)) ** 2
+        across = 1.0 / (hx / hy - hy * hy / (square * diagonal))
+        along = 1.0 / (hy / hx - hx * hx / (square * diagonal))
+    return bending_modulus * np.select([along_column, along_row], [across, along], diagonal)
 
 
 def bending_terms(

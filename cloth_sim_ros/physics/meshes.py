@@ -1,0 +1,196 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From vertices and triangles as found in files to the surface of one cloth: harmless faults mended, others refused.
+
+Mended, and said so: vertices in no triangle (left out), vertices at one and the same place (made one), triangles
+given twice (kept once), triangles with two corners in one place (left out, which leaves no hole), triangles wound
+against their neighbours (turned).
+
+Refused, with the place: values that are not finite, indices out of range, triangles whose three corners lie on one
+line, edges of more than two triangles, parts that touch in one point, a surface that can't be wound one way (a Möbius
+strip), more than one piece, nothing at all.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import attrs
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.physics.surface import Surface, SurfaceError
+from cloth_sim_ros.physics.terms.base import Array
+
+#: A triangle whose height over its longest side is below this share of that side has no area.
+FLATNESS = 1e-6
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class CheckedMesh:
+    """A mesh that is the surface of one cloth."""
+
+    positions: Array
+    """Vertex positions [m], in the order given, (n, 3)."""
+    surface: Surface
+    """The triangles, in the order given, consistently wound."""
+    kept: NDArray[np.int64]
+    """Index of each vertex in what was given, ascending, (n,)."""
+    repairs: tuple[str, ...]
+    """What was mended, one sentence each; empty for a clean mesh."""
+
+
+def checked_mesh(positions: ArrayLike, triangles: ArrayLike) -> CheckedMesh:
+    """Check vertices (n, 3) [m] and triangles (m, 3) and mend what can be mended without changing the cloth.
+
+    Raises:
+        SurfaceError: for a fault that can't be mended; the message names the vertices or triangles as given, counted
+            from 0.
+    """
+    points, faces = _arrays(positions, triangles)
+    repairs: list[str] = []
+    place, copies = _first_of_equals(points, faces)
+    if copies:
+        repairs.append(f"{_several(copies, 'vertex', 'vertices')} at the place of another made one with it")
+    faces = place[faces]
+    faces = _without_repeats(faces, repairs)
+    faces = _without_slivers(points, faces, repairs)
+    if len(faces) == 0:
+        raise SurfaceError("no triangle with an area is left: a cloth needs at least one")
+    _check_edges(faces, points)
+    faces = _wound(faces, repairs)
+    kept = np.unique(faces)
+    loose = len(points) - copies - len(kept)
+    if loose:
+        repairs.append(f"{_several(loose, 'vertex', 'vertices')} in no triangle left out")
+    number = np.full(len(points), -1)
+    number[kept] = np.arange(len(kept))
+    try:
+        surface = Surface.from_triangles(number[faces], particle_count=len(kept))
+    except SurfaceError as error:
+        raise SurfaceError(f"{error} (vertices counted after repairs: {'; '.join(repairs) or 'none'})") from error
+    pieces = surface.pieces()
+    if pieces.max() > 0:
+        other = int(np.argmax(pieces > 0))
+        raise SurfaceError(
+            f"the mesh has {pieces.max() + 1} pieces that share no edge; vertex {kept[surface.triangles[other, 0]]} is "
+            f"not in the piece of vertex {kept[surface.triangles[0, 0]]}: a cloth is one piece, "
+            "so give each its own file or join them"
+        )
+    return CheckedMesh(positions=np.ascontiguousarray(points[kept]), surface=surface, kept=kept, repairs=tuple(repairs))
+
+
+def _arrays(positions: ArrayLike, triangles: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
+    points = np.array(positions, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise SurfaceError(f"vertices have shape {points.shape}; they must be (n, 3)")
+    given = np.asarray(triangles)
+    if given.size == 0:
+        raise SurfaceError("the mesh has no triangles")
+    if given.ndim != 2 or given.shape[1] != 3 or not np.issubdtype(given.dtype, np.integer):
+        raise SurfaceError(f"triangles are an (m, 3) array of whole numbers, not {given.shape} of {given.dtype}")
+    faces = given.astype(np.int64)
+    outside = np.any((faces < 0) | (faces >= len(points)), axis=1)
+    if np.any(outside):
+        bad = int(np.argmax(outside))
+        raise SurfaceError(f"triangle {bad} is {faces[bad].tolist()}; vertices are 0 to {len(points) - 1}")
+    wrong = np.zeros(len(points), dtype=np.bool_)
+    wrong[faces] = True
+    wrong &= ~np.isfinite(points).all(axis=1)
+    if np.any(wrong):
+        bad = int(np.argmax(wrong))
+        raise SurfaceError(f"vertex {bad} is {points[bad].tolist()}; positions must be finite")
+    return points, faces
+
+
+def _first_of_equals(points: Array, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """For each vertex the first used one at exactly its place, and the number of used vertices that are not first."""
+    used = np.unique(faces)
+    # 0.0 and -0.0 are one place
+    _, first, same = np.unique(points[used] + 0.0, axis=0, return_index=True, return_inverse=True)
+    place = np.arange(len(points))
+    place[used] = used[first[same.ravel()]]
+    return place, len(used) - len(first)
+
+
+def _without_repeats(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    if len(first) < len(faces):
+        repairs.append(f"{_several(len(faces) - len(first), 'triangle')} given more than once kept once")
+    return faces[np.sort(first)]
+
+
+def _without_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
+    """Leave out triangles of fewer than three vertices; refuse thin ones, whose removal would open the surface."""
+    collapsed = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    if np.any(collapsed):
+        repairs.append(f"{_several(int(collapsed.sum()), 'triangle')} with a repeated vertex left out")
+        faces = faces[~collapsed]
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    sides = np.stack([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)])
+    height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.square(sides.max(axis=0, initial=0.0))
+    thin = ~(height > FLATNESS)
+    if np.any(thin):
+        bad = int(np.argmax(thin))
+        raise SurfaceError(
+            f"triangle {faces[bad].tolist()} has no area: its corners {points[faces[bad]].tolist()} lie on one line; "
+            "remove it and split its neighbour's long side at the middle corner"
+        )
+    return faces
+
+
+def _check_edges(faces: NDArray[np.int64], points: Array) -> None:
+    edges = np.sort(np.concatenate((faces[:, :2], faces[:, 1:], faces[:, ::2])), axis=1)
+    unique, uses = np.unique(edges, axis=0, return_counts=True)
+    if np.any(uses > 2):
+        bad = int(np.argmax(uses > 2))
+        one, two = (int(v) for v in unique[bad])
+        raise SurfaceError(
+            f"the edge of vertices {one} and {two}, at {points[one].tolist()} and {points[two].tolist()}, "
+            f"belongs to {uses[bad]} triangles; a cloth's edge has at most 2"
+        )
+
+
+def _wound(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
+    """Turn triangles so that neighbours agree, in every piece with the larger part as given."""
+    tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    order = np.lexsort((high, low))
+    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    one, two = order[:-1][same], order[1:][same]
+    clash = tail[one] == tail[two]
+    if not np.any(clash):
+        return faces
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in faces]
+    for a, b, against in zip((one // 3).tolist(), (two // 3).tolist(), clash.tolist(), strict=True):
+        neighbours[a].append((b, against))
+        neighbours[b].append((a, against))
+    turned = np.full(len(faces), -1)
+    count = 0
+    for begin in range(len(faces)):
+        if turned[begin] >= 0:
+            continue
+        turned[begin] = 0
+        piece, queue = [begin], deque([begin])
+        while queue:
+            at = queue.popleft()
+            for to, against in neighbours[at]:
+                wanted = turned[at] ^ int(against)
+                if turned[to] < 0:
+                    turned[to] = wanted
+                    piece.append(to)
+                    queue.append(to)
+                elif turned[to] != wanted:
+                    raise SurfaceError(
+                        f"triangles {faces[at].tolist()} and {faces[to].tolist()} can't be wound alike: "
+                        "the surface has one side only, like a Möbius strip; cut it open"
+                    )
+        if 2 * turned[piece].sum() > len(piece):
+            turned[piece] ^= 1
+        count += int(turned[piece].sum())
+    repairs.append(f"{_several(count, 'triangle')} wound against the others turned round")
+    return np.where(turned[:, None] == 1, faces[:, ::-1], faces)
+
+
+def _several(count: int, one: str, many: str | None = None) -> str:
+    return f"{count} {one if count == 1 else many or one + 's'}"

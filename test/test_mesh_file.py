@@ -1,0 +1,194 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Mesh files: what is read is what was written; what is wrong is mended and said, or refused with the place."""
+
+import logging
+
+import numpy as np
+import pytest
+import trimesh
+
+from cloth_sim_ros import mesh_file
+from cloth_sim_ros.physics.meshes import checked_mesh
+from cloth_sim_ros.physics.surface import SurfaceError, grid_triangles
+
+ROWS, COLUMNS = 4, 5
+TRIANGLES = grid_triangles(ROWS, COLUMNS, "alternating")
+POINTS = np.stack((*np.divmod(np.arange(ROWS * COLUMNS), COLUMNS)[::-1], np.zeros(ROWS * COLUMNS)), axis=1)
+POINTS = POINTS + 0.01 * np.random.default_rng(0).standard_normal(POINTS.shape)
+SHUFFLED = np.random.default_rng(1).permutation(len(POINTS))
+
+
+def grid():
+    """The grid with its vertices in an order of their own."""
+    place = np.argsort(SHUFFLED)
+    return POINTS[SHUFFLED].copy(), place[TRIANGLES].copy()
+
+
+def obj(points, triangles):
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in np.asarray(points).tolist()]
+    return "\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in triangles]).encode()
+
+
+def normals(points, triangles):
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "OBJ"])
+def test_a_written_mesh_is_read_again(kind):
+    points, triangles = grid()
+    written = trimesh.Trimesh(points, triangles, process=False).export(file_type=kind.lower())
+    mesh = mesh_file.read(written.encode() if isinstance(written, str) else written, name=f"cloth.{kind}")
+    assert mesh.repairs == ()
+    assert len(mesh.positions) == len(points)
+    found, given = mesh.positions[mesh.surface.triangles], points[triangles]
+    assert found == pytest.approx(given, abs=1e-6)  # STL and trimesh's text keep single precision
+    if kind != "stl":  # the format has no vertex numbers
+        assert mesh.surface.triangles.tolist() == triangles.tolist()
+
+
+def test_texture_seams_groups_and_quads_keep_the_files_vertices():
+    text = b"""
+o cloth
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 2 0 0
+v 2 1 0
+vt 0 0
+vt 1 1
+g left
+usemtl red
+f 1/1 2/2 3/1 4/2
+g right
+usemtl blue
+f 2/1 5/1 6/1
+f 2/2 6/1 3/2
+"""
+    mesh = mesh_file.read(text, name="seams.obj")
+    assert mesh.positions[:, :2].tolist() == [[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1]]
+    assert len(mesh.surface.triangles) == 4
+    assert len(mesh.surface.boundary_loops()) == 1
+
+
+def test_parse_gives_a_sheet_and_says_what_it_mended(caplog):
+    points, triangles = grid()
+    triangles[3] = triangles[3][::-1]
+    with caplog.at_level(logging.WARNING):
+        sheet = mesh_file.parse(obj(points, triangles), name="cloth.obj")
+    assert sheet.positions() == pytest.approx(points)
+    assert "mesh 'cloth.obj': 1 triangle wound against the others turned round" in caplog.text
+
+
+def test_triangles_wound_against_the_others_are_turned():
+    points, triangles = grid()
+    triangles[[2, 7, 8]] = triangles[[2, 7, 8], ::-1]
+    mesh = checked_mesh(points, triangles)
+    assert mesh.repairs == ("3 triangles wound against the others turned round",)
+    assert (normals(mesh.positions, mesh.surface.triangles)[:, 2] > 0).all()
+
+
+def test_loose_vertices_are_left_out_even_without_a_place():
+    points, triangles = grid()
+    points = np.insert(points, 6, [np.nan, 0, 0], axis=0)
+    mesh = checked_mesh(points, triangles + (triangles >= 6))
+    assert mesh.repairs == ("1 vertex in no triangle left out",)
+    assert mesh.kept.tolist() == [k for k in range(len(points)) if k != 6]
+    assert mesh.surface.triangles.tolist() == triangles.tolist()
+
+
+def test_vertices_at_one_place_become_one():
+    points, triangles = grid()
+    soup = checked_mesh(points[triangles].reshape(-1, 3), np.arange(triangles.size).reshape(-1, 3))
+    assert soup.repairs == (f"{triangles.size - len(points)} vertices at the place of another made one with it",)
+    assert len(soup.positions) == len(points)
+    assert soup.positions[soup.surface.triangles] == pytest.approx(points[triangles])
+
+
+def test_repeated_and_collapsed_triangles_are_left_out():
+    points, triangles = grid()
+    more = np.concatenate((triangles, triangles[4:5, [1, 2, 0]], [[1, 1, 2]]))
+    mesh = checked_mesh(points, more)
+    assert mesh.repairs == (
+        "1 triangle given more than once kept once",
+        "1 triangle with a repeated vertex left out",
+    )
+    assert mesh.surface.triangles.tolist() == triangles.tolist()
+
+
+def mobius(count=12):
+    k = np.arange(count)
+    top, bottom = 2 * k, 2 * k + 1
+    far = [(int(t), int(b)) for t, b in zip(np.roll(top, -1), np.roll(bottom, -1), strict=True)]
+    far[-1] = far[-1][::-1]
+    triangles = [t for i, (a, b) in enumerate(far) for t in ([2 * i, a, 2 * i + 1], [2 * i + 1, a, b])]
+    turn, half = 2 * np.pi * k / count, np.pi * k / count
+    across = 0.3 * np.stack((np.cos(half) * np.cos(turn), np.cos(half) * np.sin(turn), np.sin(half)), axis=1)
+    ring = np.stack((np.cos(turn), np.sin(turn), 0 * turn), axis=1)
+    return np.stack((ring + across, ring - across), axis=1).reshape(-1, 3), np.array(triangles)
+
+
+def spoiled(kind):
+    points, triangles = grid()
+    if kind == "nan":
+        points[3, 1] = np.nan
+    elif kind == "range":
+        triangles[2, 0] = 99
+    elif kind == "fin":
+        points = np.concatenate((points, [[0.5, 0.5, 1.0]]))
+        a, b = triangles[0, :2]
+        edges = np.sort(np.concatenate((triangles[:, :2], triangles[:, 1:], triangles[:, ::2])), axis=1)
+        unique, uses = np.unique(edges, axis=0, return_counts=True)
+        a, b = unique[uses == 2][0]
+        triangles = np.concatenate((triangles, [[a, b, len(points) - 1]]))
+    elif kind == "line":
+        points = np.concatenate((points, [[-1, -1, 0], [-2, -2, 0], [-3, -3, 0]]))
+        triangles = np.concatenate((triangles, [[len(points) - 3, len(points) - 2, len(points) - 1]]))
+    elif kind == "shells":
+        triangles = np.concatenate((triangles, triangles + len(points)))
+        points = np.concatenate((points, points + np.array([0, 0, 1.0])))
+    elif kind == "touching":
+        points = np.concatenate((points, [[9, 9, 9], [9, 8, 9]]))
+        triangles = np.concatenate((triangles, [[0, len(points) - 2, len(points) - 1]]))
+    elif kind == "mobius":
+        return mobius()
+    elif kind == "empty":
+        triangles = triangles[:0]
+    return points, triangles
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("nan", r"vertex 3 is \[.*nan.*\]; positions must be finite"),
+        ("range", r"triangle 2 is \[99, .*\]; vertices are 0 to 19"),
+        ("fin", r"the edge of vertices \d+ and \d+, at .* belongs to 3 triangles"),
+        ("line", r"triangle \[20, 21, 22\] has no area"),
+        ("shells", r"2 pieces that share no edge; vertex (2|3)\d is not in the piece of vertex 1?\d:"),
+        ("touching", "at particle 0 two parts of the surface touch"),
+        ("mobius", "can't be wound alike"),
+        ("empty", "no triangles"),
+    ],
+)
+def test_what_can_not_be_mended_is_refused_with_the_place(kind, words):
+    with pytest.raises(SurfaceError, match=words):
+        checked_mesh(*spoiled(kind))
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("cloth.step", b"", "must end in obj, ply, stl"),
+        ("cloth.obj", b"", "no triangles"),
+        ("cloth.obj", b"v a b c\nf 1 2 3\n", "no readable OBJ file"),
+        ("cloth.obj", b"v 0 0 0\nf 1 2 3\n", "no readable OBJ file|vertices are"),
+        ("cloth.ply", b"garbage \x00\xff", "no readable PLY file"),
+        ("cloth.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "no readable PLY file"),
+        ("cloth.stl", b"xx", "no triangles|no readable STL file"),
+    ],
+)
+def test_files_that_are_no_meshes_are_refused(name, data, words):
+    with pytest.raises(ValueError, match=words):
+        mesh_file.read(data, name=name)
