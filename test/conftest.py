@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import shutil
@@ -43,6 +44,7 @@ def _reserve_domain() -> tuple[int, socket.socket]:
 # At import, before any test module can make a ROS context: each pytest process (each worker too) has its own domain,
 # and its children inherit it.
 _DOMAIN, _RESERVATION = _reserve_domain()
+atexit.register(_RESERVATION.close)
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_STATIC_PEERS", None)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -135,17 +136,23 @@ def test_without_a_network_a_working_environment_is_kept(project: Path) -> None:
     assert pip_calls(project) == 2
 
 
-@pytest.mark.parametrize("cause", ["half installed", "moved"])
-def test_an_environment_in_doubt_is_made_anew(project: Path, cause: str) -> None:
-    if cause == "half installed":
-        assert make(project, PIP_STATUS="1").returncode == 1
-        assert (project / "env" / "unfinished").exists()
-    else:
-        assert make(project).returncode == 0
-        (project / "env" / "made_in").write_text("/another/place\n")
-        (project / "env" / "has_demo").write_text("what it was made from there")
+def test_an_environment_whose_making_broke_off_is_made_anew(project: Path) -> None:
+    assert make(project, PIP_STATUS="1").returncode == 1
+    assert (project / "env" / "unfinished").exists()
     # Made anew means with venv, whose pip is a real one: it stops here, for the project's own sources are not there.
     made = make(project, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
     assert "making env with Python" in made.stdout
     assert not (project / "env" / "calls").exists()
     assert not (project / "env" / "has_demo").exists()
+
+
+def test_an_environment_that_was_moved_or_lost_its_python_is_in_doubt(project: Path) -> None:
+    scripts = runpy.run_path(str(project / "scripts" / "environment.py"))
+    assert make(project).returncode == 0
+    assert scripts["is_sound"](project / "env")
+    made_in = (project / "env" / "made_in").read_text()
+    (project / "env" / "made_in").write_text("/another/place\n")
+    assert not scripts["is_sound"](project / "env")
+    (project / "env" / "made_in").write_text(made_in)
+    (project / "env" / "bin" / "python").unlink()
+    assert not scripts["is_sound"](project / "env")
