@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import queue
 import secrets
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +21,9 @@ from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
 
 RecorderState = Literal["opening", "recording", "closed", "failed"]
 
+_LOOK = 0.01
+"""How often an idle recorder looks into its queue [s]. Waking it for each message would cost the caller many times the
+call, and have both compete for the interpreter just when a frame is due."""
 _ITEM_OVERHEAD = 400
 """Memory that Python keeps for a queued message beyond its bytes; estimated on the high side [bytes]."""
 
@@ -120,7 +123,7 @@ class Recorder:
         self._stem = stem or session_stem("cloth_sim", datetime.datetime.now(datetime.UTC))
         # The stem has a resolution of one second; the session's own name is never met twice.
         self._session = f"{self._stem}_{secrets.token_hex(4)}"
-        self._queue: queue.SimpleQueue[_Message | _Split | _Stop] = queue.SimpleQueue()
+        self._queue: deque[_Message | _Split | _Stop] = deque()
         # Counters with one writing side each, so that neither side waits for the other.
         self._put_count = self._put_bytes = 0
         self._taken_count = self._taken_bytes = 0
@@ -134,6 +137,8 @@ class Recorder:
         self._stop_asked = False
         self._given_up = ""
         self._opened = threading.Event()
+        self._hurry = threading.Event()
+        """Set when the recorder's thread must not wait for its next look at the queue."""
         self._status = RecorderStatus(
             state="opening", path=None, bytes_written=0, messages=0, dropped=0, queue_depth=0, queue_bytes=0, error=""
         )
@@ -242,6 +247,7 @@ class Recorder:
                 # In this order: an interruption between the two must not leave a thread that is never stopped.
                 self._put(_Stop(reason))
                 self._stop_asked = True
+        self._hurry.set()
         self._thread.join(timeout)
         status = self.status()
         if self._thread.is_alive():
@@ -261,7 +267,7 @@ class Recorder:
     def _put(self, item: _Message | _Split | _Stop) -> None:
         self._put_count += 1
         self._put_bytes += _weight(item)
-        self._queue.put(item)
+        self._queue.append(item)
 
     # What follows runs in the recorder's thread.
 
@@ -299,10 +305,12 @@ class Recorder:
                 self._full_part = self._part
 
     def _next_item(self, writer: SessionWriter) -> _Message | _Split | _Stop | None:
-        due = writer.seconds_until_due()
+        """The oldest item; None after a while without one."""
         try:
-            item = self._queue.get(timeout=None if due is None else max(due, 0.0))
-        except queue.Empty:
+            item = self._queue.popleft()
+        except IndexError:
+            due = writer.seconds_until_due()
+            self._hurry.wait(_LOOK if due is None else min(max(due, 0.0), _LOOK))
             return None
         self._taken_count += 1
         self._taken_bytes += _weight(item)
@@ -361,9 +369,9 @@ class Recorder:
 
     def _empty_queue(self) -> None:
         """Give back the memory of what can no longer be written."""
-        with contextlib.suppress(queue.Empty):
+        with contextlib.suppress(IndexError):
             while True:
-                item = self._queue.get_nowait()
+                item = self._queue.popleft()
                 self._taken_count += 1
                 self._taken_bytes += _weight(item)
 
