@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 
 from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -18,6 +19,8 @@ from cloth_sim_ros.ros.messages import set_stamp
 
 #: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after the node was seen [s].
 _SETTLING = 3.0
+#: How long the end waits for the last grasp to be received.
+_DELIVERY = Duration(seconds=0.5)
 
 
 class GripperError(RuntimeError):
@@ -90,7 +93,7 @@ class GripperPlayer:
             while waiting and waiting[0].time <= elapsed:
                 self._grasps.publish(Bool(data=waiting.pop(0).closed))
             if elapsed > self._script.duration:
-                self._grasps.wait_for_all_acked()
+                self._grasps.wait_for_all_acked(_DELIVERY)
                 return True
             # By the steady clock, without drift; times that have passed are left out.
             due = max(due + period, time.monotonic() - period)

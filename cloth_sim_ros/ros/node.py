@@ -122,7 +122,7 @@ class ClothNode:
             ValueError: if the scene can't be stepped.
             StopRequestedError: if a signal came meanwhile.
         """
-        begun = time.monotonic()
+        self.node.get_logger().info("preparing the kernels; the first start compiles them, which may take a while")
         with self._interruptible():
             scene = self._simulation.scene
             trial = Simulation(scene)
@@ -131,11 +131,6 @@ class ClothNode:
             trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
             trial.state.digest()
             self._recording.prepare()
-        seconds = time.monotonic() - begun
-        if seconds > 3.0:
-            self.node.get_logger().info(
-                f"compiled the kernels in {seconds:.1f} s; the next start takes them from the cache"
-            )
 
     def start(self) -> None:
         """Begin to record, if asked to, and let time begin.

@@ -27,7 +27,7 @@ class StrainGauge:
         self._lengths = lengths[lengths > 0.0]
 
     def largest(self, x: Array) -> float | None:
-        """Return the largest relative elongation at positions x [m], shape (3, n); None without edges, or with too many."""
+        """Return the largest relative elongation at x [m], shape (3, n); None if there are no edges or too many."""
         if not 0 < len(self._lengths) <= MOST_EDGES:
             return None
         lengths = np.linalg.norm(x[:, self._far] - x[:, self._near], axis=0)

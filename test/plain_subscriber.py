@@ -1,0 +1,36 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A subscriber as anyone would write it: rclpy and sensor_msgs alone. Run as `plain_subscriber.py topic file`.
+
+Appends each message to the file: its length (8 bytes, little endian), then its bytes as they came.
+"""
+
+import contextlib
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+
+
+def main() -> None:
+    topic, path = sys.argv[1:]
+    rclpy.init()
+    node = rclpy.create_node("plain_subscriber")
+    with open(path, "wb", buffering=0) as file:
+
+        def receive(data: bytes) -> None:
+            message = deserialize_message(data, PointCloud2)
+            assert message.height * message.row_step == len(message.data)
+            file.write(len(data).to_bytes(8, "little") + data)
+
+        node.create_subscription(PointCloud2, topic, receive, QoSProfile(depth=1000), raw=True)
+        print("ready", flush=True)
+        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+            rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main()
