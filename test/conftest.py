@@ -7,6 +7,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
+import re
 import shutil
 import signal
 import socket
@@ -48,6 +49,21 @@ atexit.register(_RESERVATION.close)
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_STATIC_PEERS", None)
+
+
+# What a robot with the distribution's packages alone may lack; `make test` has all of it.
+_OPTIONAL = {"lz4", "matplotlib", "mcap", "pyarrow", "rclpy", "rerun", "rosbags", "sksundae", "trimesh", "zstandard"}
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """A test module that cannot be imported for want of an optional library is skipped, and the library named."""
+    outcome = yield
+    report = outcome.get_result()  # type: ignore[attr-defined]
+    missing = re.findall(r"ModuleNotFoundError: No module named '(\w+)", str(report.longrepr)) if report.failed else []
+    if isinstance(collector, pytest.Module) and missing and missing[-1] in _OPTIONAL:
+        report.outcome = "skipped"
+        report.longrepr = (str(collector.path), 1, f"Skipped: {missing[-1]} is not installed")
 
 
 @pytest.fixture(scope="session", autouse=True)
