@@ -114,7 +114,7 @@ class _Run:
         self._frame_topic, self._points = f"{node}/frame", f"{node}/points"
         self._wrenches = {f"{node}/{name}/wrench": k for k, name in enumerate(scene.gripper_names)}
         # Commands wait across the end of a file.
-        self._commands = before._commands if before else _commands(self.simulation, node)
+        self._commands: CommandCheck = before._commands if before else _commands(self.simulation, node)
         self._frame: Frame | None = None
         self._frame_log_time = -1
 

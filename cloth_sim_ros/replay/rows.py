@@ -43,6 +43,9 @@ class Rows:
         #: Bytes that wait, about.
         self.size = 0
 
+    def __len__(self) -> int:
+        return len(self._moments)
+
     def add(self, moment: Moment, **components: Any) -> None:
         """Add a row; every row of an entity has the same components."""
         self._moments.append(moment)

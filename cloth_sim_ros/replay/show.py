@@ -130,6 +130,8 @@ def _with_progress(reader: SessionReader, messages: Iterator[Message]) -> Iterat
 def _recording(reader: SessionReader) -> rr.RecordingStream:
     import rerun as rr
 
+    # Otherwise rerun answers a mistake with a warning and a recording that lacks the data.
+    rr.set_strict_mode(True)
     recording = rr.RecordingStream(APPLICATION)
     recording.send_recording_name(reader.parts[0].session)
     return recording

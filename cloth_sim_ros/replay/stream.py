@@ -22,8 +22,13 @@ from cloth_sim_ros.session.reader import read_frame
 if TYPE_CHECKING:
     import rerun as rr
 
-#: Bytes that are collected before they are sent: large enough that a call's cost does not count.
-_BATCH = 12 << 20
+#: Bytes of an entity that are collected before they are sent: so many that a call's cost does not count, so few that
+#: they stay in the processor's cache on their way.
+_BATCH = 2 << 20
+#: Rows of an entity that are collected before they are sent.
+_MOST_ROWS = 4096
+#: Bytes that may be on their way to the disk or the viewer.
+_IN_FLIGHT = 64 << 20
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
@@ -68,6 +73,7 @@ class Stream:
         self._mesh = self._table(CLOTH, rr.Mesh3D, ragged=("vertex_positions", "vertex_normals", "vertex_colors"))
         self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
         self._kept: _Shown | None = None
+        self._sent = 0
         #: Clouds that were in the messages, and those that were shown.
         self.clouds_seen = self.clouds_shown = 0
         self._start()
@@ -113,7 +119,6 @@ class Stream:
         """Send what waits."""
         for table in self._tables.values():
             table.send(self._recording)
-        # Without waiting here the rows would pile up in memory before a slow disk or viewer.
         self._recording.flush()
 
     def finish(self) -> None:
@@ -213,8 +218,14 @@ class Stream:
             self._show(shown)
         elif self._kept is None or moment.sim_time <= self._only:
             self._kept = shown
-        if sum(table.size for table in self._tables.values()) >= _BATCH:
-            self.flush()
+        for table in self._tables.values():
+            if table.size >= _BATCH or len(table) >= _MOST_ROWS:
+                self._sent += table.size
+                table.send(self._recording)
+        if self._sent >= _IN_FLIGHT:
+            # Without waiting here the rows would pile up in memory before a slow disk or viewer.
+            self._sent = 0
+            self._recording.flush()
 
     def _show(self, shown: _Shown) -> None:
         import rerun as rr
