@@ -9,14 +9,15 @@ from typing import Any
 import numba
 import numpy as np
 
+from cloth_sim_ros.physics.kernels.grid_copy import add_out, copy_in
 from cloth_sim_ros.physics.kernels.grid_rows import row_forces
 from cloth_sim_ros.physics.kernels.grid_springs import (
     Array,
     GridSprings,
     aligned_zeros,
+    check_array,
+    constants,
     grid_tables,
-    parameters,
-    spring_fields,
 )
 
 
@@ -36,9 +37,8 @@ class GridForces:
         tables = grid_tables(springs, np.zeros(springs.rows * springs.columns), dtype)
         self._pitch, self._table, self._table_rows = tables
         wanted = {True: 1.0, False: 1.0} if weak is None else {weak: 1.0}
-        fields = spring_fields(springs, factors=wanted)
-        self._damped = any(name.endswith("_d") for name in fields)
-        self._params = parameters(fields, dtype)
+        self._shape, self._values = constants(springs, wanted, dtype)
+        self._damped = springs.damped
         self._window = aligned_zeros(3 * 6 * self._pitch, dtype)
         self._ring = aligned_zeros(3 * 3 * self._pitch, dtype)
 
@@ -50,24 +50,13 @@ class GridForces:
         """
         expected = (3, self.springs.rows * self.springs.columns)
         for name, array in (("x", x), ("v", v), ("f", f)):
-            if array.shape != expected:
-                raise ValueError(f"{name} has shape {array.shape}; this sheet needs {expected}")
-        velocity = v if self._damped else None
+            check_array(name, array, expected)
+        velocity = v.reshape(-1) if self._damped else None
         # Only differences count; near the origin they keep more digits in single precision.
         origin = np.zeros(3) if self._table.dtype == np.float64 else x[:, 0].copy()
-        window, ring = self._window, self._ring
         _add_forces(
-            x,
-            velocity,
-            f,
-            origin,
-            self.springs.columns,
-            self._pitch,
-            window,
-            self._table,
-            self._table_rows,
-            ring,
-            self._params,
+            *(x.reshape(-1), velocity, f.reshape(-1), origin, self.springs.columns, self._pitch, self._window),
+            *(self._table, self._table_rows, self._ring, self._shape, self._values),
         )
 
 
@@ -77,48 +66,26 @@ def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_positions(x, origin, first, columns, window, place, pitch):  # type: ignore[no-untyped-def]
-    for c in range(3):
-        for j in range(columns):
-            window[place + c * pitch + j] = x[c, first + j] - origin[c]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill_velocities(v, first, columns, window, place, pitch):  # type: ignore[no-untyped-def]
-    for c in range(3):
-        for j in range(columns):
-            window[place + c * pitch + j] = v[c, first + j]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring, params):  # type: ignore[no-untyped-def]
+def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring, shape, values):  # type: ignore[no-untyped-def]
+    """Sweep over the rows through a window of three padded ones. `x`, `v`, `f` are flat; `v` is None where nothing is damped."""
     rows = len(table_rows)
+    count = rows * columns
     stride = 6 * pitch
     ring[:] = 0.0
     for row in range(-2, rows):
         ahead = row + 2
         place = ahead % 3 * stride
         if ahead < rows:
-            _fill_positions(x, origin, ahead * columns, columns, window, place, pitch)
+            for c in range(3):
+                copy_in(x, c * count + ahead * columns, origin[c], columns, window, place + c * pitch)
             if v is not None:
-                _fill_velocities(v, ahead * columns, columns, window, place + 3 * pitch, pitch)
+                for c in range(3):
+                    copy_in(v, c * count + ahead * columns, 0.0, columns, window, place + (3 + c) * pitch)
         if row < 0:
             continue
-        ring0, ring1, ring2 = row % 3 * 3 * pitch, (row + 1) % 3 * 3 * pitch, (row + 2) % 3 * 3 * pitch
-        row_forces(
-            window,
-            row % 3 * stride,
-            (row + 1) % 3 * stride,
-            place,
-            pitch,
-            table,
-            table_rows[row],
-            ring,
-            ring0,
-            ring1,
-            ring2,
-            params,
-        )
+        at, below = row % 3 * stride, (row + 1) % 3 * stride
+        ring0, ring1, ring2 = row % 3 * 3 * pitch, (row + 1) % 3 * 3 * pitch, ahead % 3 * 3 * pitch
+        entry = table_rows[row]
+        row_forces(window, at, below, place, pitch, table, entry, ring, ring0, ring1, ring2, shape, values)
         for c in range(3):
-            for j in range(columns):
-                f[c, row * columns + j] += ring[ring0 + c * pitch + j]
+            add_out(ring, ring0 + c * pitch, columns, f, c * count + row * columns)

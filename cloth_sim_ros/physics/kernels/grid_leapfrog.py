@@ -18,13 +18,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.kernels.grid_springs import (
     Array,
+    Constants,
     GridSprings,
     aligned_zeros,
+    check_array,
+    constants,
     grid_tables,
-    parameters,
-    spring_fields,
 )
-from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, HALO, Band, Mail, advance_band
+from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, REACH, Band, Mail, advance_band
+
+
+_SECOND_CACHE = 1 << 20
+"""Bytes; that of the machines at hand. A wrong guess costs a few per cent."""
 
 
 class GridGrips(NamedTuple):
@@ -83,16 +88,15 @@ class GridLeapfrog:
             raise ValueError(f"inverse_masses has shape {inverse.shape}; this sheet needs ({count},)")
         if not (np.isfinite(drag) and drag >= 0.0):
             raise ValueError(f"drag is {drag} 1/s; it must be finite and not negative")
-        if threads < 1 or (threads > 1 and springs.rows < HALO * threads):
-            raise ValueError(f"{threads} threads for {springs.rows} rows; take from 1 to {max(springs.rows // HALO, 1)}")
+        if threads < 1 or (threads > 1 and springs.rows < REACH * threads):
+            raise ValueError(
+                f"{threads} threads for {springs.rows} rows; take from 1 to {max(springs.rows // REACH, 1)}"
+            )
         self.springs = springs
         self.alternate = alternate and any(family.weak for family in springs.families)
         self._dtype = np.dtype(dtype)
-        self._motion = {} if drag == 0.0 else {"drag": drag}
-        if gravity is not None:
-            self._motion |= {f"gravity_{c}": float(g) for c, g in enumerate(np.asarray(gravity, dtype=np.float64))}
-        if self._dtype == np.float32:
-            self._motion["carry"] = 1.0
+        self._drag = float(drag)
+        self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
         self._bands = self._cut(inverse, threads)
         self._mail = self._post_office() if threads > 1 else None
@@ -100,29 +104,35 @@ class GridLeapfrog:
 
     def _cut(self, inverse: Array, threads: int) -> list[Band]:
         """Cut the sheet into bands of about equal height."""
-        pitch, table, table_rows = grid_tables(self.springs, inverse, self._dtype)
-        above = np.concatenate([np.zeros(HALO, dtype=np.intp), table_rows])
+        springs = self.springs
+        pitch, table, table_rows = grid_tables(springs, inverse, self._dtype)
         components = 12 if self._dtype == np.float32 else 9
-        borders = [self.springs.rows * band // threads for band in range(threads + 1)]
+        levels = _levels(springs.rows // threads, components * pitch * self._dtype.itemsize, threads)
+        halo = REACH * levels
+        beyond = np.zeros(halo, dtype=np.intp)
+        entries = np.concatenate([beyond, table_rows, beyond])
+        borders = [springs.rows * band // threads for band in range(threads + 1)]
         bands = []
         for index, (first, last) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
-            state = aligned_zeros((last - first + 2 * HALO) * components * pitch, self._dtype)
-            ring = aligned_zeros(3 * 3 * pitch, self._dtype)
-            entries = above[first : last + HALO].copy()
-            columns = self.springs.columns
-            bands.append(Band(first, last, columns, pitch, components, state, ring, table, entries, index))
+            state = aligned_zeros((last - first + 2 * halo) * components * pitch, self._dtype)
+            ring = aligned_zeros(levels * 3 * 3 * pitch, self._dtype)
+            own = entries[first : last + 2 * halo].copy()
+            shape = (first, last, springs.rows, springs.columns, pitch, components, levels)
+            bands.append(Band(*shape, state, ring, table, own, index))
         return bands
 
     def _post_office(self) -> Mail:
         band = self._bands[0]
-        boxes = np.zeros((len(self._bands), 2, 2, HALO * band.components * band.pitch), dtype=self._dtype)
+        size = REACH * band.levels * band.components * band.pitch
+        boxes = np.zeros((len(self._bands), 2, 2, size), dtype=self._dtype)
         return Mail(boxes, np.zeros(len(self._bands) * COUNTER_SPACING, dtype=np.int64), len(self._bands))
 
-    def _parameters(self, dt: float, weak: float | None, predicts: int | None) -> NDArray[Any]:
-        """Parameters of a step in which the weak families count `weak` times, None for not at all."""
+    def _constants(self, dt: float, weak: float | None, *, grips: bool) -> Constants:
+        """Constants of a step in which the weak families count `weak` times, None for not at all."""
         factors = {False: 1.0} if weak is None else {False: 1.0, True: weak}
-        fields = spring_fields(self.springs, factors=factors) | self._motion | {"step": dt, "half": 0.5 * dt}
-        return parameters(fields | ({} if predicts is None else {"predicted": 1.0}), self._dtype)
+        predicted = self._predicts or grips
+        motion = {"step": dt, "drag": self._drag, "gravity": self._gravity, "predicted": predicted}
+        return constants(self.springs, factors, self._dtype, **motion)
 
     def advance(self, x: Array, v: Array, steps: int, dt: float, *, grips: GridGrips | None = None) -> None:
         """Advance positions x [m] and velocities v [m/s] in place by `steps` steps of dt [s].
@@ -135,20 +145,19 @@ class GridLeapfrog:
         """
         expected = (3, self.springs.rows * self.springs.columns)
         for name, array in (("x", x), ("v", v)):
-            if array.shape != expected:
-                raise ValueError(f"{name} has shape {array.shape}; this sheet needs {expected}")
+            check_array(name, array, expected)
         if steps < 1:
             raise ValueError(f"{steps} steps; at least one is needed")
         if self.alternate and steps % 2 == 0:
             raise ValueError(f"{steps} steps; weak families at every second step need an odd number")
-        predicts = 1 if self._predicts or grips is not None else None
         origin = np.zeros(3) if self._dtype == np.float64 else x[:, 0].copy()
+        once, ends, full = (self._constants(dt, weak, grips=grips is not None) for weak in (1.0, 1.5, 2.0))
         alternate = self.alternate and steps > 1
         common = (
-            *(x, v, origin, steps, dt),
-            *(self._parameters(dt, weak, predicts) for weak in (1.0, 1.5, 2.0)),
-            self._parameters(dt, None, predicts) if alternate else None,
-            *(predicts, None if grips is None else _near(grips, origin), self._mail),
+            *(x.reshape(-1), v.reshape(-1), origin, steps, dt, once.shape),
+            self._constants(dt, None, grips=grips is not None).shape if alternate else None,
+            *(once.values, ends.values, full.values),
+            *(None if grips is None else _near(grips, origin), self._mail),
         )
         if self._workers is None or self._mail is None:
             advance_band(self._bands[0], *common)
@@ -160,6 +169,16 @@ class GridLeapfrog:
                 other.result()
         if grips is not None:
             grips.moments[:] += np.cross(origin, grips.impulses)
+
+
+def _levels(rows: int, row_bytes: int, threads: int) -> int:
+    """Choose how many steps one sweep over a band of `rows` rows takes; no bit depends on it.
+
+    A band that does not fit the second cache is better taken through memory once for several steps; threads that wait for each other
+    less often lose less, but move more rows twice.
+    """
+    wanted = 4 if rows * row_bytes > _SECOND_CACHE else min(threads, 2)
+    return max(1, min(wanted, rows // (4 * REACH)))
 
 
 def _near(grips: GridGrips, origin: Array) -> GridGrips:

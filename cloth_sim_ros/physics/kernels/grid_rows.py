@@ -6,18 +6,13 @@ A row owns the springs that lead from it to the right and down (`FAMILIES`). The
 after are summed in a ring of three force rows. As rows are taken in order, and none looks back, a row's force is complete when
 its own springs are done, and its particles can move at once: a step reads and writes each number once.
 
-Which springs exist, whether they are damped, whether there is drag or gravity is read off the *type* of `params`: an array of
-one record whose field names list what the scene has. Numba compiles one version for each such type; what has no field has no
-instruction. Fields:
+Which springs exist, whether they are damped, whether there is drag or gravity is read off the *type* of `shape`, a tuple of None for
+what is not there and numbers for what is (`Shape`). Numba compiles one version for each such type; what is not there has no
+instruction. The constants themselves are in the array `values` (`value_index`).
 
-- of a spring family, `NAME_SLOT_k` (k_s [N]), `NAME_SLOT_l` (k_s / rest length [N/m]) and, if it is damped, `NAME_SLOT_d`
-  (k_d [N s/m]), SLOT being the place of its weights in the table;
-- `step` and `half` (dt, dt/2 [s]); `drag` [1/s]; `gravity_0`, `_1`, `_2` [m/s^2];
-- `predicted` if forces depend on velocity, `carry` if positions are kept with what rounding took from them.
-
-The table holds entries of slots, `pitch` numbers each: inverse masses [1/kg]; one for a free particle and zero for an anchored one;
-then the weights of the families. A weight stands in the column of the spring's leftmost end, and is zero where there is no
-spring.
+The table holds entries of TABLE_SLOTS slots, `pitch` numbers each: inverse masses [1/kg]; one for a free particle and zero for an
+anchored one; then the weights of the families. A weight stands in the column of the spring's leftmost end, and is zero where
+there is no spring.
 """
 
 from __future__ import annotations
@@ -49,16 +44,53 @@ FAMILIES = {
 """Spring families of a grid. The antidiagonal is owned by its left column, so that no force moves to the left."""
 
 INVERSE_MASS_SLOT, FREE_SLOT, FIRST_WEIGHT_SLOT = 0, 1, 2
+TABLE_SLOTS = FIRST_WEIGHT_SLOT + len(FAMILIES)
 """Slots of a table entry."""
 
 POSITION, VELOCITY, PREDICTED, CARRY = 0, 3, 6, 9
 """Where a row's components of each kind start."""
 
-_COMPONENTS = range(3)
+
+class Shape(NamedTuple):
+    """What a step consists of. Only the types count: None, or a number.
+
+    A family is None where it does not exist, an int where it is not damped, a float where it is. `drag`, `gravity`; `predicted`: forces depend
+    on velocity; `carry`: positions are kept with what rounding took from them. `stamp`: which emitters compiled this.
+    """
+
+    right: int | float | None
+    down: int | float | None
+    diagonal: int | float | None
+    antidiagonal: int | float | None
+    right2: int | float | None
+    down2: int | float | None
+    drag: int | None
+    gravity: int | None
+    predicted: int | None
+    carry: int | None
+    stamp: tuple[int | None, ...]
+
+
 _MOTION = ("step", "half", "drag", "gravity_0", "gravity_1", "gravity_2")
+VALUE_COUNT = 3 * len(FAMILIES) + len(_MOTION)
+"""Length of `values`."""
+
+
+def value_index(name: str, part: str = "") -> int:
+    """Place in `values` of a constant.
+
+    For a family, `part` "k" is k_s [N], "l" is k_s / rest length [N/m], "d" is k_d [N s/m]. Otherwise `name` is "step" or "half" (dt, dt/2 [s]), "drag"
+    [1/s], "gravity_0", "_1" or "_2" [m/s^2].
+    """
+    if part:
+        return 3 * list(FAMILIES).index(name) + "kld".index(part)
+    return 3 * len(FAMILIES) + _MOTION.index(name)
+
+
+_COMPONENTS = range(3)
 _ARGUMENTS = (
     *("rows", "row0", "row1", "row2", "pitch", "table", "table_row"),
-    *("ring", "ring0", "ring1", "ring2", "params"),
+    *("ring", "ring0", "ring1", "ring2", "shape", "values"),
 )
 
 
@@ -76,27 +108,25 @@ class _Row:
         self.values = dict(zip(_ARGUMENTS, arguments, strict=True))
         self.data = {
             name: context.make_array(kinds[name])(context, builder, self.values[name]).data
-            for name in ("rows", "table", "ring", "params")
+            for name in ("rows", "table", "ring", "values")
         }
-        self.record = kinds["params"].dtype
-        self.fields = self.record.fields
         self.vectors = Vectors(builder, 4 if kinds["rows"].dtype == types.float32 else 8)
-        self.slots = {
-            name: int(slot) for name, slot, _ in (field.rsplit("_", 2) for field in self.fields if field[-2:] == "_k")
-        }
-        # The last row that springs reach is written, those before it are added to. Without springs to lower rows the next one is
-        # written all the same: a grip may add to it.
-        self.deepest = max((1, *(FAMILIES[name].second[0] for name in self.slots)))
+        present = dict(zip(Shape._fields, kinds["shape"].types, strict=True))
+        self.has = {name for name, kind in present.items() if kind != types.none}
+        self.families = [name for name in FAMILIES if name in self.has]
+        self.damped = {name for name in self.families if isinstance(present[name], types.Float)}
+        # The last row that springs reach is written, those before it are added to. Without springs to lower rows the next one
+        # is written all the same: a grip may add to it.
+        self.deepest = max((1, *(FAMILIES[name].second[0] for name in self.families)))
 
     def integer(self, value: int) -> Any:
         """An index constant."""
         return self.context.get_constant(types.intp, value)
 
-    def param(self, field: str) -> Any:
-        """The value of a field of `params` in each lane."""
-        start = self.builder.bitcast(self.data["params"], ir.IntType(8).as_pointer())
-        place = self.builder.gep(start, [self.integer(self.record.offset(field))])
-        return self.vectors.splat(self.builder.load(self.builder.bitcast(place, self.vectors.element.as_pointer())))
+    def value(self, name: str, part: str = "") -> Any:
+        """A constant in each lane."""
+        place = self.builder.gep(self.data["values"], [self.integer(value_index(name, part))])
+        return self.vectors.splat(self.builder.load(place))
 
     def index(self, origin: str, slot: int, column: Any, columns: int = 0) -> Any:
         """Index of a column of component or slot `slot` of the row or entry that starts at the argument `origin`."""
@@ -116,28 +146,20 @@ class _Row:
         """Emit the loop over the row's vectors."""
         if self.first > self.deepest:
             return
-        families = [(FAMILIES[name], name) for name in self.slots if FAMILIES[name].second[0] >= self.first]
-        constants = {
-            name: {
-                part: self.param(field)
-                for part in "kld"
-                if (field := f"{name}_{self.slots[name]}_{part}") in self.fields
-            }
-            for _, name in families
-        }
-        motion = {name: self.param(name) for name in _MOTION if name in self.fields}
-        shifted = {end for family, _ in families for end in family if end[1] > 0 and end[0] >= self.first}
+        families = [name for name in self.families if FAMILIES[name].second[0] >= self.first]
+        ends = {end for name in families for end in FAMILIES[name]}
+        shifted = sorted(end for end in ends if end[1] > 0 and end[0] >= self.first)
         zero = self.vectors.constant(0.0)
-        before = {end: [cgutils.alloca_once_value(self.builder, zero) for _ in _COMPONENTS] for end in sorted(shifted)}
+        before = {end: [cgutils.alloca_once_value(self.builder, zero) for _ in _COMPONENTS] for end in shifted}
         lanes = self.integer(self.vectors.lanes)
         with cgutils.for_range(self.builder, self.builder.sdiv(self.values["pitch"], lanes)) as loop:
             column = self.builder.mul(loop.index, lanes)
             forces: dict[tuple[int, int], list[Any]] = {}
-            for family, name in families:
-                self.add_spring(forces, family, self.slots[name], constants[name], column)
-            self.sum_rows(forces, before, motion, finish, column)
+            for name in families:
+                self.add_spring(forces, name, column)
+            self.sum_rows(forces, before, finish, column)
 
-    def sum_rows(self, forces: Any, before: Any, motion: Any, finish: Any, column: Any) -> None:
+    def sum_rows(self, forces: Any, before: Any, finish: Any, column: Any) -> None:
         """Add the forces by end to the ring, those on ends to the right moved there; finish this row."""
         vectors, builder = self.vectors, self.builder
         for row in range(self.first, self.deepest + 1):
@@ -157,20 +179,24 @@ class _Row:
                 if row > 0:
                     vectors.store(value, self.data["ring"], place)
             if row == 0:
-                finish(self, total, motion, column)
+                finish(self, total, column)
 
-    def add_spring(self, forces: Any, family: Family, slot: int, constants: Any, column: Any) -> None:
-        """Add F = (k/l0 - k/|d| + k_d (dv.d)/|d|^2) d to the force on the first end, subtract it on the second (S1 of the model)."""
-        vectors = self.vectors
-        (x0, p0), (x1, p1) = (self.point(end, column, moving="d" in constants) for end in family)
+    def add_spring(self, forces: Any, name: str, column: Any) -> None:
+        """Add F = (k/l0 - k/|d| + k_d (dv.d)/|d|^2) d to the first end's force, subtract it from the second's (S1 of the model).
+
+        The constants are read here, not before the loop: they become broadcast operands instead of spilled registers.
+        """
+        vectors, family, damped = self.vectors, FAMILIES[name], name in self.damped
+        (x0, p0), (x1, p1) = (self.point(end, column, moving=damped) for end in family)
         d = [vectors.sub(b, a) for a, b in zip(x0, x1, strict=True)]
         inverse = vectors.inverse_root(vectors.dot(d, d, vectors.constant(SHORTEST_SQUARE)))
-        slope = vectors.neg(constants["k"])
-        if "d" in constants:
+        slope = vectors.neg(self.value(name, "k"))
+        if damped:
             approach = [vectors.sub(b, a) for a, b in zip(p0, p1, strict=True)]
             rate = vectors.dot(approach[1:], d[1:], vectors.mul(approach[0], d[0]))
-            slope = vectors.fma(vectors.mul(constants["d"], rate), inverse, slope)
-        factor = vectors.fma(slope, inverse, constants["l"])
+            slope = vectors.fma(vectors.mul(self.value(name, "d"), rate), inverse, slope)
+        factor = vectors.fma(slope, inverse, self.value(name, "l"))
+        slot = FIRST_WEIGHT_SLOT + list(FAMILIES).index(name)
         factor = vectors.mul(factor, vectors.load(self.data["table"], self.index("table_row", slot, column)))
         for end, sign in zip(family, (factor, vectors.neg(factor)), strict=True):
             if end[0] < self.first:
@@ -189,51 +215,51 @@ class _Row:
 
         return components(POSITION), components(self.velocity) if moving else []
 
-    def accelerations(self, force: list[Any], motion: Any, column: Any) -> list[Any]:
+    def accelerations(self, force: list[Any], column: Any) -> list[Any]:
         """F/m + gravity - drag times predicted velocity; zero where anchored."""
         vectors = self.vectors
         inverse_mass = vectors.load(self.data["table"], self.index("table_row", INVERSE_MASS_SLOT, column))
         free = vectors.load(self.data["table"], self.index("table_row", FREE_SLOT, column))
-        predicted = self.load(PREDICTED, column) if "drag" in motion else []
+        predicted = self.load(PREDICTED, column) if "drag" in self.has else []
         accelerations = []
         for c in _COMPONENTS:
             a = vectors.mul(inverse_mass, force[c])
-            field = motion.get(f"gravity_{c}")
+            field = self.value(f"gravity_{c}") if "gravity" in self.has else None
             if predicted:
-                drag = vectors.mul(motion["drag"], predicted[c])
+                drag = vectors.mul(self.value("drag"), predicted[c])
                 field = vectors.neg(drag) if field is None else vectors.sub(field, drag)
             accelerations.append(a if field is None else vectors.fma(free, field, a))
         return accelerations
 
 
-def _keep(row: _Row, force: list[Any], motion: Any, column: Any) -> None:
+def _keep(row: _Row, force: list[Any], column: Any) -> None:
     """Store the complete force in the ring."""
     for c in _COMPONENTS:
         row.vectors.store(force[c], row.data["ring"], row.index("ring0", c, column))
 
 
-def _start(row: _Row, force: list[Any], motion: Any, column: Any) -> None:
+def _start(row: _Row, force: list[Any], column: Any) -> None:
     """predicted = v + dt/2 a, x += dt/2 v."""  # noqa: D403
-    fma = row.vectors.fma
-    a, v, x = row.accelerations(force, motion, column), row.load(VELOCITY, column), row.load(POSITION, column)
-    row.store([fma(motion["half"], a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
-    row.store([fma(motion["half"], v[c], x[c]) for c in _COMPONENTS], POSITION, column)
+    fma, half = row.vectors.fma, row.value("half")
+    a, v, x = row.accelerations(force, column), row.load(VELOCITY, column), row.load(POSITION, column)
+    row.store([fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
+    row.store([fma(half, v[c], x[c]) for c in _COMPONENTS], POSITION, column)
 
 
-def _step(row: _Row, force: list[Any], motion: Any, column: Any) -> None:
+def _step(row: _Row, force: list[Any], column: Any) -> None:
     """v += dt a, predicted = v + dt/2 a, x += dt v."""  # noqa: D403
-    vectors = row.vectors
-    a, v, x = row.accelerations(force, motion, column), row.load(VELOCITY, column), row.load(POSITION, column)
-    v = [vectors.fma(motion["step"], a[c], v[c]) for c in _COMPONENTS]
+    vectors, step, half = row.vectors, row.value("step"), row.value("half")
+    a, v, x = row.accelerations(force, column), row.load(VELOCITY, column), row.load(POSITION, column)
+    v = [vectors.fma(step, a[c], v[c]) for c in _COMPONENTS]
     row.store(v, VELOCITY, column)
-    if "predicted" in row.fields:
-        row.store([vectors.fma(motion["half"], a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
-    if "carry" not in row.fields:
-        row.store([vectors.fma(motion["step"], v[c], x[c]) for c in _COMPONENTS], POSITION, column)
+    if "predicted" in row.has:
+        row.store([vectors.fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
+    if "carry" not in row.has:
+        row.store([vectors.fma(step, v[c], x[c]) for c in _COMPONENTS], POSITION, column)
         return
     # Kahan's sum: what rounding takes from this step's way is added to the next one's.
     carry = row.load(CARRY, column)
-    ways = [vectors.fma(motion["step"], v[c], carry[c]) for c in _COMPONENTS]
+    ways = [vectors.fma(step, v[c], carry[c]) for c in _COMPONENTS]
     ends = [vectors.add(x[c], ways[c]) for c in _COMPONENTS]
     row.store([vectors.sub(ways[c], vectors.sub(ends[c], x[c])) for c in _COMPONENTS], CARRY, column)
     row.store(ends, POSITION, column)
@@ -253,48 +279,48 @@ def _signature(*kinds: Any) -> Any:
 
 # fmt: off
 @intrinsic
-def row_forces(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params):  # type: ignore[no-untyped-def]
+def row_forces(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """Write a row's complete force [N] to ring row `ring0`; add what its springs do to the next rows to `ring1`, `ring2`.
 
     `rows` is flat; a row is 3 components of position [m], then 3 of velocity [m/s], `pitch` numbers each, from index `row0`
     on; `row1` and `row2` are the next two. `ring` likewise holds 3 components a row. The row's entry in `table` starts
     at `table_row`. The last of the ring rows that springs reach is overwritten, the others are added to.
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params)
+    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(VELOCITY, 0, _keep)
 
 
 @intrinsic
-def row_start(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params):  # type: ignore[no-untyped-def]
+def row_start(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """As `row_forces`, but prepare the row for `row_step`: predicted = v + dt/2 a(x, v), x += dt/2 v.
 
     A row is 3 components of position, 3 of velocity, 3 of predicted velocity, which must hold v on entry.
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params)
+    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 0, _start)
 
 
 @intrinsic
-def row_step(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params):  # type: ignore[no-untyped-def]
+def row_step(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """As `row_forces`, but move the row by one step: v += dt a(x, predicted), predicted = v + dt/2 a, x += dt v.
 
-    A row is 3 components of position at the half step, 3 of velocity at the step, 3 of the velocity predicted for the half step (with the
-    field `predicted`), 3 of what rounding took from the positions (with the field `carry`).
+    A row is 3 components of position at the half step, 3 of velocity at the step, 3 of the velocity predicted for the half step (where
+    `shape` has `predicted`), 3 of what rounding took from the positions (where it has `carry`).
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params)
+    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 0, _step)
 
 
 @intrinsic
-def row_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params):  # type: ignore[no-untyped-def]
+def row_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """The part of `row_step` that concerns the next two rows, with the same bits: for the last row above a band of rows."""
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params)
+    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 1, None)
 
 
 @intrinsic
-def row_two_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params):  # type: ignore[no-untyped-def]
+def row_two_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """The part of `row_step` that concerns the row after the next, with the same bits: for the last row but one above a band."""
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, params)
+    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 2, None)
 # fmt: on

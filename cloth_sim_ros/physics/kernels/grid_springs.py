@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.kernels.grid_emit import BLOCK_BYTES
-from cloth_sim_ros.physics.kernels.grid_rows import FAMILIES, FIRST_WEIGHT_SLOT, FREE_SLOT, INVERSE_MASS_SLOT
+from cloth_sim_ros.physics.kernels.grid_rows import (
+    FAMILIES,
+    FIRST_WEIGHT_SLOT,
+    FREE_SLOT,
+    INVERSE_MASS_SLOT,
+    TABLE_SLOTS,
+    VALUE_COUNT,
+    Shape,
+    value_index,
+)
 
 Array = NDArray[np.float64]
 
@@ -120,59 +129,102 @@ def aligned_zeros(size: int, dtype: Any) -> NDArray[Any]:
     return raw[start : start + size * kind.itemsize].view(kind)
 
 
+def check_array(name: str, array: Array, shape: tuple[int, ...]) -> None:
+    """Refuse what a kernel would misread.
+
+    Raises:
+        ValueError: for another shape or type, or an array that is not C-contiguous.
+    """
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; this sheet needs {shape}")
+    if array.dtype != np.float64 or not array.flags.c_contiguous:
+        layout = "" if array.flags.c_contiguous else ", not C-contiguous"
+        raise ValueError(f"{name} is {array.dtype}{layout}; it must be C-contiguous float64")
+
+
 def grid_tables(springs: GridSprings, inverse_masses: Array, dtype: Any) -> GridTables:
     """Build the tables of a sheet; `inverse_masses` [1/kg], shape (rows * columns,), zero for anchored particles."""
     pitch = padded_columns(springs.columns, dtype)
-    slots = FIRST_WEIGHT_SLOT + len(springs.families)
     starts: dict[bytes, int] = {}
     table_rows = np.empty(springs.rows, dtype=np.intp)
     entries: list[NDArray[Any]] = []
     for row in range(springs.rows):
-        entry = np.zeros((slots, pitch), dtype=dtype)
+        entry = np.zeros((TABLE_SLOTS, pitch), dtype=dtype)
         inverse = inverse_masses[row * springs.columns : (row + 1) * springs.columns]
         entry[INVERSE_MASS_SLOT, : springs.columns] = inverse
         entry[FREE_SLOT, : springs.columns] = inverse > 0.0
-        for slot, family in enumerate(springs.families, start=FIRST_WEIGHT_SLOT):
+        for family in springs.families:
+            slot = FIRST_WEIGHT_SLOT + list(FAMILIES).index(family.name)
             entry[slot, : springs.columns] = springs.weights(family, row)
         key = entry.tobytes()
         if key not in starts:
-            starts[key] = len(entries) * slots * pitch
+            starts[key] = len(entries) * TABLE_SLOTS * pitch
             entries.append(entry)
         table_rows[row] = starts[key]
-    table = aligned_zeros(len(entries) * slots * pitch, dtype)
+    table = aligned_zeros(len(entries) * TABLE_SLOTS * pitch, dtype)
     table[:] = np.concatenate(entries).ravel()
     return GridTables(pitch, table, table_rows)
 
 
-def spring_fields(springs: GridSprings, *, factors: dict[bool, float]) -> dict[str, float]:
-    """Fields of `params` for the families whose `weak` is a key of `factors`, k_s and k_d multiplied by its value."""
-    fields = {}
-    for slot, family in enumerate(springs.families, start=FIRST_WEIGHT_SLOT):
+@cache
+def _stamp() -> tuple[int | None, ...]:
+    """Sixteen bits of a digest of the sources that emit instructions, as a type.
+
+    Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls. This keeps it from
+    serving kernels that older emitters made.
+    """
+    from cloth_sim_ros.physics.kernels import grid_copy, grid_emit, grid_rows, grid_sync
+
+    sources = b"".join(
+        Path(str(module.__file__)).read_bytes() for module in (grid_copy, grid_emit, grid_rows, grid_sync)
+    )
+    number = int.from_bytes(hashlib.blake2b(sources, digest_size=2).digest())
+    return tuple(1 if number >> bit & 1 else None for bit in range(16))
+
+
+class Constants(NamedTuple):
+    """`shape`: what a step consists of, see `grid_rows`. `values`: its constants. Tuples of None and numbers stand for
+    the options because numba's names of kernels for records do not survive its disk cache: two processes give them in different order.
+    """
+
+    shape: Shape
+    values: NDArray[Any]
+
+
+def constants(
+    springs: GridSprings,
+    factors: dict[bool, float],
+    dtype: Any,
+    *,
+    step: float = 0.0,
+    drag: float = 0.0,
+    gravity: Array | None = None,
+    predicted: bool = False,
+) -> Constants:
+    """Constants of a step of `step` [s] with the families whose `weak` is a key of `factors`, multiplied by its value.
+
+    `drag` [1/s], 0 for none; `gravity` [m/s^2], shape (3,); `predicted`: whether forces depend on velocity.
+    """
+    values = np.zeros(VALUE_COUNT, dtype=dtype)
+    present: dict[str, int | float | None] = dict.fromkeys(FAMILIES)
+    for family in springs.families:
         if family.weak in factors:
             factor = factors[family.weak]
-            fields[f"{family.name}_{slot}_k"] = factor * family.stiffness
-            fields[f"{family.name}_{slot}_l"] = factor * family.stiffness / family.rest_length
-            if family.damping > 0.0:
-                fields[f"{family.name}_{slot}_d"] = factor * family.damping
-    return fields
-
-
-@cache
-def _emitter_digest() -> str:
-    """Digest of the sources that emit the row kernels."""
-    from cloth_sim_ros.physics.kernels import grid_emit, grid_rows
-
-    sources = b"".join(Path(str(module.__file__)).read_bytes() for module in (grid_emit, grid_rows))
-    return hashlib.blake2b(sources, digest_size=8).hexdigest()
-
-
-def parameters(fields: dict[str, float], dtype: Any) -> NDArray[Any]:
-    """One record with those fields: its type tells numba which kernel to compile.
-
-    Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls. One more field,
-    named after their digest, keeps it from serving a kernel that older emitters made.
-    """
-    record = np.zeros(1, dtype=[(name, dtype) for name in (*fields, f"build_{_emitter_digest()}")])
-    for name, value in fields.items():
-        record[name] = value
-    return record
+            present[family.name] = 1.0 if family.damping > 0.0 else 1
+            values[value_index(family.name, "k")] = factor * family.stiffness
+            values[value_index(family.name, "l")] = factor * family.stiffness / family.rest_length
+            values[value_index(family.name, "d")] = factor * family.damping
+    values[value_index("step")] = step
+    values[value_index("half")] = 0.5 * step
+    values[value_index("drag")] = drag
+    if gravity is not None:
+        values[value_index("gravity_0") : value_index("gravity_2") + 1] = gravity
+    shape = Shape(
+        **present,
+        drag=1 if drag > 0.0 else None,
+        gravity=None if gravity is None else 1,
+        predicted=1 if predicted else None,
+        carry=1 if np.dtype(dtype) == np.float32 else None,
+        stamp=_stamp(),
+    )
+    return Constants(shape, values)

@@ -17,28 +17,32 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.kernels.grid_copy import copy_in
 from cloth_sim_ros.physics.kernels.grid_rows import row_above, row_start, row_step, row_two_above
 from cloth_sim_ros.physics.kernels.grid_sync import store_release, wait_for
 
-HALO = 2
-"""Rows of a neighbour that a band needs on either side: the longest spring's reach."""
+REACH = 2
+"""Rows that a step looks beyond the rows that it moves: the longest spring."""
 
 COUNTER_SPACING = 16
 """Counters of two bands lie this many int64 apart, on cache lines of their own."""
 
 
 class Band(NamedTuple):
-    """Rows `first` to `last` - 1 of a sheet and the buffers of the thread that moves them.
+    """Rows `first` to `last` - 1 of a sheet of `rows` x `columns` particles, and the buffers of the thread that moves them.
 
-    `state`: flat; HALO + rows + HALO rows of `components` times `pitch` numbers. `ring`: flat, 3 rows of 3 times `pitch`. `table_rows`: where the table
-    entries of the rows start, from HALO rows above on. `index`: which band this is.
+    `state`: flat; the band's rows with REACH * levels rows on either side, `components` times `pitch` numbers each. `levels`: steps
+    taken in one sweep. `ring`: flat, for each level 3 rows of 3 times `pitch`. `table_rows`: where the table entries of the
+    rows in `state` start. `index`: which band this is.
     """
 
     first: int
     last: int
+    rows: int
     columns: int
     pitch: int
     components: int
+    levels: int
     state: NDArray[Any]
     ring: NDArray[Any]
     table: NDArray[Any]
@@ -58,37 +62,40 @@ class Mail(NamedTuple):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def load(band, x, v, origin, rows):  # type: ignore[no-untyped-def]
-    """Copy the band's rows and its neighbours' outer ones; the predicted velocity starts as the velocity."""
-    columns, pitch = band.columns, band.pitch
+def _load(band, x, v, origin):  # type: ignore[no-untyped-def]
+    """Copy the band's rows and its neighbours' outer ones; the predicted velocity starts as the velocity.
+
+    What lies outside the sheet is cleared: after a state that was not finite it would spoil the next one.
+    """
+    columns, pitch, halo = band.columns, band.pitch, REACH * band.levels
+    count = band.rows * columns
     band.state[:] = 0.0
-    for row in range(max(band.first - HALO, 0), min(band.last + HALO, rows)):
-        place = (row - band.first + HALO) * band.components * pitch
+    for row in range(max(band.first - halo, 0), min(band.last + halo, band.rows)):
+        place = (row - band.first + halo) * band.components * pitch
         for c in range(3):
-            for j in range(columns):
-                band.state[place + c * pitch + j] = x[c, row * columns + j] - origin[c]
-            for j in range(columns):
-                speed = v[c, row * columns + j]
-                band.state[place + (3 + c) * pitch + j] = speed
-                band.state[place + (6 + c) * pitch + j] = speed
+            start = c * count + row * columns
+            copy_in(x, start, origin[c], columns, band.state, place + c * pitch)
+            copy_in(v, start, 0.0, columns, band.state, place + (3 + c) * pitch)
+            copy_in(v, start, 0.0, columns, band.state, place + (6 + c) * pitch)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def unload(band, x, v, origin, half):  # type: ignore[no-untyped-def]
-    """Add what changed since `load` rounded the same numbers, so that single precision rounds the change alone."""
-    columns, pitch = band.columns, band.pitch
+def _unload(band, x, v, origin, half):  # type: ignore[no-untyped-def]
+    """Add what changed since `_load` rounded the same numbers, so that single precision rounds the change alone."""
+    columns, pitch, halo = band.columns, band.pitch, REACH * band.levels
+    count = band.rows * columns
     number = band.state.dtype.type
     for row in range(band.first, band.last):
-        place = (row - band.first + HALO) * band.components * pitch
+        place = (row - band.first + halo) * band.components * pitch
         for c in range(3):
+            start = c * count + row * columns
             for j in range(columns):
-                k = row * columns + j
                 position, speed = band.state[place + c * pitch + j], band.state[place + (3 + c) * pitch + j]
-                x[c, k] += (position - number(x[c, k] - origin[c])) - half * speed
-                v[c, k] += speed - number(v[c, k])
+                x[start + j] += (position - number(x[start + j] - origin[c])) - half * speed
+                v[start + j] += speed - number(v[start + j])
             if band.components > 9:
                 for j in range(columns):
-                    x[c, row * columns + j] += band.state[place + (9 + c) * pitch + j]
+                    x[start + j] += band.state[place + (9 + c) * pitch + j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -123,124 +130,142 @@ def _pull(grips, grip, time, dt, state, place, pitch, ring, ring_place):  # type
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _first_grip(grips, band):  # type: ignore[no-untyped-def]
-    return np.searchsorted(grips.particles, band.first * band.columns)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _pull_row(grips, grip, row, time, dt, band, ring_place):  # type: ignore[no-untyped-def]
-    """Add the forces of the grips on one row of the sheet, `grip` being the first; return the first of the next rows."""
+def _pull_row(grips, row, time, dt, band, ring_row):  # type: ignore[no-untyped-def]
+    """Add the forces of the grips on one row of the sheet; book them if the row is the band's own."""
     columns, pitch = band.columns, band.pitch
-    start = (row - band.first + HALO) * band.components * pitch
-    while grip < len(grips.particles) and grips.particles[grip] // columns == row:
-        column = grips.particles[grip] % columns
-        _pull(grips, grip, time, dt, band.state, start + column, pitch, band.ring, ring_place + column)
+    place = (row - band.first + REACH * band.levels) * band.components * pitch
+    booked = dt if band.first <= row < band.last else 0.0
+    grip = np.searchsorted(grips.particles, row * columns)
+    while grip < len(grips.particles) and grips.particles[grip] < (row + 1) * columns:
+        column = grips.particles[grip] - row * columns
+        _pull(grips, grip, time, booked, band.state, place + column, pitch, band.ring, ring_row + column)
         grip += 1
-    return grip
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _above(band, params):  # type: ignore[no-untyped-def]
-    """Start the force ring with what the two rows above the band do to its first two."""
+def _start_sweep(band, shape, values, grips):  # type: ignore[no-untyped-def]
+    """Predict the velocities of the first half step and move the positions there."""
     state, pitch, table, ring = band.state, band.pitch, band.table, band.ring
-    stride, width = band.components * pitch, 3 * pitch
-    entries = band.table_rows
-    row_two_above(state, 0, stride, 2 * stride, pitch, table, entries[0], ring, 0, width, 2 * width, params)
-    row_above(state, stride, 2 * stride, 3 * stride, pitch, table, entries[1], ring, width, 2 * width, 0, params)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _start_sweep(band, params, grips):  # type: ignore[no-untyped-def]
-    state, pitch, table, ring = band.state, band.pitch, band.table, band.ring
-    stride, width = band.components * pitch, 3 * pitch
+    stride, width, halo = band.components * pitch, 3 * pitch, REACH * band.levels
     ring[:] = 0.0
-    if band.first > 0:
-        _above(band, params)
-    if grips is not None:
-        grip = _first_grip(grips, band)
-    for local in range(HALO, HALO + band.last - band.first):
+    for row in range(max(band.first - REACH, 0), band.last):
+        local = row - band.first + halo
         at = local * stride
         ring0, ring1, ring2 = local % 3 * width, (local + 1) % 3 * width, (local + 2) % 3 * width
-        if grips is not None:
-            grip = _pull_row(grips, grip, band.first + local - HALO, 0.0, 0.0, band, ring0)
         entry = band.table_rows[local]
-        row_start(state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, params)
+        if row >= band.first:
+            if grips is not None:
+                _pull_row(grips, row, 0.0, 0.0, band, ring0)
+            row_start(
+                state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values
+            )
+        elif row == band.first - 1:
+            row_above(
+                state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values
+            )
+        else:
+            row_two_above(
+                state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values
+            )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _step_sweep(band, params, grips, time, dt):  # type: ignore[no-untyped-def]
+def _step_row(band, level, row, top, shape, values, grips, time, dt):  # type: ignore[no-untyped-def]
+    """Move one row of the sheet by one step, or, above row `top`, only do what it does to the rows below."""
     state, pitch, table, ring = band.state, band.pitch, band.table, band.ring
     stride, width = band.components * pitch, 3 * pitch
-    ring[:] = 0.0
-    if band.first > 0:
-        _above(band, params)
-    if grips is not None:
-        grip = _first_grip(grips, band)
-    for local in range(HALO, HALO + band.last - band.first):
-        at = local * stride
-        ring0, ring1, ring2 = local % 3 * width, (local + 1) % 3 * width, (local + 2) % 3 * width
+    local = row - band.first + REACH * band.levels
+    at, turn, base = local * stride, local % 3, 3 * level
+    ring0 = (base + turn) * width
+    ring1 = (base + (turn + 1 if turn < 2 else 0)) * width
+    ring2 = (base + (turn - 1 if turn > 0 else 2)) * width
+    entry = band.table_rows[local]
+    if row >= top:
         if grips is not None:
-            grip = _pull_row(grips, grip, band.first + local - HALO, time, dt, band, ring0)
-        entry = band.table_rows[local]
-        row_step(state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, params)
+            _pull_row(grips, row, time, dt, band, ring0)
+        row_step(state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values)
+    elif row == top - 1:
+        row_above(
+            state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values
+        )
+    else:
+        row_two_above(
+            state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values
+        )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _copy(source, place, target, start, rows, stride, pitch):  # type: ignore[no-untyped-def]
-    """Copy positions and predicted velocities of consecutive rows, all that springs look at."""
-    for row in range(rows):
-        for kind in (0, 6):
-            for j in range(3 * pitch):
-                target[start + row * stride + kind * pitch + j] = source[place + row * stride + kind * pitch + j]
+def _sweep(band, begin, levels, steps, dt, shape, fast, once, ends, full, grips):  # type: ignore[no-untyped-def]
+    """Take steps `begin` to `begin` + `levels` - 1 in one sweep, each REACH rows behind the one before it.
 
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _exchange(band, mail, step):  # type: ignore[no-untyped-def]
-    """Post this band's outer rows as they are before step `step`; wait for the neighbours' and take them in.
-
-    Two boxes in turn are enough: a band posts step n + 2 only after its neighbour posted n + 1, so has taken in n.
+    Next to a neighbour a step also moves the rows, REACH fewer with each step, that the later ones will look at.
     """
-    stride, parity, size = band.components * band.pitch, step % 2, band.last - band.first
-    if band.index > 0:
-        _copy(band.state, HALO * stride, mail.boxes[band.index, 0, parity], 0, HALO, stride, band.pitch)
-    if band.index < mail.bands - 1:
-        _copy(band.state, size * stride, mail.boxes[band.index, 1, parity], 0, HALO, stride, band.pitch)
-    store_release(mail.counters, band.index * COUNTER_SPACING, step + 1)
-    if band.index > 0:
-        wait_for(mail.counters, (band.index - 1) * COUNTER_SPACING, step + 1)
-        _copy(mail.boxes[band.index - 1, 1, parity], 0, band.state, 0, HALO, stride, band.pitch)
-    if band.index < mail.bands - 1:
-        wait_for(mail.counters, (band.index + 1) * COUNTER_SPACING, step + 1)
-        below = mail.boxes[band.index + 1, 0, parity]
-        _copy(below, 0, band.state, (HALO + size) * stride, HALO, stride, band.pitch)
+    band.ring[:] = 0.0
+    margin = REACH * (levels - 1)
+    for front in range(max(band.first - margin - REACH, 0), min(band.last, band.rows) + margin):
+        for level in range(levels):
+            row = front - REACH * level
+            margin_here = margin - REACH * level
+            top = max(band.first - margin_here, 0)
+            if row < max(top - REACH, 0) or row >= min(band.last + margin_here, band.rows):
+                continue
+            step = begin + level
+            time = (step + 0.5) * dt
+            if fast is not None and step % 2 == 1:
+                _step_row(band, level, row, top, fast, once, grips, time, dt)
+            else:
+                values = once
+                if fast is not None:
+                    values = ends if step == 0 or step == steps - 1 else full
+                _step_row(band, level, row, top, shape, values, grips, time, dt)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def advance_band(band, x, v, origin, steps, dt, once, ends, full, fast, predicts, grips, mail):  # type: ignore[no-untyped-def]
+def _copy(source, place, target, start, count):  # type: ignore[no-untyped-def]
+    for j in range(count):
+        target[start + j] = source[place + j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _exchange(band, mail, turn):  # type: ignore[no-untyped-def]
+    """Post this band's outer rows before sweep number `turn`; wait for the neighbours' and take them in.
+
+    Two boxes in turn are enough: a band posts for sweep n + 2 only after its neighbour posted for n + 1, so has taken in n.
+    """
+    stride, parity, halo = band.components * band.pitch, turn % 2, REACH * band.levels
+    size, count, index = (band.last - band.first) * stride, halo * stride, band.index
+    if index > 0:
+        _copy(band.state, count, mail.boxes[index, 0, parity], 0, count)
+    if index < mail.bands - 1:
+        _copy(band.state, size, mail.boxes[index, 1, parity], 0, count)
+    store_release(mail.counters, index * COUNTER_SPACING, turn + 1)
+    if index > 0:
+        wait_for(mail.counters, (index - 1) * COUNTER_SPACING, turn + 1)
+        _copy(mail.boxes[index - 1, 1, parity], 0, band.state, 0, count)
+    if index < mail.bands - 1:
+        wait_for(mail.counters, (index + 1) * COUNTER_SPACING, turn + 1)
+        _copy(mail.boxes[index + 1, 0, parity], 0, band.state, count + size, count)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def advance_band(band, x, v, origin, steps, dt, shape, fast, once, ends, full, grips, mail):  # type: ignore[no-untyped-def]
     """Advance one band by `steps` steps of dt; called by as many threads as there are bands, or by one without mail.
 
-    `once` are the parameters of an ordinary step. With `fast`, those without the weak families, odd steps use it and even steps `full`, where the weak
-    ones count double, but the first and the last `ends`, where they count 1.5 times.
+    `x`, `v` are flat. `shape` and `once` describe an ordinary step. With `fast`, the shape without the weak families, odd steps
+    leave them out and even steps use the values `full`, where they count double; but the first and the last `ends`, 1.5 times.
     """
-    rows = x.shape[1] // band.columns
-    load(band, x, v, origin, rows)
-    if predicts is not None:
-        _start_sweep(band, once, grips)
+    _load(band, x, v, origin)
+    if shape.predicted is not None:
+        _start_sweep(band, shape, once, grips)
     else:
         half = band.state.dtype.type(0.5 * dt)
         stride = band.components * band.pitch
         for row in range(len(band.state) // stride):
             for j in range(row * stride, row * stride + 3 * band.pitch):
                 band.state[j] += half * band.state[j + 3 * band.pitch]
-    for step in range(steps):
+    for turn in range((steps + band.levels - 1) // band.levels):
         if mail is not None:
-            _exchange(band, mail, step)
-        time = (step + 0.5) * dt
-        if fast is not None and step % 2 == 1:
-            _step_sweep(band, fast, grips, time, dt)
-        else:
-            params = once
-            if fast is not None:
-                params = ends if step == 0 or step == steps - 1 else full
-            _step_sweep(band, params, grips, time, dt)
-    unload(band, x, v, origin, 0.5 * dt)
+            _exchange(band, mail, turn)
+        begin = turn * band.levels
+        _sweep(band, begin, min(band.levels, steps - begin), steps, dt, shape, fast, once, ends, full, grips)
+    _unload(band, x, v, origin, 0.5 * dt)

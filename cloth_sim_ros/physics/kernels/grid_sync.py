@@ -51,7 +51,9 @@ def _pause(typing):  # type: ignore[no-untyped-def]
         if llvm.get_process_triple().startswith("x86_64"):
             kind = ir.FunctionType(ir.VoidType(), [])
             module = builder.module
-            builder.call(module.globals.get("llvm.x86.sse2.pause") or ir.Function(module, kind, "llvm.x86.sse2.pause"), [])
+            builder.call(
+                module.globals.get("llvm.x86.sse2.pause") or ir.Function(module, kind, "llvm.x86.sse2.pause"), []
+            )
         return context.get_dummy_value()
 
     return types.void(), generate
