@@ -105,7 +105,7 @@ class Commands:
         try:
             message = deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError) as error:
-            self._refuse(gripper, leaf, f"its {len(data)} bytes are no {kind.__name__}: {_first_line(error)}")
+            self._refuse(gripper, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}: {_first_line(error)}")
             return
         try:
             handle(gripper, message, now)
@@ -113,11 +113,11 @@ class Commands:
             self.outdated += 1
             self._log.warn(f"{leaf} {gripper} old", f"{leaf} of '{gripper}' is dropped: {error}")
         except (StampError, FrameError, EventError, QueueFullError, ValueError) as error:
-            self._refuse(gripper, leaf, str(error))
+            self._refuse(gripper, leaf, type(error).__name__, str(error))
 
-    def _refuse(self, gripper: str, leaf: str, reason: str) -> None:
+    def _refuse(self, gripper: str, leaf: str, kind: str, reason: str) -> None:
         self.refused += 1
-        self._log.warn(f"{leaf} {gripper} refused", f"{leaf} of '{gripper}' is refused: {reason}")
+        self._log.warn(f"{leaf} {gripper} {kind}", f"{leaf} of '{gripper}' is refused: {reason}")
 
     def _target(self, gripper: str, message: PoseStamped, now: int) -> None:
         p, q = message.pose.position, message.pose.orientation

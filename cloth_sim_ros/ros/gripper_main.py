@@ -51,6 +51,7 @@ def _play(options: argparse.Namespace) -> int:
     node = Node("cloth_gripper")
     player = GripperPlayer(node, script, target=options.node, proceed=lambda: signals.requested is None)
     try:
+        node.get_logger().info(f"waiting for gripper '{script.gripper}' of {options.node}")
         if not player.wait_for_gripper(options.wait):
             return 130
         node.get_logger().info(f"playing {script.duration:g} s to gripper '{script.gripper}' of {options.node}")

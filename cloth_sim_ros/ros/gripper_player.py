@@ -17,8 +17,10 @@ from std_msgs.msg import Bool
 from cloth_sim_ros.ros.gripper_script import GripperScript
 from cloth_sim_ros.ros.messages import set_stamp
 
-#: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after the node was seen [s].
+#: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after the node was seen [s],
+#: or after other grippers of it were.
 _SETTLING = 3.0
+_SETTLING_WITH_OTHERS = 1.0
 #: How long the end waits for the last grasp to be received.
 _DELIVERY = Duration(seconds=0.5)
 
@@ -70,9 +72,12 @@ class GripperPlayer:
                 seen = None
             elif seen is None:
                 seen = now
-            if seen is not None and now - seen > min(_SETTLING, limit):
-                known = ", ".join(self._known_grippers()) or "none"
-                raise GripperError(f"{self._target} has no gripper '{self._script.gripper}'; it has {known}")
+            if seen is not None and now - seen > _SETTLING_WITH_OTHERS:
+                known = self._known_grippers()
+                if known or now - seen > _SETTLING:
+                    raise GripperError(
+                        f"{self._target} has no gripper '{self._script.gripper}'; it has {', '.join(known) or 'none'}"
+                    )
             if now - begun > limit:
                 raise GripperError(
                     f"no node {self._target} came within {limit:g} s; is it running, in this ROS_DOMAIN_ID?"

@@ -21,7 +21,7 @@ class ThrottledLog:
         clock: seconds of a clock that never goes back.
     """
 
-    def __init__(self, logger: Any, *, seconds: float = 2.0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, logger: Any, *, seconds: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._logger = logger
         self._seconds = seconds
         self._clock = clock
