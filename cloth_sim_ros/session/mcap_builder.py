@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -78,6 +78,10 @@ def encode_record(record: McapRecord) -> bytes:
     return builder.end()
 
 
+def _encode_all(records: Sequence[McapRecord]) -> bytes:
+    return b"".join(map(encode_record, records))
+
+
 @dataclass(slots=True)
 class _OpenChunk:
     """What has been added since the last chunk was closed."""
@@ -122,7 +126,9 @@ class McapBuilder:
         self._written = (0, 0)
         """How many schemas and channels the committed chunks declare."""
         self._chunk = _OpenChunk()
-        self._chunk_indexes: list[ChunkIndex] = []
+        # As bytes: an hour of large clouds has a hundred thousand chunks.
+        self._chunk_indexes = bytearray()
+        self._chunk_count = 0
         self._attachment_indexes: list[AttachmentIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._counts: dict[int, int] = defaultdict(int)
@@ -213,7 +219,8 @@ class McapBuilder:
         index = packed.index
         index.chunk_start_offset += offset
         index.message_index_offsets = {key: value + offset for key, value in index.message_index_offsets.items()}
-        self._chunk_indexes.append(index)
+        self._chunk_indexes += encode_record(index)
+        self._chunk_count += 1
         for channel, count in packed.counts.items():
             self._counts[channel] += count
         first, last = index.message_start_time, index.message_end_time
@@ -245,39 +252,30 @@ class McapBuilder:
             attachment_count=len(self._attachment_indexes),
             channel_count=len(channels),
             channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunk_indexes),
+            chunk_count=self._chunk_count,
             message_count=sum(self._counts.values()),
             message_start_time=first,
             message_end_time=last,
             metadata_count=len(self._metadata_indexes),
             schema_count=len(schemas),
         )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*schemas]),
-            (Opcode.CHANNEL, [*channels]),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
-            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indexes]),
-            (Opcode.METADATA_INDEX, [*self._metadata_indexes]),
+        groups: list[tuple[Opcode, bytes]] = [
+            (Opcode.SCHEMA, _encode_all(schemas)),
+            (Opcode.CHANNEL, _encode_all(channels)),
+            (Opcode.STATISTICS, encode_record(statistics)),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (Opcode.ATTACHMENT_INDEX, _encode_all(self._attachment_indexes)),
+            (Opcode.METADATA_INDEX, _encode_all(self._metadata_indexes)),
         ]
-        summary = RecordBuilder()
-        offsets = []
+        offset_start = start
+        offsets: list[SummaryOffset] = []
         for opcode, records in groups:
-            group_start = summary.count
-            for record in records:
-                record.write(summary)
             if records:
                 offsets.append(
-                    SummaryOffset(
-                        group_opcode=int(opcode),
-                        group_start=start + group_start,
-                        group_length=summary.count - group_start,
-                    )
+                    SummaryOffset(group_opcode=int(opcode), group_start=offset_start, group_length=len(records))
                 )
-        offset_start = start + summary.count
-        for summary_offset in offsets:
-            summary_offset.write(summary)
-        raw = summary.end()
+                offset_start += len(records)
+        raw = b"".join([*(records for _, records in groups), _encode_all(offsets)])
         # The summary's checksum covers the footer up to the checksum itself.
         footer_head = struct.pack("<BQQQ", int(Opcode.FOOTER), 20, start, offset_start)
         crc = zlib.crc32(footer_head, zlib.crc32(raw))
