@@ -1,0 +1,268 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What decides over commands without a graph: stamps, the queue, the throttled log, frames, the script of a gripper."""
+
+from __future__ import annotations
+
+import sys
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.ros.companions import GripperCompanions
+from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate
+from cloth_sim_ros.ros.stepper import Stepper
+
+SECOND = 1_000_000_000
+NOW = 1000 * SECOND
+
+
+class Log:
+    """Keeps what is logged."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def warning(self, text: str) -> None:
+        self.lines.append(text)
+
+    info = error = warning
+
+
+def test_stamps() -> None:
+    gate = StampGate()
+    assert gate.accept(0, NOW) == NOW
+    assert gate.accept(NOW + SECOND, NOW) == NOW + SECOND
+    with pytest.raises(OldStampError, match=r"1\.000 s older"):
+        gate.accept(0, NOW)
+    assert gate.accept(NOW + SECOND, NOW + 5) == NOW + SECOND, "repeated, not older"
+    with pytest.raises(StampError, match=r"1\.000 s ahead"):
+        gate.accept(NOW + SECOND + 6, NOW + 5)
+    # After a second of silence an older stamp counts: a bag is played once more.
+    assert gate.accept(7, NOW + SECOND + 5) == 7
+    gate.forget()
+    assert gate.accept(3, NOW) == 3
+
+
+def test_queue_gives_each_frame_what_is_due() -> None:
+    queue = EventQueue()
+    late, early = Target("g", (2.0, 0, 0)), Target("g", (1.0, 0, 0))
+    queue.put(late, stamp=20)
+    queue.put(early, stamp=10)
+    queue.put(Grasp("g", True))
+    assert [entry.event for entry in queue.take(9)] == [Grasp("g", True)]
+    assert [entry.event for entry in queue.take(25)] == [early, late]
+    assert queue.take(99) == []
+
+
+def test_queue_is_bounded() -> None:
+    queue = EventQueue()
+    for number in range(MOST_WAITING + 10):
+        queue.put(Target("g", (float(number), 0, 0)))
+    assert len(queue) == MOST_WAITING
+    events = [entry.event for entry in queue.take(0)]
+    assert events[-1] == Target("g", (MOST_WAITING + 9.0, 0, 0))
+    for _ in range(MOST_WAITING):
+        queue.put(Grasp("g", True))
+    with pytest.raises(QueueFullError):
+        queue.put(Reset())
+
+
+def test_log_is_throttled_by_kind_and_counts_what_it_left_out() -> None:
+    log, now = Log(), [0.0]
+    throttled = ThrottledLog(log, seconds=1.0, clock=lambda: now[0])
+    for number in range(100):
+        now[0] = number * 0.015
+        throttled.warn("a", f"a{number}")
+    throttled.warn("b", "b")
+    assert log.lines == ["a0", "a67 (66 more of this kind since the last message)", "b"]
+
+
+def test_queued_grasps_are_answered_after_their_frame() -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
+    queue = EventQueue()
+    stepper = Stepper(simulation, queue)
+    told: list[Outcome] = []
+    queue.put(Grasp("gripper", True), answer=told.append)
+    queue.put(Target("gripper", (0.5, 0.0, 0.5)))
+    queue.put(Grasp("gripper", False), answer=told.append)
+    stepper.step(0)
+    assert [(outcome.grasp.closed, outcome.grasp.held) for outcome in told if outcome.grasp] == [(True, 1), (False, 0)]
+
+
+def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
+    queue = EventQueue()
+    stepper = Stepper(simulation, queue)
+    before = simulation.positions
+
+    def fail(*_: Any) -> None:
+        raise UnstableError("the motion became non-finite")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(simulation, "_move", fail)
+        queue.put(Target("gripper", (0.5, 0.0, 0.5)))
+        frame = stepper.step(0)
+    assert not frame.moved
+    assert simulation.paused
+    assert stepper.trouble == "the motion became non-finite"
+    assert Target("gripper", (0.5, 0.0, 0.5)) in frame.events
+    np.testing.assert_array_equal(simulation.positions, before)
+
+
+def test_parameters_that_cant_take_effect_do_not_hurt_the_rest() -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
+    queue = EventQueue()
+    stepper = Stepper(simulation, queue)
+    queue.put(SetParameters({"step": 0.5}))
+    queue.put(Target("gripper", (0.5, 0.0, 0.5)))
+    frame = stepper.step(0)
+    assert "stability limit" in stepper.refused_parameters
+    assert frame.moved
+    assert simulation.scene.step == 0.0
+    assert simulation.grippers.is_placed(0)
+
+
+def transformer(frame_id: str = "world") -> FrameTransformer:
+    return FrameTransformer(SimpleNamespace(), frame_id)  # type: ignore[arg-type]
+
+
+def test_frames_without_tf2_are_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    frames = transformer()
+    assert frames.to_cloth("", (1.0, 2.0, 3.0), None, 0) == ((1.0, 2.0, 3.0), None)
+    assert frames.to_cloth("world", (1.0, 2.0, 3.0), None, 0) == ((1.0, 2.0, 3.0), None)
+    with pytest.raises(FrameError, match="in frame 'base', the cloth in 'world', and tf2_ros"):
+        frames.to_cloth("base", (1.0, 2.0, 3.0), None, 0)
+
+
+def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
+    """A tf2_ros that knows one transform: base is turned a quarter about z and stands at x = 1."""
+    asked: list[tuple[str, str, int]] = []
+
+    class TransformException(Exception):
+        pass
+
+    class Buffer:
+        def lookup_transform(self, target: str, source: str, time: Any) -> Any:
+            asked.append((target, source, time.nanoseconds))
+            if source != "base":
+                raise TransformException(f"'{source}' does not exist")
+            half = np.sqrt(0.5)
+            return SimpleNamespace(
+                header=SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=7)),
+                transform=SimpleNamespace(
+                    translation=SimpleNamespace(x=1.0, y=0.0, z=0.0),
+                    rotation=SimpleNamespace(x=0.0, y=0.0, z=half, w=half),
+                ),
+            )
+
+    module = ModuleType("tf2_ros")
+    module.Buffer = Buffer  # type: ignore[attr-defined]
+    module.TransformException = TransformException  # type: ignore[attr-defined]
+    module.TransformListener = lambda buffer, node: None  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "tf2_ros", module)
+    return asked
+
+
+def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = stub_tf2(monkeypatch)
+    frames = transformer()
+    position, orientation = frames.to_cloth("base", (1.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), 42)
+    assert asked == [("world", "base", 42)]
+    assert position == pytest.approx((1.0, 1.0, 0.5))
+    assert orientation == pytest.approx((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
+    with pytest.raises(
+        FrameError, match="no transform from 'moon' to the cloth's frame 'world': 'moon' does not exist"
+    ):
+        frames.to_cloth("moon", (1.0, 0.0, 0.5), None, 0)
+
+
+def companions(heard: int | None, **values: Any) -> tuple[Simulation, GripperCompanions, Log]:
+    simulation = Simulation(
+        Scene.from_parameters(
+            {"cloth.resolution": (5, 5), **{name.replace("__", "."): v for name, v in values.items()}}
+        )
+    )
+    log = Log()
+    return simulation, GripperCompanions(simulation, transformer(), lambda _: heard, ThrottledLog(log)), log
+
+
+def test_a_silent_gripper_lets_go_only_if_asked() -> None:
+    simulation, own, log = companions(NOW, gripper__timeout=0.5)
+    simulation.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
+    assert own.events(NOW + SECOND // 2) == []
+    assert own.events(NOW + SECOND) == [Grasp("gripper", False)]
+    assert "no target has come for 1.00 s" in log.lines[0]
+    simulation.advance([Grasp("gripper", False)])
+    assert own.events(NOW + SECOND) == []
+    patient, own, _ = companions(NOW)
+    patient.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
+    assert own.events(NOW + 1000 * SECOND) == []
+
+
+def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    _, own, _ = companions(None, gripper__frame="base")
+    (target,) = own.events(NOW)
+    assert isinstance(target, Target)
+    assert target.position == pytest.approx((1.0, 0.0, 0.0))
+    assert own.events(NOW) == [], "the same transform is no news"
+    _, own, log = companions(None, gripper__frame="{gripper}_tool")
+    assert own.events(NOW) == []
+    assert "'gripper_tool' does not exist" in log.lines[0]
+
+
+def script(*steps: dict[str, Any], **entries: Any) -> dict[str, Any]:
+    return {"steps": list(steps), **entries}
+
+
+def test_script_moves_smoothly_and_rests_in_each_waypoint() -> None:
+    path = GripperScript.from_dict(
+        script(
+            {"time": 1.0, "position": [0, 0, 0]},
+            {"time": 2.0, "position": [1.0, 0, 0], "orientation": [0, 0, 1.0, 0]},
+            {"time": 2.5, "close": True},
+        )
+    )
+    assert path.duration == 2.5
+    assert path.pose(0.0) == path.pose(1.0) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    position, orientation = path.pose(1.5)
+    assert position == pytest.approx((0.5, 0.0, 0.0))
+    assert np.abs(orientation) == pytest.approx((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
+    times = np.linspace(0.9, 2.1, 1201)
+    x = np.array([path.pose(time)[0][0] for time in times])
+    speed = np.diff(x) / np.diff(times)
+    assert np.max(np.abs(np.diff(speed))) < 0.01, "no jump of the velocity"
+    assert path.pose(9.0)[0] == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "script is None"),
+        ({}, "no 'steps'"),
+        (script(), "at least one step"),
+        (script({"time": 0.0}), "neither position nor close"),
+        (script({"time": 0.0, "position": [0, 0]}), "list of 3 numbers"),
+        (script({"time": 0.0, "position": [0, 0, float("nan")]}), "finite"),
+        (script({"time": 0.0, "position": [0, 0, 0], "orientation": [0, 0, 0, 0]}), "no quaternion"),
+        (script({"time": 1.0, "position": [0, 0, 0]}, {"time": 0.5, "close": True}), "nor go back"),
+        (script({"time": 1.0, "position": [0, 0, 0]}, {"time": 1.0, "position": [1, 0, 0]}), "one place at a time"),
+        (script({"time": 0.0, "positon": [0, 0, 0]}), "unknown entry 'positon'"),
+        (script({"time": 0.0, "close": True}), "no step has a position"),
+        (script({"time": 0.0, "position": [0, 0, 0], "close": 1}), "true or false"),
+        (script({"time": 0.0, "position": [0, 0, 0]}, rate=0.0), "rate is 0.0 Hz"),
+    ],
+)
+def test_senseless_scripts_are_refused(content: Any, message: str) -> None:
+    with pytest.raises(ScriptError, match=message):
+        GripperScript.from_dict(content)

@@ -1,0 +1,64 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages that are laid out in bytes: rclpy reads in them what was meant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import Marker
+
+from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
+
+STAMP = 12_345_678_901
+X = np.arange(18.0).reshape(3, 6) / 7.0
+TRIANGLES = np.array([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4]])
+
+
+@pytest.mark.parametrize("frame_id", ["w", "wo", "wor", "worl", "world"])
+def test_cloud(frame_id: str) -> None:
+    cloud = CloudMessage(frame_id=frame_id, height=2, width=3)
+    cloud.serialized(X + 1.0, 1)
+    data = cloud.serialized(X, STAMP)
+    message = deserialize_message(data, PointCloud2)
+    assert (message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec) == (
+        frame_id, 12, 345_678_901,
+    )  # fmt: skip
+    assert (message.height, message.width, message.point_step, message.row_step) == (2, 3, 12, 36)
+    assert [(field.name, field.offset, field.datatype) for field in message.fields] == [
+        ("x", 0, 7), ("y", 4, 7), ("z", 8, 7),
+    ]  # fmt: skip
+    assert message.is_dense
+    assert len(data) % 4 == 0
+    points = np.frombuffer(bytes(message.data), "<f4").reshape(-1, 3)
+    np.testing.assert_array_equal(points, X.T.astype(np.float32))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 4])
+def test_topology(count: int) -> None:
+    message = deserialize_message(mesh_bytes(TRIANGLES[:count], X.T), Mesh)
+    assert [list(triangle.vertex_indices) for triangle in message.triangles] == TRIANGLES[:count].tolist()
+    assert [(p.x, p.y, p.z) for p in message.vertices] == [tuple(p) for p in X.T]
+
+
+@pytest.mark.parametrize("name", ["/a", "/ab", "/abc", "/abcd"])
+@pytest.mark.parametrize("frame_id", ["w", "wo", "wor", "worl"])
+def test_marker(name: str, frame_id: str) -> None:
+    marker = SurfaceMarker(frame_id=frame_id, name=name, triangles=TRIANGLES)
+    message = deserialize_message(marker.serialized(X, STAMP), Marker)
+    assert (message.ns, message.header.frame_id, message.header.stamp.sec) == (name, frame_id, 12)
+    assert message.type == Marker.TRIANGLE_LIST
+    assert (message.scale.x, message.pose.orientation.w, message.color.a) == (1.0, 1.0, 1.0)
+    assert message.frame_locked
+    assert [(p.x, p.y, p.z) for p in message.points] == [tuple(p) for p in X.T[TRIANGLES.ravel()]]
+    assert (len(message.colors), message.text, message.mesh_resource) == (0, "", "")
+
+
+def test_wrench() -> None:
+    data = wrench_message([1, 2, 3, 4, 5, 6], frame_id="world", stamp=STAMP)
+    message = deserialize_message(data, WrenchStamped)
+    assert (message.wrench.force.y, message.wrench.torque.z, message.header.stamp.nanosec) == (2.0, 6.0, 345_678_901)
