@@ -38,13 +38,13 @@ class MeshSheet:
         """Area of each triangle at rest [m^2], shape (m,)."""
         a, b, c = (self.rest[self.surface.triangles[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
-        areas: Array = 0.5 * np.sqrt(np.sum(normal * normal, axis=1))
-        return areas
+        return np.asarray(0.5 * np.sqrt(np.sum(normal * normal, axis=1)), dtype=np.float64)
 
     def masses(self, density: float) -> Array:
         """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""
         thirds = np.repeat(self.areas() / 3.0, 3)
-        return density * np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest))
+        masses: Array = density * np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest))
+        return masses
 
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
