@@ -43,8 +43,8 @@ class MeshSheet:
     def masses(self, density: float) -> Array:
         """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""
         thirds = np.repeat(self.areas() / 3.0, 3)
-        masses: Array = density * np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest))
-        return masses
+        shares = np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest))
+        return np.asarray(density * shares, dtype=np.float64)
 
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
