@@ -17,7 +17,7 @@ from ros_client import start_cloth
 
 from cloth_sim_ros import Scene, Simulation, State, events, parameter_file
 from cloth_sim_ros.ros.gripper_script import GripperScript
-from cloth_sim_ros.session.cdr import decode_cloud
+from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.reader import SessionReader
 
 PERIOD = 16_666_667
@@ -126,9 +126,11 @@ def check_second_reader_agrees(session: Session) -> None:
     with Reader(session.path) as reader:
         second = sorted((connection.topic, time, bytes(data)) for connection, time, data in reader.messages())
     assert first == second
-    assert {"/cloth_sim/points", "/cloth_sim/topology", "/cloth_sim/frame", "/cloth_sim/gripper/wrench"} <= {
-        topic for topic, _, _ in first
-    }
+    topics = {topic for topic, _, _ in first}
+    own = ("points", "topology", "frame", "gripper/wrench", "gripper/target", "gripper/grasp")
+    assert {"/rosout", "/diagnostics", *(f"/cloth_sim/{name}" for name in own)} <= topics
+    logged = [decode(data, "rcl_interfaces/msg/Log") for topic, _, data in first if topic == "/rosout"]
+    assert {message.name for message in logged} == {"cloth_sim"}
 
 
 def check_runs_again(session: Session) -> None:

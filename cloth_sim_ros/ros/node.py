@@ -25,6 +25,7 @@ from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Outputs
+from cloth_sim_ros.ros.overheard import Overheard
 from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecording
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
@@ -96,6 +97,7 @@ class ClothNode:
         self._parameters = parameters.LiveParameters(self.node, scene, self._change_parameters)
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
         self._gauge = StrainGauge(scene)
+        self._overheard = Overheard(self.node, self._recording)
         self.tally = diagnostics.Tally()
         self._pacer: Pacer | None = None
         self._started = time.monotonic()
@@ -142,6 +144,7 @@ class ClothNode:
         now = self.node.get_clock().now().nanoseconds
         if scene.record.enabled:
             self._recording.begin(now)
+            self._overheard.listen()
             path = self._recording.wait_until_open()
             self.node.get_logger().info(f"recording into {path}")
         self._outputs.start(now)
@@ -288,6 +291,7 @@ class ClothNode:
 
     def _keep_house(self) -> None:
         self._services.give_up_waiting()
+        self._overheard.listen()
         reason = self._recording.poll()
         if reason:
             self.node.get_logger().error(f"the recording ended: {reason}")

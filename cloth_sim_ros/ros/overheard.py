@@ -1,0 +1,52 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node says on /rosout and /parameter_events: heard there as others hear it, and recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import Log, ParameterEvent
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_parameter_events
+from rclpy.serialization import deserialize_message
+
+from cloth_sim_ros.ros.outputs import Tape
+
+_ROSOUT = QoSProfile(depth=1000)
+
+
+class Overheard:
+    """Records this node's part of the topics that all nodes share, while a recording runs."""
+
+    def __init__(self, node: Node, tape: Tape) -> None:
+        self._node = node
+        self._tape = tape
+        self._subscriptions: list[Any] = []
+
+    def listen(self) -> None:
+        """Subscribe while a recording runs, and no longer: forty other nodes speak there too."""
+        if self._tape.running and not self._subscriptions:
+            logger, name = self._node.get_logger().name, self._node.get_fully_qualified_name()
+            self._hear(Log, "/rosout", _ROSOUT, lambda message: message.name == logger)
+            self._hear(
+                ParameterEvent, "/parameter_events", qos_profile_parameter_events, lambda message: message.node == name
+            )
+        elif not self._tape.running and self._subscriptions:
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
+            self._subscriptions = []
+
+    def _hear(self, kind: Any, topic: str, qos: QoSProfile, is_ours: Callable[[Any], bool]) -> None:
+        def take(data: bytes) -> None:
+            try:
+                ours = is_ours(deserialize_message(data, kind))
+            except (RuntimeError, UnicodeDecodeError):
+                # Broken bytes of someone else's.
+                return
+            if ours:
+                stamp = self._node.get_clock().now().nanoseconds
+                self._tape.add(topic, kind, data, stamp=stamp, qos=qos, droppable=False)
+
+        self._subscriptions.append(self._node.create_subscription(kind, topic, take, qos, raw=True))
