@@ -87,18 +87,18 @@ def _verify(paths: Sequence[Path]) -> Verdict:
 def _sessions(paths: Sequence[Path]) -> Iterator[list[Path]]:
     """The files, those of one split session together; what cannot be read stays alone, to be told of in its turn."""
     together: list[Path] = []
-    last = ""
+    follows: tuple[str, int] | None = None
     for path in paths:
         try:
             with SessionReader(path) as reader:
-                session = reader.parts[0].session
+                place = (reader.parts[0].session, reader.parts[0].number)
         except SessionError:
-            session = ""
-        if together and not (session and session == last):
+            place = None
+        if together and (place is None or place != follows):
             yield together
             together = []
         together.append(path)
-        last = session
+        follows = None if place is None else (place[0], place[1] + 1)
     yield together
 
 

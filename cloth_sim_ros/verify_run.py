@@ -108,9 +108,8 @@ class _Run:
         self._differs = False
         self._check_snapshot(before)
         scene = self.simulation.scene
-        if scene.files:
-            names = ", ".join(sorted(scene.files))
-            verdict.environment.append(f"{names} as found here: the session does not hold it")
+        for name in sorted(set(scene.files) - set(part.files)):
+            verdict.environment.append(f"{name} as found here: the session does not hold it")
         self._frame_topic, self._points = f"{node}/frame", f"{node}/points"
         self._wrenches = {f"{node}/{name}/wrench": k for k, name in enumerate(scene.gripper_names)}
         # Commands wait across the end of a file.
@@ -242,6 +241,6 @@ def _commands(simulation: Simulation, node: str) -> CommandCheck:
 def _simulation(part: SessionPart) -> Simulation:
     try:
         values = parameter_file.parse(part.scene_yaml, node=part.metadata.get("node", ""), source="scene.yaml")
-        return Simulation(Scene.from_parameters(values), State.from_bytes(part.state))
+        return Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
     except ValueError as error:
         raise SessionError(f"{part.path} holds no scene that can be run here: {error}") from error

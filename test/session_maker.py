@@ -215,6 +215,7 @@ class SessionMaker:
             snapshot=Snapshot(
                 scene_yaml=parameter_file.dump(simulation.scene.parameters()),
                 state=simulation.state.to_bytes(),
+                files=simulation.scene.files,
                 metadata={**environment(), "node": NODE, "period": repr(simulation.scene.period), **self._metadata},
             ),
             stem=self._stem,

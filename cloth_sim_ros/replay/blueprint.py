@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.replay.gripper_view import target_path
 from cloth_sim_ros.replay.plots import PLOTS
 from cloth_sim_ros.replay.rows import SIM_TIME
-from cloth_sim_ros.replay.stream import target_path
 from cloth_sim_ros.replay.survey import Survey
 
 if TYPE_CHECKING:
@@ -69,15 +69,7 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
         overrides={target_path(start.name): trail for start in survey.opening.grippers},
         eye_controls=rrb.EyeControls3D(position=position.tolist(), look_target=target.tolist(), eye_up=[0, 0, 1]),
     )
-    plots: list[Any] = [
-        rrb.TimeSeriesView(
-            origin=path,
-            name=PLOTS[path],
-            plot_legend=rrb.PlotLegend(visible=path in ("plots/force", "plots/energy")),
-            axis_y=rrb.ScalarAxis(zoom_lock=False),
-        )
-        for path in survey.plots
-    ]
+    plots = _plots(survey)
     columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["Body"])
     plots.append(rrb.TextLogView(origin="/log", name="What happened", columns=columns))
     panels = [rrb.TopPanel(state="hidden")] if picture else []
@@ -92,6 +84,18 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
         auto_layout=False,
         auto_views=False,
     )
+
+
+def _plots(survey: Survey) -> list[Any]:
+    import rerun.blueprint as rrb
+
+    several = {"plots/energy"} | ({"plots/force"} if len(survey.opening.grippers) > 1 else set())
+    views = {
+        path: rrb.TimeSeriesView(origin=path, name=PLOTS[path], plot_legend=rrb.PlotLegend(visible=path in several))
+        for path in survey.plots
+    }
+    pace = [views.pop(path) for path in ("plots/pace", "plots/late") if path in views]
+    return [*views.values(), *([rrb.Horizontal(*pace)] if pace else [])]
 
 
 def _plane(height: float) -> Any:

@@ -60,7 +60,8 @@ class GripperTracks:
     """All grippers of a session."""
 
     def __init__(self, opening: Opening, anchored: NDArray[np.intp]) -> None:
-        self._radius = opening.gripper_radius
+        #: Within this distance of a gripper particles are grabbed [m].
+        self.radius = opening.gripper_radius
         self._free = np.ones(len(opening.positions), dtype=bool)
         self._free[anchored] = False
         self.tracks = {
@@ -80,11 +81,11 @@ class GripperTracks:
                 track.aim(np.array(event["position"]), None if turn is None else np.array(turn))
             elif kind == "grasp" and track is not None:
                 if event["closed"]:
-                    track.close(positions_before(), self._free, self._radius)
+                    track.close(positions_before(), self._free, self.radius)
                 else:
                     track.open()
             elif kind == "set_parameters":
-                self._radius = float(event["values"].get("gripper.radius", self._radius))
+                self.radius = float(event["values"].get("gripper.radius", self.radius))
             elif kind == "reset":
                 self._reset()
         if record.steps:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.replay import colours
+from cloth_sim_ros.replay.gripper_view import GripperView
 from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
 from cloth_sim_ros.replay.rows import Moment, Rows
@@ -70,6 +71,7 @@ class Stream:
         self._before: Message | None = None
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
+        self._view = GripperView(self._grippers, self._table)
         self._mesh = self._table(CLOTH, rr.Mesh3D, ragged=("vertex_positions", "vertex_normals", "vertex_colors"))
         self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
         self._kept: _Shown | None = None
@@ -140,37 +142,7 @@ class Stream:
             rr.Points3D.from_fields(colors=np.array([colours.ANCHOR], np.uint32), radii=[0.0035 * size]),
             static=True,
         )
-        radius = self._survey.opening.gripper_radius
-        for start in self._survey.opening.grippers:
-            path = gripper_path(start.name)
-            recording.log(
-                f"{path}/body",
-                rr.Ellipsoids3D.from_fields(
-                    half_sizes=[[radius] * 3],
-                    fill_mode=rr.components.FillMode.MajorWireframe,
-                    line_radii=[0.0012 * size],
-                ),
-                static=True,
-            )
-            recording.log(
-                f"{path}/axes",
-                rr.Arrows3D(
-                    vectors=2.0 * radius * np.eye(3),
-                    colors=[[230, 80, 80], [90, 200, 90], [90, 140, 250]],
-                    radii=0.0018 * size,
-                ),
-                static=True,
-            )
-            recording.log(
-                target_path(start.name),
-                rr.Points3D.from_fields(colors=np.array([colours.TRAIL], np.uint32), radii=[0.0022 * size]),
-                static=True,
-            )
-            recording.log(
-                held_path(start.name),
-                rr.Points3D.from_fields(colors=np.array([colours.HELD], np.uint32), radii=[0.0055 * size]),
-                static=True,
-            )
+        self._view.start(recording, size)
 
     def _add_frame(self, message: Message) -> None:
         record = read_frame(message)
@@ -183,21 +155,7 @@ class Stream:
             told = _story(event, self._grippers)
             if told:
                 self._say(moment, told, "INFO")
-        for name, track in self._grippers.tracks.items():
-            if track.pose is None:
-                continue
-            self._pose(name, moment, track.pose, track.target, track.closed)
-
-    def _pose(self, name: str, moment: Moment, pose: Any, target: Any, closed: bool) -> None:
-        import rerun as rr
-
-        path = gripper_path(name)
-        self._table(path, rr.Transform3D).add(
-            moment, translation=pose[:3].astype(np.float32), quaternion=pose[3:].astype(np.float32)
-        )
-        colour = np.uint32(colours.CLOSED_GRIPPER if closed else colours.OPEN_GRIPPER)
-        self._table(f"{path}/body", rr.Ellipsoids3D).add(moment, colors=colour)
-        self._table(target_path(name), rr.Points3D).add(moment, positions=target[:3].astype(np.float32))
+        self._view.show(moment)
 
     def _add_cloud(self, message: Message) -> None:
         self._before = message
@@ -212,8 +170,7 @@ class Stream:
         # A cloud whose frame's record was lost is shown at the last simulated time that is known.
         moment = self._moment._replace(ros_time=message.log_time)
         self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
-        held = {name: xyz[track.held] for name, track in self._grippers.tracks.items()}
-        shown = _Shown(moment, xyz, normals, strain, held)
+        shown = _Shown(moment, xyz, normals, strain, self._view.held(xyz))
         if self._only is None:
             self._show(shown)
         elif self._kept is None or moment.sim_time <= self._only:
@@ -228,7 +185,6 @@ class Stream:
             self._recording.flush()
 
     def _show(self, shown: _Shown) -> None:
-        import rerun as rr
 
         moment, xyz, normals, strain, held = shown
         colour = np.empty(len(xyz), np.uint32)
@@ -236,8 +192,7 @@ class Stream:
         self._mesh.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
         if len(self._anchored):
             self._pins.add(moment, positions=xyz[self._anchored])
-        for name, places in held.items():
-            self._table(held_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=places)
+        self._view.show_held(moment, held)
         self.clouds_shown += 1
 
     def _add_wrench(self, message: Message) -> None:
@@ -270,21 +225,6 @@ class Stream:
 
 #: Levels of rcl_interfaces/Log.
 _LEVELS = {10: "DEBUG", 20: "INFO", 30: "WARN", 40: "ERROR", 50: "CRITICAL"}
-
-
-def gripper_path(name: str) -> str:
-    """Entity path of a gripper."""
-    return f"/world/grippers/{name}"
-
-
-def target_path(name: str) -> str:
-    """Entity path of the places that a gripper is commanded to."""
-    return f"/world/targets/{name}"
-
-
-def held_path(name: str) -> str:
-    """Entity path of the particles that a gripper holds."""
-    return f"/world/held/{name}"
 
 
 def _story(event: Any, grippers: GripperTracks) -> str:

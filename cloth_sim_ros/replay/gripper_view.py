@@ -1,0 +1,102 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How grippers are drawn: a wire sphere of the reach with the pose's axes, the commanded path, the held particles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.replay import colours
+from cloth_sim_ros.replay.grippers import GripperTracks
+from cloth_sim_ros.replay.rows import Moment, Rows
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+_AXES = np.eye(3, dtype=np.float32)
+_AXIS_COLOURS = ((230, 80, 80), (90, 200, 90), (90, 140, 250))
+
+
+def gripper_path(name: str) -> str:
+    """Entity path of a gripper."""
+    return f"/world/grippers/{name}"
+
+
+def target_path(name: str) -> str:
+    """Entity path of the places that a gripper is commanded to."""
+    return f"/world/targets/{name}"
+
+
+def held_path(name: str) -> str:
+    """Entity path of the particles that a gripper holds."""
+    return f"/world/held/{name}"
+
+
+class GripperView:
+    """Draws the grippers of a session.
+
+    Args:
+        tracks: where they are.
+        table: gives the rows of an entity path and archetype.
+    """
+
+    def __init__(self, tracks: GripperTracks, table: Callable[..., Rows]) -> None:
+        self._tracks = tracks
+        self._table = table
+        self._shown: set[str] = set()
+
+    def start(self, recording: rr.RecordingStream, size: float) -> None:
+        """Send what does not change, for a scene of a size [m]."""
+        import rerun as rr
+
+        for name in self._tracks.tracks:
+            path = gripper_path(name)
+            wires = rr.Ellipsoids3D.from_fields(
+                fill_mode=rr.components.FillMode.MajorWireframe, line_radii=[0.0012 * size]
+            )
+            recording.log(f"{path}/body", wires, static=True)
+            axes = rr.Arrows3D.from_fields(colors=_AXIS_COLOURS, radii=[0.0018 * size])
+            recording.log(f"{path}/axes", axes, static=True)
+            for where, colour, radius in (
+                (target_path(name), colours.TRAIL, 0.0022 * size),
+                (held_path(name), colours.HELD, 0.0055 * size),
+            ):
+                points = rr.Points3D.from_fields(colors=np.array([colour], np.uint32), radii=[radius])
+                recording.log(where, points, static=True)
+
+    def show(self, moment: Moment) -> None:
+        """Show where the grippers are; one that is nowhere any more, after a reset, is drawn no more."""
+        import rerun as rr
+
+        for name, track in self._tracks.tracks.items():
+            if track.pose is None and name not in self._shown:
+                continue
+            self._shown.add(name)
+            path = gripper_path(name)
+            reach = self._tracks.radius if track.pose is not None else 0.0
+            colour = colours.CLOSED_GRIPPER if track.closed else colours.OPEN_GRIPPER
+            sphere = np.full((1, 3), reach, np.float32)
+            body = self._table(f"{path}/body", rr.Ellipsoids3D, ragged=("half_sizes",))
+            body.add(moment, half_sizes=sphere, colors=np.uint32(colour))
+            axes = self._table(f"{path}/axes", rr.Arrows3D, ragged=("vectors",))
+            axes.add(moment, vectors=2.0 * np.float32(reach) * _AXES)
+            if track.pose is not None:
+                place, turn = track.pose[:3].astype(np.float32), track.pose[3:].astype(np.float32)
+                self._table(path, rr.Transform3D).add(moment, translation=place, quaternion=turn)
+                target = self._table(target_path(name), rr.Points3D)
+                target.add(moment, positions=track.target[:3].astype(np.float32))
+
+    def held(self, xyz: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """Positions (k, 3) of what each gripper holds, of those of all particles (n, 3)."""
+        return {name: xyz[track.held] for name, track in self._tracks.tracks.items()}
+
+    def show_held(self, moment: Moment, held: dict[str, Any]) -> None:
+        """Show held particles."""
+        import rerun as rr
+
+        for name, places in held.items():
+            self._table(held_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=places)
