@@ -126,6 +126,7 @@ class SessionMaker:
         stem: beginning of the files' names.
         options: layout of the files.
         metadata: entries of the files' metadata, over those of the present environment.
+        topology: write it; without it there is no surface.
     """
 
     def __init__(
@@ -136,7 +137,9 @@ class SessionMaker:
         stem: str = "session",
         options: WriterOptions | None = None,
         metadata: Mapping[str, str] | None = None,
+        topology: bool = True,
     ) -> None:
+        self._with_topology = topology
         self._metadata = dict(metadata or {})
         self.simulation = Simulation(scene)
         self.paths: list[Path] = []
@@ -224,6 +227,8 @@ class SessionMaker:
             options=self._options,
         )
         self.paths.append(self._writer.path)
+        if not self._with_topology:
+            return
         latched = Qos(durability="transient_local", depth=1)
         self._writer.declare(f"{NODE}/topology", _MESH, latched)
         self._add(f"{NODE}/topology", mesh_bytes(simulation.scene))
