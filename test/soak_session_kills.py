@@ -43,6 +43,9 @@ def record(folder: Path, seed: int, notes: mmap.mmap) -> None:
     """The child: sessions one after the other, until it is killed."""
     generator = random.Random(seed)
     points = generator.choice([10, 900, 16_000])
+    # Some children do little but begin and end sessions, or split them: the kill then falls into one of these.
+    lengths = generator.choice([[1], [1, 50, 300], [300]])
+    splits = generator.choice([[0.0], [0.02], [0.0, 0.1, 0.3]])
     frame = 0
     while True:
         options = RecorderOptions(
@@ -50,10 +53,10 @@ def record(folder: Path, seed: int, notes: mmap.mmap) -> None:
                 compression=generator.choice(["none", "lz4", "zstd"]),  # type: ignore[arg-type]
                 sync_seconds=generator.choice([0.0, 0.3]),
             ),
-            split_seconds=generator.choice([0.0, 0.1, 0.3]),
+            split_seconds=generator.choice(splits),
         )
         recorder = Recorder(folder, snapshot=samples.SNAPSHOT, log_time=time.monotonic_ns(), options=options)
-        for _ in range(generator.choice([1, 50, 300])):
+        for _ in range(generator.choice(lengths)):
             now = time.monotonic_ns()
             NOTE.pack_into(notes, NOTE.size * frame, frame, now)
             text = samples.frame_record(frame).to_json()

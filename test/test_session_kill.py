@@ -8,12 +8,25 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+
+def _kill(folder: Path, *options: str) -> str:
+    script = Path(__file__).with_name("soak_session_kills.py")
+    done = subprocess.run(
+        [sys.executable, str(script), "--folder", str(folder), *options], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
 
 def test_killed_recordings_open_and_lack_nothing_but_their_end(tmp_path: Path) -> None:
     # How much of the end may be missing is not tested here: a busy machine may stop any process for a while.
-    command = [sys.executable, str(Path(__file__).with_name("soak_session_kills.py")), "--count", "8", "--within", "60"]
-    done = subprocess.run(
-        [*command, "--longest", "1.2", "--folder", str(tmp_path)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert "8 kills" in done.stdout
+    assert "8 kills" in _kill(tmp_path, "--count", "8", "--within", "60", "--longest", "1.2")
+
+
+@pytest.mark.soak
+def test_five_hundred_kills_lose_at_most_a_second_each(tmp_path: Path) -> None:
+    said = _kill(tmp_path, "--count", "500", "--within", "1.0")
+    print(said)
+    assert "500 kills" in said

@@ -8,13 +8,12 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
-from cloth_sim_ros.session.errors import DamagedSessionError, NotASessionError, SessionError
-from cloth_sim_ros.session.mcap_builder import MAGIC
+from cloth_sim_ros.session.errors import DamagedSessionError
 from cloth_sim_ros.session.mcap_scan import (
     RECORD_HEAD,
     Chunk,
@@ -25,19 +24,17 @@ from cloth_sim_ros.session.mcap_scan import (
     check_index,
     chunk_records,
     find_chunk,
-    parse_record,
     place_at,
     read_attachment,
-    read_body,
     read_chunk,
     read_metadata,
     read_summary,
 )
+from cloth_sim_ros.session.opening import check_contents, check_header, open_file
 from cloth_sim_ros.session.storage import is_being_written
 from cloth_sim_ros.session.writer import (
     END_METADATA_NAME,
     FILE_PREFIX,
-    FORMAT_VERSION,
     METADATA_NAME,
     SCENE_NAME,
     STATE_NAME,
@@ -83,12 +80,12 @@ class SessionPart:
         self._channels: dict[int, Channel] = {}
         self._data_start = 0
         self._at_end = False
-        self._file = _open(self.path)
+        self._file = open_file(self.path)
         try:
-            self._data_start = self._check_header()
+            self._data_start = check_header(self._file, self.path)
             self._read_summary()
             self._read_contents()
-            self._check_contents()
+            check_contents(self.path, self.metadata, self.attachments)
         except BaseException:
             self._file.close()
             raise
@@ -236,22 +233,6 @@ class SessionPart:
         """The declarations read so far, by number."""
         return dict(self._schemas), dict(self._channels)
 
-    def _check_header(self) -> int:
-        """Check magic and header; where what follows begins."""
-        self._file.seek(0)
-        if self._file.read(len(MAGIC)) != MAGIC:
-            raise NotASessionError(f"{self.path} is not an MCAP file")
-        try:
-            place = place_at(self._file, len(MAGIC))
-            header = None if place is None else parse_record(Header, read_body(self._file, place), place.offset)
-        except DamagedRecordError as error:
-            raise DamagedSessionError(f"{self.path}: {error}") from error
-        if place is None or header is None:
-            raise DamagedSessionError(f"{self.path} ends inside its opening: nothing was recorded")
-        if place.opcode != Opcode.HEADER or header.profile != "ros2":
-            raise NotASessionError(f"{self.path} has MCAP profile {header.profile!r}, a session has 'ros2'")
-        return place.end
-
     def _read_summary(self) -> None:
         try:
             self._summary = read_summary(self._file)
@@ -278,22 +259,6 @@ class SessionPart:
                 position = place.end
         except DamagedRecordError as error:
             raise DamagedSessionError(f"{self.path}: {error}; the session cannot be read without it") from error
-
-    def _check_contents(self) -> None:
-        if not self.metadata:
-            raise NotASessionError(
-                f"{self.path} is an MCAP without the metadata record {METADATA_NAME!r}: cloth_sim did not record it"
-            )
-        if self.metadata.get("checksum") != metadata_checksum(self.metadata):
-            raise DamagedSessionError(f"{self.path}: the metadata record {METADATA_NAME!r} fails its checksum")
-        if self.metadata.get("format") != FORMAT_VERSION:
-            raise NotASessionError(
-                f"{self.path} has session format {self.metadata.get('format')!r}, this version reads "
-                f"{FORMAT_VERSION!r}; use the version that recorded it"
-            )
-        absent = [name for name in (SCENE_NAME, STATE_NAME) if name not in self.attachments]
-        if absent:
-            raise DamagedSessionError(f"{self.path} lacks its {' and '.join(absent)}: nothing can be run again")
 
     def _read_content(self, place: RecordPlace) -> None:
         if place.opcode == Opcode.METADATA:
@@ -391,14 +356,3 @@ class SessionPart:
 
 def _outside(first: int, last: int, start: int | None, end: int | None) -> bool:
     return (start is not None and last < start) or (end is not None and first >= end)
-
-
-def _open(path: Path) -> BinaryIO:
-    try:
-        return path.open("rb")
-    except FileNotFoundError:
-        raise SessionError(f"{path} does not exist") from None
-    except IsADirectoryError:
-        raise SessionError(f"{path} is a folder; give the .mcap file in it") from None
-    except OSError as error:
-        raise SessionError(f"cannot read {path}: {error.strerror}") from error

@@ -10,16 +10,15 @@ import secrets
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from cloth_sim_ros.session.errors import RecordingError, SessionError
 from cloth_sim_ros.session.layouts import Qos
+from cloth_sim_ros.session.recorder_options import RecorderOptions, RecorderState, RecorderStatus
 from cloth_sim_ros.session.storage import AppendFile
-from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
-
-RecorderState = Literal["opening", "recording", "closed", "failed"]
+from cloth_sim_ros.session.writer import SessionWriter, Snapshot
 
 _LOOK = 0.01
 """How often an idle recorder looks into its queue [s]. Waking it for each message would cost the caller many times the
@@ -30,41 +29,6 @@ _ITEM_OVERHEAD = 400
 _LATEST = 1 << 63
 _CLOCK_JUMP = 1_000_000_000
 """A log time that lies back by this much is no matter of the order in which callbacks ran [ns]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecorderStatus:
-    """What a recording is doing, as of one moment."""
-
-    state: RecorderState
-    path: Path | None
-    """The file being written, or written last; None before it exists."""
-    bytes_written: int
-    """Over all files of the session."""
-    messages: int
-    """That are in the files."""
-    dropped: int
-    """Droppable messages that found the queue full."""
-    queue_depth: int
-    """Messages waiting to be written."""
-    queue_bytes: int
-    error: str
-    """Why the recording ended early, in one sentence; empty if it did not."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecorderOptions:
-    """How a session is recorded; the file's own layout is in `writer`."""
-
-    writer: WriterOptions = field(default_factory=WriterOptions)
-    queue_bytes: int = 256 << 20
-    """Droppable messages are dropped while this much waits [bytes]."""
-    backlog_bytes: int = 512 << 20
-    """Where even the others pile up to this much, the recording ends behind them: bounded memory, and no holes."""
-    split_bytes: int = 0
-    """Ask for a new file when one holds this much [bytes]; 0 never."""
-    split_seconds: float = 0.0
-    """Ask for a new file when one spans this much session time [s]; 0 never."""
 
 
 class _Message(NamedTuple):

@@ -1,0 +1,64 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The beginning of a session file: is it an MCAP, is it a session, is all there that every session opens with."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Header
+
+from cloth_sim_ros.session.errors import DamagedSessionError, NotASessionError, SessionError
+from cloth_sim_ros.session.mcap_builder import MAGIC
+from cloth_sim_ros.session.mcap_scan import DamagedRecordError, parse_record, place_at, read_body
+from cloth_sim_ros.session.writer import FORMAT_VERSION, METADATA_NAME, SCENE_NAME, STATE_NAME, metadata_checksum
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open a file to read. Raises SessionError with the reason where it cannot be."""
+    try:
+        return path.open("rb")
+    except FileNotFoundError:
+        raise SessionError(f"{path} does not exist") from None
+    except IsADirectoryError:
+        raise SessionError(f"{path} is a folder; give the .mcap file in it") from None
+    except OSError as error:
+        raise SessionError(f"cannot read {path}: {error.strerror}") from error
+
+
+def check_header(file: BinaryIO, path: Path) -> int:
+    """Check magic and header; where what follows begins. Raises NotASessionError or DamagedSessionError."""
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
+        raise NotASessionError(f"{path} is not an MCAP file")
+    try:
+        place = place_at(file, len(MAGIC))
+        header = None if place is None else parse_record(Header, read_body(file, place), place.offset)
+    except DamagedRecordError as error:
+        raise DamagedSessionError(f"{path}: {error}") from error
+    if place is None or header is None:
+        raise DamagedSessionError(f"{path} ends inside its opening: nothing was recorded")
+    if place.opcode != Opcode.HEADER or header.profile != "ros2":
+        raise NotASessionError(f"{path} has MCAP profile {header.profile!r}, a session has 'ros2'")
+    return place.end
+
+
+def check_contents(path: Path, metadata: Mapping[str, str], attachments: Container[str]) -> None:
+    """Check what was found in the opening. Raises NotASessionError or DamagedSessionError."""
+    if not metadata:
+        raise NotASessionError(
+            f"{path} is an MCAP without the metadata record {METADATA_NAME!r}: cloth_sim did not record it"
+        )
+    if metadata.get("checksum") != metadata_checksum(metadata):
+        raise DamagedSessionError(f"{path}: the metadata record {METADATA_NAME!r} fails its checksum")
+    if metadata.get("format") != FORMAT_VERSION:
+        raise NotASessionError(
+            f"{path} has session format {metadata.get('format')!r}, this version reads {FORMAT_VERSION!r}; "
+            "use the version that recorded it"
+        )
+    absent = [name for name in (SCENE_NAME, STATE_NAME) if name not in attachments]
+    if absent:
+        raise DamagedSessionError(f"{path} lacks its {' and '.join(absent)}: nothing can be run again")
