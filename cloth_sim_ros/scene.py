@@ -14,6 +14,7 @@ import numpy as np
 
 from cloth_sim_ros import parameter_file, parameters, scene_files
 from cloth_sim_ros.parameters import ParameterError, parameter, section
+from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
@@ -23,7 +24,14 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.scene_physics import Sheet, anchored_particles, build_model, build_sheet, grid_threads_of
+from cloth_sim_ros.scene_physics import (
+    Sheet,
+    anchored_particles,
+    build_dynamics,
+    build_model,
+    build_sheet,
+    grid_threads_of,
+)
 from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Record
 
 MOST_PARTICLES = 4_000_000
@@ -184,6 +192,10 @@ class Scene:
     def model(self) -> Model:
         """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
         return build_model(self)
+
+    def dynamics(self) -> Dynamics:
+        """Build the equations of motion of the model, with the fused plan that its sheet has."""
+        return build_dynamics(self)
 
     def initial_positions(self) -> Array:
         """Starting positions [m], shape (particle_count, 3)."""

@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.grid_sheet import GridSheet
+from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads, grid_threads
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
@@ -115,20 +118,34 @@ def build_model(scene: Scene) -> Model:
     return Model(masses, terms, anchors=anchored_particles(scene, sheet))
 
 
+def build_dynamics(scene: Scene) -> Dynamics:
+    """Build the equations of motion; a grid's springs get the fused plan."""
+    dynamics = Dynamics(build_model(scene))
+    sheet = build_sheet(scene)
+    if isinstance(sheet, GridSheet):
+        named = _grid_families(scene, sheet)
+        springs = GridSprings(sheet.rows, sheet.columns, [family for part in named.values() for family in part])
+        GridPlan(dynamics, springs, frozenset(named))
+    return dynamics
+
+
+def _grid_families(scene: Scene, sheet: GridSheet) -> dict[str, list[GridFamily]]:
+    material = scene.material
+    return sheet.families(
+        grid_threads_of(scene, sheet),
+        k_d0=material.damping,
+        density=material.density,
+        retardation=material.viscosity / material.stretch_modulus,
+    )
+
+
 def _elastic_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
     material = scene.material
     if isinstance(sheet, RawSprings):
         return [sheet.term]
     terms: list[Term]
     if isinstance(sheet, GridSheet):
-        terms = [
-            *sheet.springs(
-                grid_threads_of(scene, sheet),
-                k_d0=material.damping,
-                density=material.density,
-                retardation=material.viscosity / material.stretch_modulus,
-            )
-        ]
+        terms = [*sheet.springs(_grid_families(scene, sheet))]
     else:
         terms = [
             sheet.springs(

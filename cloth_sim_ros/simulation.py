@@ -12,7 +12,6 @@ import numpy as np
 
 from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.grippers import GraspResult, Grippers
-from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.state import State
@@ -202,8 +201,8 @@ class Simulation:
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene = scene
-        self.model = scene.model()
-        self.dynamics = Dynamics(self.model)
+        self.dynamics = scene.dynamics()
+        self.model = self.dynamics.model
         self._integrator = scene.build_integrator()
         grips = [term for term in self.model.terms if isinstance(term, Grips)]
         self._grips = grips[0] if grips else None

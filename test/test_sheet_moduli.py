@@ -20,7 +20,7 @@ def sheet_and_springs(layout, *, shape=(7, 7), size=(0.3, 0.3), shear=G, bend=0.
     threads = grid_threads(
         stretch_modulus=Y, shear_modulus=shear, spacing=sheet.spacing, layout=layout, bend_stiffness=bend
     )
-    return sheet, threads, sheet.springs(threads, k_d0=0.1, density=0.2)
+    return sheet, threads, sheet.springs(sheet.families(threads, k_d0=0.1, density=0.2))
 
 
 def moduli(sheet, springs):
@@ -91,7 +91,7 @@ def test_a_network_is_isotropic_only_at_a_third():
     sheet = GridSheet(height=1.0, width=1.0, rows=6, columns=6, layout="both")
     threads = grid_threads(stretch_modulus=modulus, shear_modulus=shear, spacing=sheet.spacing, layout="both")
     assert threads.poisson_ratio == pytest.approx(1 / 3, rel=1e-12)
-    c = moduli(sheet, sheet.springs(threads, k_d0=0.0, density=0.2))
+    c = moduli(sheet, sheet.springs(sheet.families(threads, k_d0=0.0, density=0.2)))
     along = np.array([0.5, 0.5, 1.0])
     assert along @ c @ along == pytest.approx(c[0, 0], rel=2e-3)
 

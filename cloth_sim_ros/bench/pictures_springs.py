@@ -70,7 +70,8 @@ def draw_layouts(pyplot: Any, folder: Path) -> Path:
         sheet = GridSheet(height=1.0, width=1.0, rows=5, columns=5, layout=layout)
         threads = grid_threads(stretch_modulus=1000.0, shear_modulus=100.0, spacing=sheet.spacing, layout=layout)
         positions = sheet.positions()
-        for term, colour in zip(sheet.springs(threads, k_d0=0.0, density=0.2), ("C0", "C1"), strict=True):
+        springs = sheet.springs(sheet.families(threads, k_d0=0.0, density=0.2))
+        for term, colour in zip(springs, ("C0", "C1"), strict=True):
             for a, b in term.pairs:
                 axis.plot(*positions[[a, b], :2].T, color=colour, linewidth=1.0)
         axis.set_title(f"{layout}, Poisson {threads.poisson_ratio:.3f}", fontsize=9)

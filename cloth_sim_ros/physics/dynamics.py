@@ -27,6 +27,16 @@ class LeapfrogPlan(Protocol):
         """
 
 
+class FusedForces(Protocol):
+    """One pass that takes over the forces of some terms of a model, equal to their sum to rounding."""
+
+    #: Names of the terms that it takes over.
+    names: frozenset[str]
+
+    def add_forces(self, x: Array, v: Array, f: Array) -> None:
+        """Add the forces [N] of those terms to f (3, n)."""
+
+
 class Dynamics:
     """Acceleration, energy and stability bounds of a model, as the sum of its terms.
 
@@ -38,13 +48,21 @@ class Dynamics:
     def __init__(self, model: Model, plan: LeapfrogPlan | None = None) -> None:
         self.model = model
         self.plan = plan
+        #: What takes over the forces of some terms, if anything does.
+        self.forces: FusedForces | None = None
         self._blocks = np.empty((6, model.particle_count))
 
     def acceleration(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the acceleration [m/s^2]; zero for anchored particles."""
         out.fill(0.0)
-        for term in self.model.terms:
-            term.add_force(t, x, v, out)
+        if self.forces is None:
+            for term in self.model.terms:
+                term.add_force(t, x, v, out)
+        else:
+            self.forces.add_forces(x, v, out)
+            for term in self.model.terms:
+                if term.name not in self.forces.names:
+                    term.add_force(t, x, v, out)
         out *= self.model.inverse_masses
 
     def energy(self, t: float, x: Array, v: Array) -> float:

@@ -8,8 +8,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.kernels.grid_rows import FAMILIES
+from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads
-from cloth_sim_ros.physics.surface import Layout, Surface, grid_diagonals, grid_triangles
+from cloth_sim_ros.physics.surface import Layout, Surface, grid_triangles
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
 
@@ -72,72 +74,75 @@ class GridSheet:
             raise ValueError(f"'{name}' is no edge or corner of a grid; there are {', '.join(places)}")
         return places[name]
 
-    def springs(self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0) -> list[PairSprings]:
-        """Return the terms `structural`, `shear` and, with bending threads, `bend`.
+    def families(
+        self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0
+    ) -> dict[str, list[GridFamily]]:
+        """Springs by direction, for each of the terms `structural`, `shear` and, with bending threads, `bend`.
 
         Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet,
         so that it scales with the border's half stiffness and half mass as the springs do; with a retardation time [s]
         it is that time times the stiffness k instead.
         """
         hx, hy = self.spacing
-        index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
-        row_weight = np.broadcast_to(_border_weights(self.rows)[:, None], index.shape)
-        column_weight = np.broadcast_to(_border_weights(self.columns), index.shape)
         mass = density * hx * hy
 
         def family(
-            pairs: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, float, float]], name: str
-        ) -> PairSprings:
-            ends, rest, stiffness, damping = [], [], [], []
-            for near, far, weight, length, k_s in pairs:
-                ends.append(np.stack([near.ravel(), far.ravel()], axis=1))
-                rest.append(np.full(near.size, length))
-                stiffness.append(weight.ravel() * (k_s / length))
-                k = k_s / length
-                damping.append(weight.ravel() * (k * retardation or lecture_damping(k_d0, k, mass)))
-            return PairSprings(
-                np.concatenate(ends),
-                np.concatenate(rest),
-                np.concatenate(stiffness),
-                np.concatenate(damping),
-                name=name,
-                weak=name != "structural",
-            )
+            name: str, k_s: float, length: float, *, border: float = 1.0, parity: int | None = None
+        ) -> GridFamily:
+            k = k_s / length
+            damping = k * retardation or float(lecture_damping(k_d0, k, mass))
+            weak = name not in ("right", "down")
+            return GridFamily(name, k_s, length, damping, border=border, parity=parity, weak=weak)
 
-        terms = [
-            family(
-                [
-                    (index[:, :-1], index[:, 1:], row_weight[:, 1:], hx, threads.along_rows),
-                    (index[:-1], index[1:], column_weight[1:], hy, threads.along_columns),
-                ],
-                "structural",
-            )
-        ]
+        terms = {
+            "structural": [
+                family("right", threads.along_rows, hx, border=0.5),
+                family("down", threads.along_columns, hy, border=0.5),
+            ]
+        }
         if threads.diagonal > 0.0:
-            diagonals = grid_diagonals(self.rows, self.columns, self.layout)
-            terms.append(
-                family(
-                    [
-                        (
-                            diagonals[:, 0],
-                            diagonals[:, 1],
-                            np.ones(len(diagonals)),
-                            float(np.hypot(hx, hy)),
-                            threads.diagonal,
-                        )
-                    ],
-                    "shear",
-                )
-            )
-        if threads.bend_along_rows > 0.0:
-            bends = []
-            if self.columns > 2:
-                bends.append((index[:, :-2], index[:, 2:], row_weight[:, 2:], 2.0 * hx, threads.bend_along_rows))
-            if self.rows > 2:
-                bends.append((index[:-2], index[2:], column_weight[2:], 2.0 * hy, threads.bend_along_columns))
-            if bends:
-                terms.append(family(bends, "bend"))
+            # As `grid_diagonals` lays them: left runs down to the right; alternating is left where row + column is
+            # even.
+            lefts, rights = {
+                "left": ([None], []),
+                "right": ([], [None]),
+                "alternating": ([0], [1]),
+                "both": ([None], [None]),
+            }[self.layout]
+            length = float(np.hypot(hx, hy))
+            terms["shear"] = [
+                *(family("diagonal", threads.diagonal, length, parity=parity) for parity in lefts),
+                *(family("antidiagonal", threads.diagonal, length, parity=parity) for parity in rights),
+            ]
+        bends = []
+        if threads.bend_along_rows > 0.0 and self.columns > 2:
+            bends.append(family("right2", threads.bend_along_rows, 2.0 * hx, border=0.5))
+        if threads.bend_along_columns > 0.0 and self.rows > 2:
+            bends.append(family("down2", threads.bend_along_columns, 2.0 * hy, border=0.5))
+        if bends:
+            terms["bend"] = bends
         return terms
+
+    def springs(self, named: dict[str, list[GridFamily]]) -> list[PairSprings]:
+        """The terms of `families` as springs between pairs."""
+        return [self._pairs(name, families) for name, families in named.items()]
+
+    def _pairs(self, name: str, families: list[GridFamily]) -> PairSprings:
+        index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
+        grid = GridSprings(self.rows, self.columns, families)
+        ends, rest, stiffness, damping = [], [], [], []
+        for family in families:
+            weights = np.stack([grid.weights(family, row) for row in range(self.rows)])
+            row, column = np.nonzero(weights)
+            weight = weights[row, column]
+            near, far = (index[row + down, column + right] for down, right in FAMILIES[family.name])
+            ends.append(np.stack([near, far], axis=1))
+            rest.append(np.full(len(near), family.rest_length))
+            stiffness.append(weight * (family.stiffness / family.rest_length))
+            damping.append(weight * family.damping)
+        return PairSprings(
+            *(np.concatenate(part) for part in (ends, rest, stiffness, damping)), name=name, weak=families[0].weak
+        )
 
 
 def _border_weights(count: int) -> Array:

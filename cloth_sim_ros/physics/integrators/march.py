@@ -64,7 +64,8 @@ def leapfrog_by_terms(
         drift_and_predict(x, v, a, 0.5 * step, predicted)
         dynamics.acceleration(middle, x, predicted, a)
         if observer is not None:
-            observer.observe(middle, x, v + 0.5 * step * a, weight * step)
+            # The velocity that the forces saw: an impulse observed is then the impulse that was given.
+            observer.observe(middle, x, predicted, weight * step)
         kick_and_drift(x, v, a, 0.5 * step)
 
 

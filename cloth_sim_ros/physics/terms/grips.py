@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.kernels import grips as kernels
 from cloth_sim_ros.physics.terms.base import Array, Term
@@ -49,6 +50,17 @@ class Grips(Term):
         self.starts, self.particles, self.offsets = starts, particles, offsets
         self.stiffness, self.damping = stiffness, damping
         self.wrenches.fill(0.0)
+
+    def owners(self) -> np.ndarray:
+        """Gripper of each grip, shape (m,)."""
+        return np.repeat(np.arange(self.gripper_count), np.diff(self.starts))
+
+    def arms(self) -> Array:
+        """From each grip's gripper to its held point [m], as the grippers stand at the start of their paths, shape (m,
+        3).
+        """
+        turns = np.stack([rotation_matrix(path[13:17]) for path in self.paths])
+        return np.einsum("nij,nj->ni", turns[self.owners()], self.offsets)
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         if self.particles.size:
@@ -95,7 +107,7 @@ class Grips(Term):
 
 
 class WrenchObserver(Observer):
-    """Mean force and torque of the cloth on each gripper over an advance, and the work that the grippers did.
+    """Mean force and torque of the cloth on each gripper over an advance.
 
     Args:
         grips: the term that is observed.
@@ -103,7 +115,7 @@ class WrenchObserver(Observer):
 
     def __init__(self, grips: Grips) -> None:
         self._grips = grips
-        self._sum = np.zeros((grips.gripper_count, 7))
+        self._sum = np.zeros((grips.gripper_count, 6))
         self._duration = 0.0
         self._nothing: Array | None = None
 
@@ -117,14 +129,23 @@ class WrenchObserver(Observer):
             if self._nothing is None:
                 self._nothing = np.zeros_like(x)
             self._grips.add_force(t, x, v, self._nothing)
-            self._sum += weight * self._grips.wrenches
+            self._sum += weight * self._grips.wrenches[:, :6]
+
+    def add_impulses(self, impulses: Array | None, duration: float, weight: float) -> None:
+        """Take note of a whole run of a compiled loop, during which no gripper turned.
+
+        Args:
+            impulses: time integral of the force on each grip's point [N s], shape (m, 3); None where nothing is held.
+            duration: length of the run [s], times the weight.
+            weight: factor on the impulses.
+        """
+        self._duration += duration
+        if impulses is not None:
+            grips = self._grips
+            wrenches = weight * np.concatenate([impulses, np.cross(grips.arms(), impulses)], axis=1)
+            np.add.at(self._sum, grips.owners(), wrenches)
 
     @property
     def mean_wrenches(self) -> Array:
         """Force [N] and torque [N m] on each gripper about its pose, mean over time, shape (gripper_count, 6)."""
-        return self._sum[:, :6] / self._duration if self._duration else np.zeros((len(self._sum), 6))
-
-    @property
-    def work(self) -> float:
-        """Work done on the cloth by the grippers [J], what their springs store and lose included."""
-        return float(self._sum[:, 6].sum())
+        return self._sum / self._duration if self._duration else np.zeros((len(self._sum), 6))

@@ -1,0 +1,121 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The fused plan of a regular sheet: its spring terms in one vectorised pass, and whole leapfrog runs in one compiled
+loop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
+from cloth_sim_ros.physics.kernels.grid_forces import GridForces
+from cloth_sim_ros.physics.kernels.grid_leapfrog import GridGrips, GridLeapfrog
+from cloth_sim_ros.physics.kernels.grid_springs import GridSprings
+from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.dynamics import Dynamics
+    from cloth_sim_ros.physics.integrators.base import Observer
+    from cloth_sim_ros.physics.terms.base import Array
+
+
+class GridPlan:
+    """Takes over the spring terms of a grid; equal to their sum to rounding.
+
+    The leapfrog is fused where the model has no other terms than these, gravity, drag and grips, and no gripper that
+    holds something turns during the
+    run (a held point's path is then a cubic). That is decided by the scene and its commands alone. An observer of
+    anything but wrenches
+    has to watch a run of its own, by terms: it must not change the bits of this one.
+
+    Args:
+        dynamics: the equations whose terms are taken over; it gets the plan.
+        springs: its springs as families of a grid.
+        names: names of the terms that `springs` stands for.
+    """
+
+    def __init__(self, dynamics: Dynamics, springs: GridSprings, names: frozenset[str]) -> None:
+        self.names = names
+        self._dynamics = dynamics
+        dynamics.forces = dynamics.plan = self
+        model = dynamics.model
+        self._forces = GridForces(springs)
+        self._loop: GridLeapfrog | None = None
+        self._grips: Grips | None = None
+        gravity, drag = None, 0.0
+        for term in model.terms:
+            if term.name in names:
+                continue
+            if isinstance(term, Gravity):
+                gravity = term.acceleration
+            elif isinstance(term, Drag):
+                drag = term.rate
+            elif isinstance(term, Grips):
+                self._grips = term
+            else:
+                return
+        self._loop = GridLeapfrog(springs, model.inverse_masses, gravity=gravity, drag=drag)
+
+    def add_forces(self, x: Array, v: Array, f: Array) -> None:
+        """Add the forces [N] of the terms that are taken over to f (3, n)."""
+        self._forces.add(x, v, f)
+
+    def leapfrog(
+        self,
+        t: float,
+        x: Array,
+        v: Array,
+        step: float,
+        steps: int,
+        observer: Observer | None,
+        weight: float,
+    ) -> None:
+        """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
+        weight.
+        """
+        wrenches = observer if isinstance(observer, WrenchObserver) else None
+        if self._loop is None or self._turns() or (observer is not None and wrenches is None):
+            leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight)
+            return
+        grips, order = self._held(t)
+        self._loop.advance(x, v, steps, step, grips=grips)
+        if wrenches is not None:
+            wrenches.add_impulses(
+                None if grips is None else grips.impulses[np.argsort(order)], weight * step * steps, weight
+            )
+
+    def _turns(self) -> bool:
+        grips = self._grips
+        if grips is None or not grips.particles.size:
+            return False
+        holding = np.diff(grips.starts) > 0
+        return bool(grips.paths[holding, 17:26].any())
+
+    def _held(self, t: float) -> tuple[GridGrips | None, np.ndarray]:
+        """The grips as cubic paths of the time since t, in order of particles, and that order."""
+        grips = self._grips
+        if grips is None or not grips.particles.size:
+            return None, np.empty(0, dtype=np.int64)
+        order = np.argsort(grips.particles, kind="stable")
+        owner = grips.owners()[order]
+        path = grips.paths[owner]
+        p0, p1, p2, p3 = (path[:, first : first + 3] for first in (1, 4, 7, 10))
+        s = (t - path[:, 0])[:, None]
+        shifted = np.stack(
+            [p0 + s * (p1 + s * (p2 + s * p3)), p1 + s * (2 * p2 + 3 * s * p3), p2 + 3 * s * p3, p3], axis=-1
+        )
+        shifted[:, :, 0] += grips.arms()[order]
+        count = len(order)
+        return GridGrips(
+            grips.particles[order],
+            np.ascontiguousarray(shifted),
+            grips.stiffness[order],
+            grips.damping[order],
+            np.zeros((count, 3)),
+            np.zeros((count, 3)),
+        ), order

@@ -1,0 +1,135 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The fused plan of a grid against the sum of its terms."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.events import Grasp, Target
+from cloth_sim_ros.physics.integrators.base import Observer
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+SCENES = {
+    "default": {},
+    "bare": {
+        "gravity": [0.0, 0.0, 0.0],
+        "air.drag": 0.0,
+        "bending.model": "none",
+        "material.shear_modulus": 0.0,
+        "material.damping": 0.0,
+    },
+    "left": {"cloth.shear_layout": "left", "cloth.anchors": ["top_left", "40"]},
+    "right, undamped": {"cloth.shear_layout": "right", "material.damping": 0.0, "air.drag": 0.0},
+    "alternating, free": {"cloth.shear_layout": "alternating", "cloth.anchors": [""]},
+    "viscous": {"material.viscosity": 0.05},
+    "hinges": {"bending.model": "crossed", "material.bending_modulus": 1e-4},
+    "narrow": {"cloth.resolution": [3, 17], "cloth.size": [0.2, 1.1], "material.shear_modulus": 10.0},
+    "two wide": {"cloth.resolution": [11, 2], "cloth.size": [1.0, 0.1]},
+}
+every_scene = pytest.mark.parametrize("values", SCENES.values(), ids=SCENES.keys())
+
+
+def pair(values):
+    """The same simulation with its plan, and term by term."""
+    common = {"cloth.resolution": [7, 9], "grippers": ["one", "two"], "gripper.radius": 0.2}
+    scene = Scene.from_parameters({**common, **values})
+    fused, plain = Simulation(scene), Simulation(scene)
+    plain.dynamics.plan = plain.dynamics.forces = None
+    return fused, plain
+
+
+def stir(simulation, seed=3):
+    """A crumpled, moving start."""
+    rng = np.random.default_rng(seed)
+    free = simulation.model.inverse_masses > 0
+    simulation.state.x[:, free] += 0.02 * rng.standard_normal((3, int(free.sum())))
+    simulation.state.v[:, free] += rng.standard_normal((3, int(free.sum())))
+
+
+@every_scene
+def test_forces_and_motion_are_those_of_the_terms_to_rounding(values):
+    fused, plain = pair(values)
+    for simulation in (fused, plain):
+        stir(simulation)
+    x, v = fused.state.x, fused.state.v
+    one, two = np.empty_like(x), np.empty_like(x)
+    fused.dynamics.acceleration(0.0, x, v, one)
+    plain.dynamics.acceleration(0.0, x, v, two)
+    assert one == pytest.approx(two, abs=1e-12 * np.abs(two).max())
+    for _ in range(4):
+        steps = [simulation.advance().advance.steps for simulation in (fused, plain)]
+        assert steps[0] == steps[1]
+    assert fused.positions == pytest.approx(plain.positions, abs=1e-10)
+    assert fused.velocities == pytest.approx(plain.velocities, abs=1e-8)
+
+
+@pytest.mark.parametrize("turning", [False, True], ids=["carried", "turned as well"])
+@every_scene
+def test_grips_and_wrenches_are_those_of_the_terms_to_rounding(values, turning):
+    fused, plain = pair(values)
+    corner = fused.positions[-1]
+    frames = []
+    for simulation in (fused, plain):
+        # Both hold some of the same particles.
+        simulation.advance([Target("one", corner), Target("two", corner - 0.05)])
+        simulation.advance([Grasp("one", True), Grasp("two", True)])
+        held = [simulation.grippers.held(g) for g in (0, 1)]
+        for k in range(1, 6):
+            angle = 0.02 * k if turning else 0.3
+            away = 0.002 * k * np.array([1.0, -1.0, 0.5])
+            q = (0.0, np.sin(angle), 0.0, np.cos(angle))
+            frame = simulation.advance([Target("one", corner + away, q), Target("two", corner - 0.05 + away)])
+        frames.append(frame)
+    assert np.intersect1d(*held).size
+    assert fused.positions == pytest.approx(plain.positions, abs=1e-10)
+    scale = np.abs(frames[1].wrenches).max()
+    assert scale > 0.0
+    assert frames[0].wrenches == pytest.approx(frames[1].wrenches, abs=1e-8 * max(1.0, scale))
+
+
+def test_a_fixed_step_and_a_paused_start_give_the_same_bits_each_time():
+    digests = set()
+    for _ in range(2):
+        fused, _ = pair({"step": 1e-4})
+        stir(fused)
+        for _ in range(3):
+            fused.advance()
+        digests.add(fused.state.digest())
+    assert len(digests) == 1
+
+
+def test_the_plan_is_what_runs(monkeypatch):
+    """Guards the comparison above: with the plan's loop broken, the motion is wrong."""
+    fused, plain = pair({})
+    loop = fused.dynamics.plan._loop
+    assert loop is not None
+    monkeypatch.setattr(loop, "advance", lambda *arguments, **options: None)
+    fused.advance()
+    plain.advance()
+    assert np.abs(fused.velocities - plain.velocities).max() > 1e-3
+
+
+def test_hinge_springs_keep_the_fused_forces_but_not_the_fused_loop():
+    fused, _ = pair(SCENES["hinges"])
+    assert fused.dynamics.plan._loop is None
+    assert fused.dynamics.forces.names == {"structural", "shear"}
+
+
+class _Counter(Observer):
+    def __init__(self):
+        self.points = 0
+
+    def restart(self):
+        self.points = 0
+
+    def observe(self, t, x, v, weight):
+        self.points += 1
+
+
+def test_an_observer_sees_every_step():
+    fused, _ = pair({})
+    counter = _Counter()
+    integrator = fused.scene.build_integrator()
+    done = integrator.advance(fused.dynamics, fused.state, 0.0, 1 / 60, counter)
+    assert counter.points == done.steps
