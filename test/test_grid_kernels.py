@@ -7,11 +7,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cloth_sim_ros.bench.reference_kernel import ReferenceKernel, find_compiler
+from cloth_sim_ros.physics.kernels import grid_leapfrog
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces, grid_forces
 from cloth_sim_ros.physics.kernels.grid_leapfrog import GridGrips, GridLeapfrog
-from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
+from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings, constants
 
-# Offsets (rows, columns) of the far end from the near one, written down again so that the kernel's own table is under test.
+# Offsets (rows, columns) of the far end from the near one, written down again so that the kernel's own table is under
+# test.
 OFFSETS = {
     "right": (0, 1),
     "down": (1, 0),
@@ -180,8 +183,15 @@ def some_grips():
     )
 
 
-@pytest.mark.parametrize("choice", ["all", "undamped", "edges"])
-@pytest.mark.parametrize("extras", [{}, {"gravity": GRAVITY}, {"drag": 1.5}, {"gravity": GRAVITY, "drag": 1.5}])
+@pytest.mark.parametrize(
+    ("choice", "extras"),
+    [
+        ("all", {"gravity": GRAVITY, "drag": 1.5}),
+        ("undamped", {}),
+        ("undamped", {"drag": 1.5}),
+        ("edges", {"gravity": GRAVITY}),
+    ],
+)
 def test_fused_leapfrog_equals_the_plain_scheme(choice, extras):
     springs = GridSprings(11, 13, CHOICES[choice])
     inverse = some_masses(143)
@@ -192,8 +202,10 @@ def test_fused_leapfrog_equals_the_plain_scheme(choice, extras):
     assert close(v, expected_v, 1e-11)
 
 
-@pytest.mark.parametrize("dtype, relative", [(np.float64, 1e-11), (np.float32, 2e-5)])
-@pytest.mark.parametrize("choice", ["all", "undamped"])
+@pytest.mark.parametrize(
+    ("choice", "dtype", "relative"),
+    [("all", np.float64, 1e-11), ("undamped", np.float64, 1e-11), ("all", np.float32, 2e-5)],
+)
 def test_grips_pull_and_feel_the_pull(choice, dtype, relative):
     springs = GridSprings(11, 13, CHOICES[choice])
     inverse = some_masses(143)
@@ -215,7 +227,7 @@ def test_moment_of_a_grip_is_about_the_origin():
             np.array([1]), np.zeros((1, 3, 4)), np.array([10.0]), np.array([0.1]), np.zeros((1, 3)), np.zeros((1, 3))
         )
         grips.paths[0, :, 0] = point
-        x = np.array([point, point + [0.0, 0.1, 0.2]]).T.copy()
+        x = np.array([point, point + np.array([0.0, 0.1, 0.2])]).T.copy()
         GridLeapfrog(springs, np.full(2, 100.0), dtype=dtype).advance(x, np.zeros((3, 2)), 10, 1e-3, grips=grips)
         assert np.abs(grips.impulses).max() > 1e-3
         assert close(grips.moments[0], np.cross(point, grips.impulses[0]), 1e-5 if dtype == np.float32 else 1e-13)
@@ -234,29 +246,169 @@ def test_anchored_particles_keep_their_velocity():
 def test_errors_name_the_value():
     with pytest.raises(ValueError, match="no spring family 'left'"):
         GridSprings(2, 2, [GridFamily("left", 1.0, 1.0)])
-    with pytest.raises(ValueError, match="rest length of 'down' is 0.0 m"):
+    with pytest.raises(ValueError, match=r"rest length of 'down' is 0\.0 m"):
         GridSprings(2, 2, [GridFamily("down", 1.0, 0.0)])
     with pytest.raises(ValueError, match=r"x has shape \(3, 5\)"):
         grid_forces(np.zeros((3, 5)), np.zeros((3, 4)), GridSprings(2, 2, ALL), np.zeros((3, 4)))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("choice", ["all", "edges", "undamped"])
-@pytest.mark.parametrize("alternate", [False, True])
-def test_any_number_of_threads_gives_the_same_bits(dtype, choice, alternate):
-    families = tuple(family._replace(weak=family.name not in ("right", "down")) for family in CHOICES[choice])
-    springs = GridSprings(11, 13, families)
+def weak(families):
+    """The same families, all but the edges marked as weak."""
+    return tuple(family._replace(weak=family.name not in ("right", "down")) for family in families)
+
+
+def plain_alternating_leapfrog(x, v, springs, inverse_mass, steps, dt):
+    """Weak families at even steps only, twice as strong, 1.5 times at the first and the last step."""
+    x, v = x.copy(), v.copy()
+
+    def acceleration(position, velocity, factor):
+        families = [family for family in springs.families if factor or not family.weak]
+        scaled = [
+            family._replace(stiffness=factor * family.stiffness, damping=factor * family.damping)
+            if family.weak
+            else family
+            for family in families
+        ]
+        return inverse_mass * plain_forces(position, velocity, GridSprings(springs.rows, springs.columns, scaled))
+
+    a = acceleration(x, v, 1.0)
+    for step in range(steps):
+        x += 0.5 * dt * v
+        factor = 0.0 if step % 2 else (1.5 if step in (0, steps - 1) else 2.0)
+        a = acceleration(x, v + 0.5 * dt * a, factor)
+        v += dt * a
+        x += 0.5 * dt * v
+    return x, v
+
+
+def test_alternating_families_equal_the_plain_scheme():
+    springs = GridSprings(11, 13, weak(ALL))
+    inverse = some_masses(143)
+    x, v = crumpled(11, 13)
+    expected_x, expected_v = plain_alternating_leapfrog(x, v, springs, inverse, 9, 2e-4)
+    plan = GridLeapfrog(springs, inverse, alternate=True)
+    plan.advance(x, v, 9, 2e-4)
+    assert close(x, expected_x, 1e-12)
+    assert close(v, expected_v, 1e-11)
+    with pytest.raises(ValueError, match="10 steps; weak families"):
+        plan.advance(x, v, 10, 2e-4)
+
+
+def smooth(rows, columns):
+    """A gently bent sheet in slow motion."""
+    down, right = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
+    x = SPACING * np.stack([(columns - 1) * right, (rows - 1) * down, 2.0 * np.sin(2.0 * right) * down**2])
+    v = np.stack([0.0 * right, 0.1 * down * right, 0.2 * down])
+    return np.ascontiguousarray(x.reshape(3, -1)), np.ascontiguousarray(v.reshape(3, -1))
+
+
+def observed_order(springs, *, drag=0.0, alternate=False):
+    """Order from three step counts, each against a much finer one."""
+    inverse = np.full(springs.rows * springs.columns, 1.0 / MASS)
+
+    def end(steps, alternate):
+        x, v = smooth(springs.rows, springs.columns)
+        GridLeapfrog(springs, inverse, gravity=GRAVITY, drag=drag, alternate=alternate).advance(
+            x, v, steps, 0.05 / steps
+        )
+        return x
+
+    finest = end(12801, alternate=False)
+    errors = [np.abs(end(steps, alternate) - finest).max() for steps in (201, 401, 801)]
+    return np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
+
+
+def test_damped_leapfrog_is_of_second_order():
+    orders = observed_order(GridSprings(8, 9, weak(ALL)), drag=1.5)
+    assert all(1.9 < order < 2.1 for order in orders), orders
+
+
+def test_alternating_undamped_families_are_of_second_order():
+    orders = observed_order(GridSprings(8, 9, weak(CHOICES["undamped"])), alternate=True)
+    assert all(1.9 < order < 2.15 for order in orders), orders
+
+
+@pytest.mark.parametrize(
+    ("choice", "dtype", "alternate"),
+    [("all", np.float32, True), ("all", np.float64, False), ("undamped", np.float64, False)],
+)
+def test_any_number_of_threads_gives_the_same_bits(choice, dtype, alternate):
+    springs = GridSprings(11, 13, weak(CHOICES[choice]))
     results = []
     for threads in (1, 2, 3, 5):
         x, v = crumpled(11, 13)
         grips = some_grips()
-        plan = GridLeapfrog(
-            springs, some_masses(143), gravity=GRAVITY, drag=1.0, dtype=dtype, threads=threads, alternate=alternate
-        )
+        options = {"gravity": GRAVITY, "drag": 1.5, "dtype": dtype, "alternate": alternate}
+        plan = GridLeapfrog(springs, some_masses(143), threads=threads, **options)
         for _ in range(3):
             plan.advance(x, v, 7, 2e-4, grips=grips)
         results.append((x, v, grips.impulses, grips.moments))
     for other in results[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))
-    x, v = crumpled(11, 13)
-    assert np.abs(results[0][0] - x).max() > 1e-4
+    assert np.abs(results[0][0] - crumpled(11, 13)[0]).max() > 1e-4
+
+
+def test_any_number_of_steps_in_one_sweep_gives_the_same_bits(monkeypatch):
+    springs = GridSprings(40, 5, ALL)
+    results = []
+    for levels, threads in ((1, 1), (3, 1), (2, 2), (4, 2)):
+        monkeypatch.setattr(grid_leapfrog, "_levels", lambda *_, levels=levels: levels)
+        x, v = crumpled(40, 5)
+        plan = GridLeapfrog(springs, some_masses(200), gravity=GRAVITY, drag=1.5, threads=threads)
+        plan.advance(x, v, 11, 2e-4, grips=some_grips())
+        results.append((x, v))
+    for other in results[1:]:
+        assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_single_precision_does_not_lose_small_motion():
+    """Ten thousand steps, each far below the rounding of the position, add up."""
+    springs = GridSprings(1, 2, ())
+    x = np.array([[0.0, 3.0], [0.0, 0.0], [0.0, 0.0]])
+    v = np.full((3, 2), 1e-4)
+    GridLeapfrog(springs, np.ones(2), dtype=np.float32).advance(x, v, 10_000, 1e-4)
+    assert np.allclose(x, np.array([[0.0, 3.0], [0.0, 0.0], [0.0, 0.0]]) + 1e-4, rtol=0.0, atol=1e-10)
+
+
+def test_a_state_that_is_not_finite_leaves_no_trace():
+    springs = GridSprings(6, 5, ALL)
+    plan = GridLeapfrog(springs, some_masses(30), drag=1.5, gravity=GRAVITY)
+    x, v = crumpled(6, 5)
+    plan.advance(x, v, 3, 1e-4)
+    broken_x, broken_v = crumpled(6, 5)
+    broken_x[0, 7] = np.nan
+    plan.advance(broken_x, broken_v, 3, 1e-4)
+    again_x, again_v = crumpled(6, 5)
+    plan.advance(again_x, again_v, 3, 1e-4)
+    assert np.array_equal(x, again_x)
+    assert np.array_equal(v, again_v)
+
+
+def test_only_what_the_scene_has_is_in_the_type():
+    springs = GridSprings(3, 3, (ALL[0], ALL[1]._replace(damping=0.0)))
+    shape = constants(springs, {False: 1.0}, np.float64).shape
+    assert isinstance(shape.right, float)  # damped
+    assert isinstance(shape.down, int)  # not damped
+    assert shape[2:10] == (None,) * 8
+
+
+def test_c_kernel_computes_the_same_forces():
+    compiler = find_compiler()
+    if compiler is None:
+        pytest.skip("no C compiler")
+    springs = GridSprings(19, 23, ALL)
+    x, v = crumpled(19, 23)
+    for dtype, relative in ((np.float64, 1e-12), (np.float32, 1e-5)):
+        kernel = ReferenceKernel(springs, dtype, compiler=compiler)
+        kernel.set_state(x, v)
+        kernel.evaluate(2)
+        assert close(kernel.forces(), plain_forces(x, v, springs), relative)
+
+
+def test_arrays_that_a_kernel_would_misread_are_refused():
+    springs = GridSprings(2, 2, ALL)
+    good = np.zeros((3, 4))
+    with pytest.raises(ValueError, match="f is float64, not C-contiguous"):
+        GridForces(springs).add(good, good, np.zeros((4, 3)).T)
+    with pytest.raises(ValueError, match="v is float32; it must be"):
+        GridLeapfrog(springs, np.ones(4)).advance(good, good.astype(np.float32), 1, 1e-3)

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows between the (3, n) float64 arrays of the state and the padded rows of the kernels, in explicit vectors.
 
-Written down as vectors because loops over two arrays are only vectorised behind checks that they do not overlap, which cost more than a row.
+Written down as vectors because loops over two arrays are only vectorised behind checks that they do not overlap,
+which cost more than a row.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ def _splat(builder: Any, scalar: Any, lanes: int) -> Any:
 
 @intrinsic
 def copy_in(typing, source, start, origin, count, target, place):  # type: ignore[no-untyped-def]
-    """target[place + j] = source[start + j] - origin for j < count. `source` is flat float64, `target` flat of either precision."""
+    """target[place + j] = source[start + j] - origin for j < count. `source` is flat float64, `target` flat of
+    either precision.
+    """
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         _, start_, origin_, count_, _, place_ = arguments
@@ -69,7 +72,9 @@ def copy_in(typing, source, start, origin, count, target, place):  # type: ignor
 
 @intrinsic
 def add_out(typing, source, place, count, target, start):  # type: ignore[no-untyped-def]
-    """target[start + j] += source[place + j] for j < count. `source` is flat of either precision, `target` flat float64."""
+    """target[start + j] += source[place + j] for j < count. `source` is flat of either precision, `target` flat
+    float64.
+    """
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         _, place_, count_, _, start_ = arguments

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Explicit vectors for numba kernels: a few lines of LLVM IR that read like the formulas.
 
-A loop over springs with forces to both ends does not vectorise by itself, and what does vectorise depends on alias checks that fail
-silently. Here the vector operations are written down, through llvmlite, which numba brings along. LLVM lowers them to whatever the
-machine has, so nothing here depends on the processor but the width chosen by `vector_bytes`.
+A loop over springs with forces to both ends does not vectorise by itself, and what does vectorise depends on alias
+checks that fail silently. Here the vector operations are written down, through llvmlite, which numba brings along.
+LLVM lowers them to whatever the machine has, so nothing here depends on the processor but the width chosen by
+`vector_bytes`.
 
-No fast-math freedom is given away except the approximate `1/sqrt` of float32, so that equal input gives equal bits whatever
-surrounds the kernel.
+No fast-math freedom is given away except the approximate `1/sqrt` of float32, so that equal input gives equal bits
+whatever surrounds the kernel.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ BLOCK_BYTES = 64
 """Rows are padded to a multiple of this many bytes: one widest vector, one cache line."""
 
 SHORTEST_SQUARE = 1e-30
-"""Added to the squared length [m^2]: keeps 1/|d| finite at |d| = 0, and is lost in rounding for any length above 1e-7 m."""
+"""Added to the squared length [m^2]: keeps 1/|d| finite at |d| = 0, and is lost in rounding for any length above
+1e-7 m.
+"""
 
 
 @cache
@@ -95,7 +98,9 @@ class Vectors:
         return start
 
     def shift(self, previous: Any, current: Any, lanes: int) -> Any:
-        """The vector whose lane j holds element j - `lanes` of `current`, the first ones coming from the end of `previous`."""
+        """The vector whose lane j holds element j - `lanes` of `current`, the first ones coming from the end of
+        `previous`.
+        """
         order = [ir.Constant(ir.IntType(32), self.lanes - lanes + j) for j in range(self.lanes)]
         return self.builder.shuffle_vector(
             previous, current, ir.Constant(ir.VectorType(ir.IntType(32), self.lanes), order)

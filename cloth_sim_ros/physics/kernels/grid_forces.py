@@ -43,7 +43,8 @@ class GridForces:
         self._ring = aligned_zeros(3 * 3 * self._pitch, dtype)
 
     def add(self, x: Array, v: Array, f: Array) -> None:
-        """f += spring forces [N] at positions x [m] and velocities v [m/s], all (3, rows * columns) float64, C-contiguous.
+        """f += spring forces [N] at positions x [m] and velocities v [m/s], all (3, rows * columns) float64,
+        C-contiguous.
 
         Raises:
             ValueError: for another shape.
@@ -67,7 +68,9 @@ def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring, shape, values):  # type: ignore[no-untyped-def]
-    """Sweep over the rows through a window of three padded ones. `x`, `v`, `f` are flat; `v` is None where nothing is damped."""
+    """Sweep over the rows through a window of three padded ones. `x`, `v`, `f` are flat; `v` is None where nothing
+    is damped.
+    """
     rows = len(table_rows)
     count = rows * columns
     stride = 6 * pitch

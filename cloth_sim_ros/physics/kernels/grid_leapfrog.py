@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leapfrog steps of a regular sheet, forces and motion in one sweep over the rows.
 
-Drift, kick, drift with a midpoint velocity: x_h = x + dt/2 v; a = a(x_h, v + dt/2 a_previous); v += dt a; x = x_h + dt/2 v.
-Second order, one force evaluation a step and one more at the start of each call, so that no history crosses a call. Between
-steps the kernel keeps x_h. An undamped mode is stable for dt <= 2/omega; damping in proportion to stiffness, of ratio zeta at that mode,
-lowers this to dt <= (2/omega) (sqrt(1 + 4 zeta^2) - 2 zeta).
+Drift, kick, drift with a midpoint velocity: x_h = x + dt/2 v; a = a(x_h, v + dt/2 a_previous); v += dt a; x = x_h +
+dt/2 v. Second order, one force evaluation a step and one more at the start of each call, so that no history crosses a
+call. Between steps the kernel keeps x_h. An undamped mode is stable for dt <= 2/omega; damping in proportion to
+stiffness, of ratio zeta at that mode, lowers this to dt <= (2/omega) (sqrt(1 + 4 zeta^2) - 2 zeta).
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,6 @@ from cloth_sim_ros.physics.kernels.grid_springs import (
 )
 from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, REACH, Band, Mail, advance_band
 
-
 _SECOND_CACHE = 1 << 20
 """Bytes; that of the machines at hand. A wrong guess costs a few per cent."""
 
@@ -37,10 +37,10 @@ class GridGrips(NamedTuple):
 
     F = -stiffness s - damping ds/dt with s = x - path(t).
 
-    `particles`: indices, ascending, shape (grip_count,). `paths` [m, m/s, m/s^2, m/s^3]: coefficients of 1, t, t^2, t^3 with t
-    the time since the start of the call, shape (grip_count, 3, 4). `stiffness` [N/m], `damping` [N s/m]: shape (grip_count,).
-    `impulses` [N s], shape (grip_count, 3), receives the time integral of the force of the cloth on each point; `moments`
-    [N m s], shape (grip_count, 3), that of path(t) x force.
+    `particles`: indices, ascending, shape (grip_count,). `paths` [m, m/s, m/s^2, m/s^3]: coefficients of 1, t, t^2,
+    t^3 with t the time since the start of the call, shape (grip_count, 3, 4). `stiffness` [N/m], `damping` [N s/m]:
+    shape (grip_count,). `impulses` [N s], shape (grip_count, 3), receives the time integral of the force of the cloth
+    on each point; `moments` [N m s], shape (grip_count, 3), that of path(t) x force.
     """
 
     particles: NDArray[np.int64]
@@ -59,11 +59,11 @@ class GridLeapfrog:
         inverse_masses: 1/m [1/kg], zero for anchored particles (they keep their velocity), shape (rows * columns,).
         gravity: acceleration [m/s^2], shape (3,), or None.
         drag: a = -drag v [1/s]; 0 for none.
-        dtype: float64, or float32 for arithmetic in single precision about the sheet's first particle. Either way `advance`
-            takes and gives float64 and adds the change to it; in single precision the positions carry what rounding takes
-            from them, so that it does not add up.
-        alternate: evaluate the families marked `weak` at every second step only, with twice the impulse.
-        threads: the sheet is cut into as many bands of rows, each moved by a thread of its own. The bits do not depend on it.
+        dtype: float64, or float32 for arithmetic in single precision about the sheet's first particle. Either way
+            `advance` takes and gives float64 and adds the change to it; in single precision the positions carry what
+            rounding takes from them, so that it does not add up. alternate: evaluate the families marked `weak` at
+            every second step only, with twice the impulse. threads: the sheet is cut into as many bands of rows, each
+            moved by a thread of its own. The bits do not depend on it.
 
     Not safe for two calls at once: the object owns its padded copy of the state.
 
@@ -113,7 +113,7 @@ class GridLeapfrog:
         entries = np.concatenate([beyond, table_rows, beyond])
         borders = [springs.rows * band // threads for band in range(threads + 1)]
         bands = []
-        for index, (first, last) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+        for index, (first, last) in enumerate(pairwise(borders)):
             state = aligned_zeros((last - first + 2 * halo) * components * pitch, self._dtype)
             ring = aligned_zeros(levels * 3 * 3 * pitch, self._dtype)
             own = entries[first : last + 2 * halo].copy()
@@ -131,14 +131,23 @@ class GridLeapfrog:
         """Constants of a step in which the weak families count `weak` times, None for not at all."""
         factors = {False: 1.0} if weak is None else {False: 1.0, True: weak}
         predicted = self._predicts or grips
-        motion = {"step": dt, "drag": self._drag, "gravity": self._gravity, "predicted": predicted}
-        return constants(self.springs, factors, self._dtype, **motion)
+        dtype, drag, gravity = self._dtype, self._drag, self._gravity
+        return constants(self.springs, factors, dtype, step=dt, drag=drag, gravity=gravity, predicted=predicted)
+
+    def compile(self, *, grips: bool = False) -> None:
+        """Compile, or load from the disk cache, what `advance` needs; the first time takes a few seconds."""
+        count = self.springs.rows * self.springs.columns
+        held = GridGrips(
+            *(np.zeros(1, dtype=np.int64), np.zeros((1, 3, 4)), np.zeros(1), np.zeros(1)),
+            *(np.zeros((1, 3)), np.zeros((1, 3))),
+        )
+        self.advance(np.zeros((3, count)), np.zeros((3, count)), 3, 0.0, grips=held if grips else None)
 
     def advance(self, x: Array, v: Array, steps: int, dt: float, *, grips: GridGrips | None = None) -> None:
         """Advance positions x [m] and velocities v [m/s] in place by `steps` steps of dt [s].
 
-        Both (3, rows * columns) float64, C-contiguous. With `alternate` the number of steps must be odd: then the impulses of the weak
-        families lie symmetrically in the call, the first and the last counting 1.5 times.
+        Both (3, rows * columns) float64, C-contiguous. With `alternate` the number of steps must be odd: then the
+        impulses of the weak families lie symmetrically in the call, the first and the last counting 1.5 times.
 
         Raises:
             ValueError: for another shape, or a number of steps that is not positive or, with `alternate`, even.
@@ -153,7 +162,7 @@ class GridLeapfrog:
         origin = np.zeros(3) if self._dtype == np.float64 else x[:, 0].copy()
         once, ends, full = (self._constants(dt, weak, grips=grips is not None) for weak in (1.0, 1.5, 2.0))
         alternate = self.alternate and steps > 1
-        common = (
+        common: tuple[Any, ...] = (
             *(x.reshape(-1), v.reshape(-1), origin, steps, dt, once.shape),
             self._constants(dt, None, grips=grips is not None).shape if alternate else None,
             *(once.values, ends.values, full.values),
@@ -174,8 +183,8 @@ class GridLeapfrog:
 def _levels(rows: int, row_bytes: int, threads: int) -> int:
     """Choose how many steps one sweep over a band of `rows` rows takes; no bit depends on it.
 
-    A band that does not fit the second cache is better taken through memory once for several steps; threads that wait for each other
-    less often lose less, but move more rows twice.
+    A band that does not fit the second cache is better taken through memory once for several steps; threads that wait
+    for each other less often lose less, but move more rows twice.
     """
     wanted = 4 if rows * row_bytes > _SECOND_CACHE else min(threads, 2)
     return max(1, min(wanted, rows // (4 * REACH)))

@@ -2,24 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """One row of a regular sheet: the forces of its springs, and one leapfrog step of its particles.
 
-A row owns the springs that lead from it to the right and down (`FAMILIES`). Their forces on this row, on the next and on the one
-after are summed in a ring of three force rows. As rows are taken in order, and none looks back, a row's force is complete when
-its own springs are done, and its particles can move at once: a step reads and writes each number once.
+A row owns the springs that lead from it to the right and down (`FAMILIES`). Their forces on this row, on the next and
+on the one after are summed in a ring of three force rows. As rows are taken in order, and none looks back, a row's
+force is complete when its own springs are done, and its particles can move at once: a step reads and writes each
+number once.
 
-Which springs exist, whether they are damped, whether there is drag or gravity is read off the *type* of `shape`, a tuple of None for
-what is not there and numbers for what is (`Shape`). Numba compiles one version for each such type; what is not there has no
-instruction. The constants themselves are in the array `values` (`value_index`).
+Which springs exist, whether they are damped, whether there is drag or gravity is read off the *type* of `shape`, a
+tuple of None for what is not there and numbers for what is (`Shape`). Numba compiles one version for each such type;
+what is not there has no instruction. The constants themselves are in the array `values` (`value_index`).
 
-The table holds entries of TABLE_SLOTS slots, `pitch` numbers each: inverse masses [1/kg]; one for a free particle and zero for an
-anchored one; then the weights of the families. A weight stands in the column of the spring's leftmost end, and is zero where
-there is no spring.
+The table holds entries of TABLE_SLOTS slots, `pitch` numbers each: inverse masses [1/kg]; one for a free particle and
+zero for an anchored one; then the weights of the families. A weight stands in the column of the spring's leftmost
+end, and is zero where there is no spring.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
@@ -54,8 +54,9 @@ POSITION, VELOCITY, PREDICTED, CARRY = 0, 3, 6, 9
 class Shape(NamedTuple):
     """What a step consists of. Only the types count: None, or a number.
 
-    A family is None where it does not exist, an int where it is not damped, a float where it is. `drag`, `gravity`; `predicted`: forces depend
-    on velocity; `carry`: positions are kept with what rounding took from them. `stamp`: which emitters compiled this.
+    A family is None where it does not exist, an int where it is not damped, a float where it is. `drag`, `gravity`;
+    `predicted`: forces depend on velocity; `carry`: positions are kept with what rounding took from them. `stamp`:
+    which emitters compiled this.
     """
 
     right: int | float | None
@@ -79,8 +80,8 @@ VALUE_COUNT = 3 * len(FAMILIES) + len(_MOTION)
 def value_index(name: str, part: str = "") -> int:
     """Place in `values` of a constant.
 
-    For a family, `part` "k" is k_s [N], "l" is k_s / rest length [N/m], "d" is k_d [N s/m]. Otherwise `name` is "step" or "half" (dt, dt/2 [s]), "drag"
-    [1/s], "gravity_0", "_1" or "_2" [m/s^2].
+    For a family, `part` "k" is k_s [N], "l" is k_s / rest length [N/m], "d" is k_d [N s/m]. Otherwise `name` is
+    "step" or "half" (dt, dt/2 [s]), "drag" [1/s], "gravity_0", "_1" or "_2" [m/s^2].
     """
     if part:
         return 3 * list(FAMILIES).index(name) + "kld".index(part)
@@ -97,9 +98,9 @@ _ARGUMENTS = (
 class _Row:
     """Emits the loop over one row.
 
-    `velocity` is where the velocities that damping sees start. `first` is the first of the three rows whose force is wanted: 0 as a rule, 1 or
-    2 for a row that others own, of which only the springs that reach below count. `finish(row, force, motion, column)` emits what
-    happens to this row's complete force.
+    `velocity` is where the velocities that damping sees start. `first` is the first of the three rows whose force is
+    wanted: 0 as a rule, 1 or 2 for a row that others own, of which only the springs that reach below count.
+    `finish(row, force, motion, column)` emits what happens to this row's complete force.
     """
 
     def __init__(self, context: Any, builder: Any, signature: Any, arguments: Any, velocity: int, first: int) -> None:
@@ -115,8 +116,8 @@ class _Row:
         self.has = {name for name, kind in present.items() if kind != types.none}
         self.families = [name for name in FAMILIES if name in self.has]
         self.damped = {name for name in self.families if isinstance(present[name], types.Float)}
-        # The last row that springs reach is written, those before it are added to. Without springs to lower rows the next one
-        # is written all the same: a grip may add to it.
+        # The last row that springs reach is written, those before it are added to. Without springs to lower rows the
+        # next one is written all the same: a grip may add to it.
         self.deepest = max((1, *(FAMILIES[name].second[0] for name in self.families)))
 
     def integer(self, value: int) -> Any:
@@ -182,7 +183,8 @@ class _Row:
                 finish(self, total, column)
 
     def add_spring(self, forces: Any, name: str, column: Any) -> None:
-        """Add F = (k/l0 - k/|d| + k_d (dv.d)/|d|^2) d to the first end's force, subtract it from the second's (S1 of the model).
+        """Add F = (k/l0 - k/|d| + k_d (dv.d)/|d|^2) d to the first end's force, subtract it from the second's (S1 of
+        the model).
 
         The constants are read here, not before the loop: they become broadcast operands instead of spilled registers.
         """
@@ -238,31 +240,37 @@ def _keep(row: _Row, force: list[Any], column: Any) -> None:
         row.vectors.store(force[c], row.data["ring"], row.index("ring0", c, column))
 
 
-def _start(row: _Row, force: list[Any], column: Any) -> None:
-    """predicted = v + dt/2 a, x += dt/2 v."""  # noqa: D403
-    fma, half = row.vectors.fma, row.value("half")
-    a, v, x = row.accelerations(force, column), row.load(VELOCITY, column), row.load(POSITION, column)
-    row.store([fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
-    row.store([fma(half, v[c], x[c]) for c in _COMPONENTS], POSITION, column)
-
-
-def _step(row: _Row, force: list[Any], column: Any) -> None:
-    """v += dt a, predicted = v + dt/2 a, x += dt v."""  # noqa: D403
-    vectors, step, half = row.vectors, row.value("step"), row.value("half")
-    a, v, x = row.accelerations(force, column), row.load(VELOCITY, column), row.load(POSITION, column)
-    v = [vectors.fma(step, a[c], v[c]) for c in _COMPONENTS]
-    row.store(v, VELOCITY, column)
-    if "predicted" in row.has:
-        row.store([vectors.fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
+def _drift(row: _Row, duration: Any, v: list[Any], column: Any) -> None:
+    """x += duration v; with Kahan's sum where the positions carry what rounding takes from them."""
+    vectors, x = row.vectors, row.load(POSITION, column)
     if "carry" not in row.has:
-        row.store([vectors.fma(step, v[c], x[c]) for c in _COMPONENTS], POSITION, column)
+        row.store([vectors.fma(duration, v[c], x[c]) for c in _COMPONENTS], POSITION, column)
         return
-    # Kahan's sum: what rounding takes from this step's way is added to the next one's.
     carry = row.load(CARRY, column)
-    ways = [vectors.fma(step, v[c], carry[c]) for c in _COMPONENTS]
+    ways = [vectors.fma(duration, v[c], carry[c]) for c in _COMPONENTS]
     ends = [vectors.add(x[c], ways[c]) for c in _COMPONENTS]
     row.store([vectors.sub(ways[c], vectors.sub(ends[c], x[c])) for c in _COMPONENTS], CARRY, column)
     row.store(ends, POSITION, column)
+
+
+def _start(row: _Row, force: list[Any], column: Any) -> None:
+    """predicted = v + dt/2 a, x += dt/2 v."""
+    half, v = row.value("half"), row.load(VELOCITY, column)
+    a = row.accelerations(force, column)
+    row.store([row.vectors.fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
+    _drift(row, half, v, column)
+
+
+def _step(row: _Row, force: list[Any], column: Any) -> None:
+    """v += dt a, predicted = v + dt/2 a, x += dt v."""
+    fma, step, v = row.vectors.fma, row.value("step"), row.load(VELOCITY, column)
+    a = row.accelerations(force, column)
+    v = [fma(step, a[c], v[c]) for c in _COMPONENTS]
+    row.store(v, VELOCITY, column)
+    if "predicted" in row.has:
+        half = row.value("half")
+        row.store([fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
+    _drift(row, step, v, column)
 
 
 def _generator(velocity: int, first: int, finish: Any) -> Any:
@@ -280,11 +288,13 @@ def _signature(*kinds: Any) -> Any:
 # fmt: off
 @intrinsic
 def row_forces(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
-    """Write a row's complete force [N] to ring row `ring0`; add what its springs do to the next rows to `ring1`, `ring2`.
+    """Write a row's complete force [N] to ring row `ring0`; add what its springs do to the next rows to `ring1`,
+    `ring2`.
 
-    `rows` is flat; a row is 3 components of position [m], then 3 of velocity [m/s], `pitch` numbers each, from index `row0`
-    on; `row1` and `row2` are the next two. `ring` likewise holds 3 components a row. The row's entry in `table` starts
-    at `table_row`. The last of the ring rows that springs reach is overwritten, the others are added to.
+    `rows` is flat; a row is 3 components of position [m], then 3 of velocity [m/s], `pitch` numbers each, from index
+    `row0` on; `row1` and `row2` are the next two. `ring` likewise holds 3 components a row. The row's entry in
+    `table` starts at `table_row`. The last of the ring rows that springs reach is overwritten, the others are added
+    to.
     """
     signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(VELOCITY, 0, _keep)
@@ -304,8 +314,8 @@ def row_start(typing, rows, row0, row1, row2, pitch, table, table_row, ring, rin
 def row_step(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """As `row_forces`, but move the row by one step: v += dt a(x, predicted), predicted = v + dt/2 a, x += dt v.
 
-    A row is 3 components of position at the half step, 3 of velocity at the step, 3 of the velocity predicted for the half step (where
-    `shape` has `predicted`), 3 of what rounding took from the positions (where it has `carry`).
+    A row is 3 components of position at the half step, 3 of velocity at the step, 3 of the velocity predicted for the
+    half step (where `shape` has `predicted`), 3 of what rounding took from the positions (where it has `carry`).
     """
     signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 0, _step)
@@ -313,14 +323,18 @@ def row_step(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring
 
 @intrinsic
 def row_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
-    """The part of `row_step` that concerns the next two rows, with the same bits: for the last row above a band of rows."""
+    """The part of `row_step` that concerns the next two rows, with the same bits: for the last row above a band of
+    rows.
+    """
     signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 1, None)
 
 
 @intrinsic
 def row_two_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
-    """The part of `row_step` that concerns the row after the next, with the same bits: for the last row but one above a band."""
+    """The part of `row_step` that concerns the row after the next, with the same bits: for the last row but one
+    above a band.
+    """
     signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 2, None)
 # fmt: on

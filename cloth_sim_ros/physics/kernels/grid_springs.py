@@ -31,9 +31,10 @@ Array = NDArray[np.float64]
 class GridFamily(NamedTuple):
     """All springs of a sheet that point the same way.
 
-    `name`: a key of `grid_rows.FAMILIES`; rows are counted downwards, columns to the right. `stiffness` k_s [N], force per strain;
-    `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of the threads that run along the sheet's border. `parity`: 0 or 1
-    keeps only springs in cells of which row + column is even or odd, None keeps all. `weak`: may be evaluated every second step.
+    `name`: a key of `grid_rows.FAMILIES`; rows are counted downwards, columns to the right. `stiffness` k_s [N],
+    force per strain; `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of the threads that
+    run along the sheet's border. `parity`: 0 or 1 keeps only springs in cells of which row + column is even or odd,
+    None keeps all. `weak`: may be evaluated every second step.
     """
 
     name: str
@@ -85,7 +86,8 @@ class GridSprings:
         return sum(int(np.count_nonzero(self.weights(f, row))) for f in self.families for row in range(self.rows))
 
     def weights(self, family: GridFamily, row: int) -> Array:
-        """Factors on k_s and k_d of the family's springs whose leftmost end is in each column, their upper end in `row`.
+        """Factors on k_s and k_d of the family's springs whose leftmost end is in each column, their upper end in
+        `row`.
 
         Zero where the sheet has no such spring. Shape (columns,).
         """
@@ -107,7 +109,8 @@ class GridSprings:
 class GridTables(NamedTuple):
     """What the row kernels read beside the particles: see `grid_rows`.
 
-    `pitch`: numbers in a padded row. `table`: flat; `table_rows`: where each row's entry starts, shape (rows,). Rows with equal entries share one.
+    `pitch`: numbers in a padded row. `table`: flat; `table_rows`: where each row's entry starts, shape (rows,). Rows
+    with equal entries share one.
     """
 
     pitch: int
@@ -170,8 +173,8 @@ def grid_tables(springs: GridSprings, inverse_masses: Array, dtype: Any) -> Grid
 def _stamp() -> tuple[int | None, ...]:
     """Sixteen bits of a digest of the sources that emit instructions, as a type.
 
-    Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls. This keeps it from
-    serving kernels that older emitters made.
+    Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls.
+    This keeps it from serving kernels that older emitters made.
     """
     from cloth_sim_ros.physics.kernels import grid_copy, grid_emit, grid_rows, grid_sync
 
@@ -184,7 +187,8 @@ def _stamp() -> tuple[int | None, ...]:
 
 class Constants(NamedTuple):
     """`shape`: what a step consists of, see `grid_rows`. `values`: its constants. Tuples of None and numbers stand for
-    the options because numba's names of kernels for records do not survive its disk cache: two processes give them in different order.
+    the options because numba's names of kernels for records do not survive its disk cache: two processes give them in
+    different order.
     """
 
     shape: Shape

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leapfrog sweeps over a band of rows: the compiled loops of `grid_leapfrog`.
 
-A band keeps its own padded copy of its rows, two rows of the band above before them and two of the band below after them. After each
-step it posts its outer rows and reads those of its neighbours; the springs that cross a border are evaluated on both sides, with the
-same operations in the same order, so that any number of bands gives the same bits.
+A band keeps its own padded copy of its rows, two rows of the band above before them and two of the band below after
+them. After each step it posts its outer rows and reads those of its neighbours; the springs that cross a border are
+evaluated on both sides, with the same operations in the same order, so that any number of bands gives the same bits.
 
 None in place of `grips`, `fast` or `mail` leaves their code out of the compiled loop.
 """
@@ -29,11 +29,12 @@ COUNTER_SPACING = 16
 
 
 class Band(NamedTuple):
-    """Rows `first` to `last` - 1 of a sheet of `rows` x `columns` particles, and the buffers of the thread that moves them.
+    """Rows `first` to `last` - 1 of a sheet of `rows` x `columns` particles, and the buffers of the thread that moves
+    them.
 
-    `state`: flat; the band's rows with REACH * levels rows on either side, `components` times `pitch` numbers each. `levels`: steps
-    taken in one sweep. `ring`: flat, for each level 3 rows of 3 times `pitch`. `table_rows`: where the table entries of the
-    rows in `state` start. `index`: which band this is.
+    `state`: flat; the band's rows with REACH * levels rows on either side, `components` times `pitch` numbers each.
+    `levels`: steps taken in one sweep. `ring`: flat, for each level 3 rows of 3 times `pitch`. `table_rows`: where
+    the table entries of the rows in `state` start. `number`: which band this is.
     """
 
     first: int
@@ -47,13 +48,14 @@ class Band(NamedTuple):
     ring: NDArray[Any]
     table: NDArray[Any]
     table_rows: NDArray[np.intp]
-    index: int
+    number: int
 
 
 class Mail(NamedTuple):
     """Where bands exchange their outer rows.
 
-    `boxes`: [band, upwards or downwards, parity of the step, numbers]. `counters`: steps posted by each band, COUNTER_SPACING apart.
+    `boxes`: [band, upwards or downwards, parity of the step, numbers]. `counters`: steps posted by each band,
+    COUNTER_SPACING apart.
     """
 
     boxes: NDArray[Any]
@@ -140,6 +142,20 @@ def _pull_row(grips, row, time, dt, band, ring_row):  # type: ignore[no-untyped-
         column = grips.particles[grip] - row * columns
         _pull(grips, grip, time, booked, band.state, place + column, pitch, band.ring, ring_row + column)
         grip += 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _drift(band, shape, duration):  # type: ignore[no-untyped-def]
+    """Move all positions, where no velocity has to be predicted: what `row_start` does to them."""
+    state, width = band.state, 3 * band.pitch
+    stride = band.components * band.pitch
+    for row in range(len(state) // stride):
+        for j in range(row * stride, row * stride + width):
+            way = duration * state[j + width]
+            end = state[j] + way
+            if shape.carry is not None:
+                state[j + 3 * width] = way - (end - state[j])
+            state[j] = end
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -230,39 +246,37 @@ def _copy(source, place, target, start, count):  # type: ignore[no-untyped-def]
 def _exchange(band, mail, turn):  # type: ignore[no-untyped-def]
     """Post this band's outer rows before sweep number `turn`; wait for the neighbours' and take them in.
 
-    Two boxes in turn are enough: a band posts for sweep n + 2 only after its neighbour posted for n + 1, so has taken in n.
+    Two boxes in turn are enough: a band posts for sweep n + 2 only after its neighbour posted for n + 1, so has taken
+    in n.
     """
     stride, parity, halo = band.components * band.pitch, turn % 2, REACH * band.levels
-    size, count, index = (band.last - band.first) * stride, halo * stride, band.index
-    if index > 0:
-        _copy(band.state, count, mail.boxes[index, 0, parity], 0, count)
-    if index < mail.bands - 1:
-        _copy(band.state, size, mail.boxes[index, 1, parity], 0, count)
-    store_release(mail.counters, index * COUNTER_SPACING, turn + 1)
-    if index > 0:
-        wait_for(mail.counters, (index - 1) * COUNTER_SPACING, turn + 1)
-        _copy(mail.boxes[index - 1, 1, parity], 0, band.state, 0, count)
-    if index < mail.bands - 1:
-        wait_for(mail.counters, (index + 1) * COUNTER_SPACING, turn + 1)
-        _copy(mail.boxes[index + 1, 0, parity], 0, band.state, count + size, count)
+    size, count, number = (band.last - band.first) * stride, halo * stride, band.number
+    if number > 0:
+        _copy(band.state, count, mail.boxes[number, 0, parity], 0, count)
+    if number < mail.bands - 1:
+        _copy(band.state, size, mail.boxes[number, 1, parity], 0, count)
+    store_release(mail.counters, number * COUNTER_SPACING, turn + 1)
+    if number > 0:
+        wait_for(mail.counters, (number - 1) * COUNTER_SPACING, turn + 1)
+        _copy(mail.boxes[number - 1, 1, parity], 0, band.state, 0, count)
+    if number < mail.bands - 1:
+        wait_for(mail.counters, (number + 1) * COUNTER_SPACING, turn + 1)
+        _copy(mail.boxes[number + 1, 0, parity], 0, band.state, count + size, count)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def advance_band(band, x, v, origin, steps, dt, shape, fast, once, ends, full, grips, mail):  # type: ignore[no-untyped-def]
     """Advance one band by `steps` steps of dt; called by as many threads as there are bands, or by one without mail.
 
-    `x`, `v` are flat. `shape` and `once` describe an ordinary step. With `fast`, the shape without the weak families, odd steps
-    leave them out and even steps use the values `full`, where they count double; but the first and the last `ends`, 1.5 times.
+    `x`, `v` are flat. `shape` and `once` describe an ordinary step. With `fast`, the shape without the weak families,
+    odd steps leave them out and even steps use the values `full`, where they count double; but the first and the last
+    `ends`, 1.5 times.
     """
     _load(band, x, v, origin)
     if shape.predicted is not None:
         _start_sweep(band, shape, once, grips)
     else:
-        half = band.state.dtype.type(0.5 * dt)
-        stride = band.components * band.pitch
-        for row in range(len(band.state) // stride):
-            for j in range(row * stride, row * stride + 3 * band.pitch):
-                band.state[j] += half * band.state[j + 3 * band.pitch]
+        _drift(band, shape, band.state.dtype.type(0.5 * dt))
     for turn in range((steps + band.levels - 1) // band.levels):
         if mail is not None:
             _exchange(band, mail, turn)

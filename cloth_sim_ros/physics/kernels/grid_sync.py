@@ -1,6 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Progress counters by which compiled loops of several threads wait for each other, a fraction of a microsecond at a time."""
+"""Progress counters by which compiled loops of several threads wait for each other, a fraction of a microsecond at
+a time.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 @intrinsic
 def load_acquire(typing, counters, index):  # type: ignore[no-untyped-def]
-    """counters[index], and all that its writer wrote before it. `counters` is int64."""  # noqa: D403
+    """counters[index], and all that its writer wrote before it. `counters` is int64."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.load_atomic(_place(context, builder, signature, arguments), ordering="acquire", align=8)
@@ -33,7 +35,7 @@ def load_acquire(typing, counters, index):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def store_release(typing, counters, index, value):  # type: ignore[no-untyped-def]
-    """counters[index] = value, after all that was written before. `counters` is int64."""  # noqa: D403
+    """counters[index] = value, after all that was written before. `counters` is int64."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         place = _place(context, builder, signature, arguments)
