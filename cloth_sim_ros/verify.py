@@ -68,7 +68,7 @@ def describe(verdict: Verdict) -> str:
     if verdict.environment:
         changed = "; ".join(verdict.environment)
         promise = "" if verdict.same else ", where equal bits are not promised"
-        sentences.append(f"It was recorded elsewhere{promise}: {changed}.")
+        sentences.append(f"Here is not what it was recorded with{promise}: {changed}.")
     if verdict.missing:
         sentences.append(f"Not all of it is there: {'; '.join(verdict.missing)}.")
     return where + " ".join(sentences)

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import platform
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+_NAMES = {"version": "cloth_sim_ros", "source": "its code"}
 #: Packages, beside this one, whose version can change the last bit of a run.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
 
@@ -20,6 +22,7 @@ def environment() -> dict[str, str]:
 
     return {
         "version": __version__,
+        "source": _source(),
         "python": platform.python_version(),
         **{package: _version(package) for package in _PACKAGES},
         "machine": f"{platform.system()} {platform.machine()}",
@@ -33,10 +36,23 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
     What the recording does not tell is not compared.
     """
     return [
-        f"{'cloth_sim_ros' if key == 'version' else key} {recorded[key]} -> {value}"
+        f"{_NAMES.get(key, key)} {recorded[key]} -> {value}"
         for key, value in environment().items()
         if key in recorded and recorded[key] != value
     ]
+
+
+@functools.cache
+def _source() -> str:
+    """Digest of the code that a run's bits come from: between two releases the version alone does not tell."""
+    import xxhash
+
+    root = Path(__file__).parent
+    hasher = xxhash.xxh3_64()
+    for path in sorted([*root.glob("*.py"), *root.glob("physics/**/*.py")]):
+        hasher.update(path.relative_to(root).as_posix().encode())
+        hasher.update(path.read_bytes())
+    return str(hasher.hexdigest())
 
 
 def _version(package: str) -> str:

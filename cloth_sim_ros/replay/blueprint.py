@@ -79,7 +79,10 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(
-            state="collapsed", timeline=SIM_TIME, play_state="following" if following else "paused", loop_mode="all"
+            state="collapsed",
+            timeline=SIM_TIME,
+            play_state="following" if following else "paused" if picture else "playing",
+            loop_mode="all",
         ),
         auto_layout=False,
         auto_views=False,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from cloth_sim_ros.replay.blueprint import blueprint_of
 from cloth_sim_ros.replay.stream import Stream
 from cloth_sim_ros.replay.survey import Survey, survey
-from cloth_sim_ros.replay.viewer import check_screen, save_screenshot
+from cloth_sim_ros.replay.viewer import check_screen, executable, save_screenshot
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader
 
@@ -47,11 +47,18 @@ def open_viewer(
     paths: Sequence[Path], *, every: int = 1, strain_limit: float | None = None, follow: bool = False
 ) -> None:
     """Show a session in a viewer's window. Raises SessionError, or ViewerError where there is no screen."""
+    import rerun as rr
+
     check_screen()
     with SessionReader(list(paths)) as reader:
         seen = _look(reader, strain_limit, follow)
         recording = _recording(reader)
-        recording.spawn(default_blueprint=blueprint_of(seen, following=follow), hide_welcome_screen=True)
+        rr.spawn(
+            executable_path=str(executable()),
+            hide_welcome_screen=True,
+            default_blueprint=blueprint_of(seen, following=follow),
+            recording=recording,
+        )
         _play(reader, Stream(recording, seen, node=reader.node, every=every), follow)
         recording.disconnect()
         _tell_missing(reader)

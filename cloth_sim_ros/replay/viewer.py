@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -42,6 +42,14 @@ def check_screen() -> None:
         )
 
 
+def executable() -> Path:
+    """The viewer proper: it lies beside its Python package, also where no environment is activated."""
+    found = importlib.util.find_spec("rerun_cli")
+    if found is None or found.origin is None:
+        raise ViewerError("the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]'")
+    return Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
 def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
     """Paint a recording without a screen or a GPU and save the picture, a PNG of `size` (width, height) pixels.
 
@@ -65,7 +73,7 @@ def _headless(rrd: Path, size: tuple[int, int]) -> Iterator[tuple[ViewerClient, 
         with log.open("wb") as output:
             viewer = subprocess.Popen(
                 [
-                    *(sys.executable, "-m", "rerun_cli", str(rrd), "--headless", "--hide-welcome-screen"),
+                    *(str(executable()), str(rrd), "--headless", "--hide-welcome-screen"),
                     *("--bind", "127.0.0.1", "--port", str(port), "--window-size", f"{size[0]}x{size[1]}"),
                 ],
                 stdin=subprocess.DEVNULL,
@@ -78,9 +86,7 @@ def _headless(rrd: Path, size: tuple[int, int]) -> Iterator[tuple[ViewerClient, 
         try:
             yield _connect(viewer, port, log), log
         finally:
-            # The command starts the viewer proper as its child, in the same group.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(viewer.pid, signal.SIGKILL)
+            viewer.kill()
             viewer.wait()
 
 
