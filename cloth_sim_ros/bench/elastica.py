@@ -8,11 +8,13 @@ level obeys φ'' = -b (1 - σ) cos φ, φ(0) = 0, φ'(1) = 0 (Bickley, Phil. Mag
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Literal
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.bending_calibration import bending_terms, grid_hinge_constants
 from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
@@ -103,7 +105,7 @@ def hanging_strip(
         RuntimeError: if no equilibrium is found.
     """
     cell = 1.0 / (columns - 1.5)
-    along: Array = (np.arange(columns) - 0.5) * cell
+    along = np.linspace(-0.5 * cell, 1.0, columns)
     column = np.tile(np.arange(columns), rows)
     row = np.repeat(np.arange(rows), columns)
     rest = np.stack((along[column], row * cell, np.zeros(rows * columns)), axis=1)
@@ -121,62 +123,74 @@ def hanging_strip(
     start = rest.copy()
     curve = exact.at(along[column[free]])
     start[free, 0], start[free, 2] = curve[:, 0], -curve[:, 1]
-    x = _equilibrium(terms, start, masses, free)
+    x = _equilibrium(terms, start, masses, column, 2)
     mean = np.array([x[column == k].mean(axis=0) for k in range(2, columns)])
     centre = rest[:, 1].mean()
     return Strip(arc=along[2:], curve=mean[:, [0, 2]] * (1.0, -1.0), aside=float(np.abs(mean[:, 1] - centre).max()))
 
 
-def _equilibrium(terms: list[Term], start: Array, masses: Array, free: np.ndarray) -> Array:
-    """Positions (n, 3) of least energy under gravity -1 along z, by Newton's method in a trust region from `start`."""
-    from scipy.optimize import minimize
+def _equilibrium(terms: list[Term], start: Array, masses: Array, column: NDArray[np.int64], clamped: int) -> Array:
+    """Positions (n, 3) at rest under gravity -1 along z, by Newton's method from `start`, shifted until energy falls.
+
+    Particles of the first `clamped` columns stay. Forces reach two columns far, so that pushing every fifth at once
+    tells the Hessian's entries apart.
+    """
+    from scipy.sparse import csc_array, eye_array
+    from scipy.sparse.linalg import splu
 
     x = np.ascontiguousarray(start.T)
     still = np.zeros_like(x)
-    count = free.size
-
-    def place(y: Array) -> Array:
-        x[:, free] = y.reshape(3, count)
-        return x
-
-    def energy(y: Array) -> float:
-        p = place(y)
-        return sum(term.energy(0.0, p) for term in terms) + float(masses @ p[2])
-
-    def gradient(y: Array) -> Array:
-        p, f = place(y), np.zeros_like(x)
-        for term in terms:
-            term.add_force(0.0, p, still, f)
-        f[2] -= masses
-        return -f[:, free].ravel()
-
-    def hessian(y: Array) -> Array:
-        p, push, out = place(y), np.zeros_like(x), np.zeros_like(x)
-        matrix = np.empty((y.size, y.size))
-        for j in range(y.size):
-            push[j // count, free[j % count]] = 1.0
-            out[:] = 0.0
-            for term in terms:
-                term.add_jacobian_product(0.0, p, still, push, still, out)
-            push[j // count, free[j % count]] = 0.0
-            matrix[j] = -out[:, free].ravel()
-        return 0.5 * (matrix + matrix.T)
-
+    free = np.flatnonzero(column >= clamped)
+    number = np.full(column.size, -1)
+    number[free] = np.arange(free.size)
+    size = 3 * free.size
     weight = float(masses.sum())
-    y = minimize(
-        energy,
-        x[:, free].ravel(),
-        (),
-        "trust-exact",
-        gradient,
-        hessian,
-        options={"gtol": 1e-5 * weight, "maxiter": 2000},
-    ).x
-    for _ in range(4):  # the energy's rounding ends the search too early; the force's does not
-        y = y - np.linalg.solve(hessian(y), gradient(y))
-    left = float(np.abs(gradient(y)).max())
-    if not left < 1e-6 * weight:
-        raise RuntimeError(
-            f"no equilibrium of the strip: a force of {left:.2e} N remains of a weight of {weight:.2e} N"
-        )
-    return place(y).T.copy()
+
+    def energy() -> float:
+        return sum(term.energy(0.0, x) for term in terms) + float(masses @ x[2])
+
+    def force() -> Array:
+        f = np.zeros_like(x)
+        for term in terms:
+            term.add_force(0.0, x, still, f)
+        f[2] -= masses
+        return f[:, free].ravel()
+
+    def hessian() -> csc_array:
+        to, of, values = [], [], []
+        rank = np.zeros(column.size, np.int64)
+        for k in np.unique(column):
+            rank[column == k] = np.arange(np.count_nonzero(column == k))
+        for phase, place, axis in itertools.product(range(5), range(int(rank.max()) + 1), range(3)):
+            pushed = np.flatnonzero((column % 5 == phase) & (rank == place) & (number >= 0))
+            push, out = np.zeros_like(x), np.zeros_like(x)
+            push[axis, pushed] = 1.0
+            for term in terms:
+                term.add_jacobian_product(0.0, x, still, push, still, out)
+            for p in pushed:
+                near = free[np.abs(column[free] - column[p]) <= 2]
+                for component in range(3):
+                    to.append(component * free.size + number[near])
+                    of.append(np.full(near.size, axis * free.size + number[p]))
+                    values.append(-out[component, near])
+        return csc_array((np.concatenate(values), (np.concatenate(to), np.concatenate(of))), shape=(size, size))
+
+    def move(step: Array) -> None:
+        x[:, free] += step.reshape(3, -1)
+
+    shift, least = 0.0, energy()
+    for _ in range(500):
+        f = force()
+        if np.abs(f).max() < 1e-6 * weight:
+            break
+        step = splu(hessian() + shift * eye_array(size, format="csc")).solve(f)
+        move(step)
+        after = energy()
+        if after <= least + 1e-13 * abs(least) and step @ f > 0.0:
+            shift, least = (0.1 * shift if shift > 1e-6 * weight else 0.0), after
+        else:
+            move(-step)
+            shift = max(10.0 * shift, 1e-3 * weight)
+    else:
+        raise RuntimeError(f"no equilibrium of the strip: a force of {np.abs(f).max():.2e} N remains of {weight:.2e} N")
+    return x.T.copy()

@@ -1,0 +1,136 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What plate a pattern of hinges is: its bending tensor, from the linear theory of a periodic patch.
+
+Small deflections z fold hinge i by θ_i = M/(e h0 h1) Σ w_k z_k, with S8's weights w. Of a quadratic surface with
+curvatures (κ_xx, κ_yy, 2 κ_xy) plus any periodic deflection, the least energy ½ Σ k_θ θ² per area is ½ κ'Cκ: C is the
+tensor that the sheet shows on lengths far above its triangles.
+"""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.bending_calibration import grid_hinge_constants, mesh_hinge_constants
+from cloth_sim_ros.physics.surface import Layout, Surface, grid_hinges, grid_triangles
+from cloth_sim_ros.physics.terms.base import Array
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Patch:
+    """One period of a flat pattern."""
+
+    positions: Array
+    """Particles of the period and enough copies around it [m], (n, 2)."""
+    hinges: NDArray[np.int64]
+    """Hinges of the period, (m, 4)."""
+    constants: Array
+    """k_θ [N m] for the modulus 1 N m, (m,)."""
+    same: NDArray[np.int64]
+    """Number of the particle within the period that each is a copy of, (n,)."""
+    area: float
+    """Area of the period [m²]."""
+
+
+@attrs.frozen(kw_only=True)
+class Plate:
+    """Moduli of a plate, in units of the modulus asked for."""
+
+    along_x: float
+    """Moment over curvature of a strip along x with free edges."""
+    along_y: float
+    """The same along y."""
+    cylindrical: float
+    """Moment over curvature along x with no curvature across."""
+    poisson: float
+    """Poisson's ratio of bending, C12/C11."""
+    twist: float
+    """Rate of twist over curvature of the free strip along x, κ_xy/κ_xx; 0 where a bent strip stays straight."""
+    isotropy: float
+    """2 C33/(C11 - C12): 1 for a plate that bends alike in all directions."""
+
+
+def plate_of(patch: Patch) -> Plate:
+    """Return the moduli of a pattern."""
+    p = patch.positions[patch.hinges]
+    a, b, r = p[:, 1] - p[:, 0], p[:, 3] - p[:, 2], p[:, 2] - p[:, 0]
+    area = _cross(a, b)
+    s, t = _cross(r, b) / area, _cross(r, a) / area
+    edge = np.linalg.norm(a, axis=1)
+    heights = np.abs(_cross(a, r)), np.abs(_cross(a, p[:, 3] - p[:, 0]))
+    fold = np.stack((s - 1.0, -s, 1.0 - t, t), axis=1) * (np.abs(area) * edge / (heights[0] * heights[1]))[:, None]
+    count = int(patch.same.max()) + 1
+    free = np.zeros((len(p), count))
+    np.add.at(free, (np.arange(len(p))[:, None], patch.same[patch.hinges]), fold)
+    x, y = patch.positions.T
+    given = np.stack([(fold * z[patch.hinges]).sum(axis=1) for z in (0.5 * x * x, 0.5 * y * y, 0.5 * x * y)], axis=1)
+    root = np.sqrt(patch.constants)[:, None]
+    least = root * (given - free @ np.linalg.lstsq(root * free, root * given, rcond=None)[0])
+    tensor = least.T @ least / patch.area
+    compliance = np.linalg.inv(tensor)
+    return Plate(
+        along_x=float(1.0 / compliance[0, 0]),
+        along_y=float(1.0 / compliance[1, 1]),
+        cylindrical=float(tensor[0, 0]),
+        poisson=float(tensor[0, 1] / tensor[0, 0]),
+        twist=float(0.5 * compliance[0, 2] / compliance[0, 0]),
+        isotropy=float(2.0 * tensor[2, 2] / (tensor[0, 0] - tensor[0, 1])),
+    )
+
+
+def grid_patch(layout: Layout | None = None, *, spacing: tuple[float, float] = (1.0, 1.0)) -> Patch:
+    """Return two by two cells of a grid: of one layout's surface, or, for None, with the hinges of `grid_hinges`."""
+    size = 7
+    row, column = np.divmod(np.arange(size * size), size)
+    positions = np.stack((column * spacing[0], row * spacing[1]), axis=1)
+    if layout is None:
+        hinges = grid_hinges(size, size)
+    else:
+        hinges = Surface.from_triangles(grid_triangles(size, size, layout)).hinges
+    constants = grid_hinge_constants(hinges, columns=size, spacing=spacing, bending_modulus=1.0)
+    middle = 0.5 * np.stack((column[hinges[:, :2]].sum(axis=1), row[hinges[:, :2]].sum(axis=1)), axis=1)
+    inside = ((middle >= 1.75) & (middle < 3.75)).all(axis=1)
+    return Patch(
+        positions=positions,
+        hinges=hinges[inside],
+        constants=constants[inside],
+        same=row % 2 * 2 + column % 2,
+        area=4.0 * spacing[0] * spacing[1],
+    )
+
+
+def triangle_patch(jitter: float, *, size: int = 12, seed: int = 0) -> Patch:
+    """Return `size` x `size` particles of regular triangles of side 1 m, each moved by up to `jitter`, joined anew.
+
+    The triangles are Delaunay's. A jitter of 1 or more has no memory of the regular places.
+    """
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(seed)
+    row, column = np.divmod(np.arange(size * size), size)
+    points = np.stack((column + 0.5 * (row % 2), np.sqrt(0.75) * row), axis=1)
+    points += jitter * rng.uniform(-1.0, 1.0, points.shape)
+    period = np.array((size, np.sqrt(0.75) * size))
+    shifts = np.array([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)]) * period
+    positions = (points[None] + shifts[:, None]).reshape(-1, 2)
+    triangles = Delaunay(positions).simplices.astype(np.int64)
+    corners = positions[triangles]
+    turned = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangles[turned < 0] = triangles[turned < 0, ::-1]
+    hinges = Surface.from_triangles(triangles[np.abs(turned) > 1e-9], particle_count=len(positions)).hinges
+    middle = positions[hinges[:, :2]].mean(axis=1) + 1e-6
+    hinges = hinges[((middle >= 0.0) & (middle < period)).all(axis=1)]
+    flat = np.concatenate((positions, np.zeros((len(positions), 1))), axis=1)
+    return Patch(
+        positions=positions,
+        hinges=hinges,
+        constants=mesh_hinge_constants(hinges, flat, bending_modulus=1.0),
+        same=np.tile(np.arange(size * size), 9),
+        area=float(period.prod()),
+    )
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
