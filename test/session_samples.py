@@ -5,12 +5,17 @@
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, MessageIndex, Schema
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from cloth_sim_ros.session import cdr
 from cloth_sim_ros.session.frame_record import FrameRecord
@@ -189,5 +194,71 @@ def plain(messages: Sequence[Message | Sample]) -> list[tuple[str, str, bytes, i
     return [(item.topic, item.type_name, item.data, item.log_time) for item in messages]
 
 
-def random_bytes(seed: int, count: int) -> bytes:
-    return random.Random(seed).randbytes(count)
+def check_structure(path: Path) -> None:
+    """Hold a finished file to what MCAP's official checker asks: indexes, counts, declarations agree with the data."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    times: list[int] = []
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        summary = SeekingReader(file).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        for index in summary.chunk_indexes:
+            file.seek(index.chunk_start_offset)
+            head = file.read(9)
+            assert head[0] == Opcode.CHUNK
+            assert index.chunk_length == 9 + int.from_bytes(head[1:], "little")
+            chunk = Chunk.read(ReadDataStream(file))
+            assert (chunk.message_start_time, chunk.message_end_time) == (
+                index.message_start_time,
+                index.message_end_time,
+            )
+            assert (chunk.compression, len(chunk.data), chunk.uncompressed_size) == (
+                index.compression,
+                index.compressed_size,
+                index.uncompressed_size,
+            )
+            found: dict[int, list[tuple[int, int]]] = {}
+            stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+            while stream.count < length:
+                position, opcode, body = stream.count, stream.read1(), stream.read8()
+                if opcode == Opcode.MESSAGE:
+                    item = McapMessage.read(stream, body)
+                    assert item.channel_id in channels
+                    found.setdefault(item.channel_id, []).append((item.log_time, position))
+                    times.append(item.log_time)
+                elif opcode == Opcode.SCHEMA:
+                    schema = Schema.read(stream)
+                    assert schema.id not in schemas, "declared twice"
+                    schemas[schema.id] = schema
+                else:
+                    assert opcode == Opcode.CHANNEL
+                    channel = Channel.read(stream)
+                    assert channel.id not in channels, "declared twice"
+                    assert channel.schema_id in schemas
+                    channels[channel.id] = channel
+            assert index.message_index_offsets.keys() == found.keys()
+            for number, entries in found.items():
+                offset = index.message_index_offsets[number]
+                assert index.chunk_start_offset + index.chunk_length <= offset < size
+                file.seek(offset + 9)
+                message_index = MessageIndex.read(ReadDataStream(file))
+                assert message_index.channel_id == number
+                assert message_index.records == entries
+            logged = [time for entries in found.values() for time, _ in entries]
+            assert (min(logged), max(logged)) == (index.message_start_time, index.message_end_time)
+        assert summary.schemas == schemas
+        assert summary.channels == channels
+        statistics = summary.statistics
+        assert statistics.chunk_count == len(summary.chunk_indexes)
+        assert statistics.message_count == len(times) == sum(statistics.channel_message_counts.values())
+        if times:
+            assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
+        assert statistics.attachment_count == len(summary.attachment_indexes)
+        assert statistics.metadata_count == len(summary.metadata_indexes)
+        # And no chunk that the indexes do not know.
+        file.seek(0)
+        assert sum(isinstance(item, Chunk) for item in StreamReader(file, emit_chunks=True).records) == len(
+            summary.chunk_indexes
+        )

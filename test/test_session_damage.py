@@ -228,6 +228,7 @@ def test_recover_refuses_what_it_cannot_mend(tmp_path: Path) -> None:
 
 
 def _check_with_other_readers(path: Path, expected: list[tuple[str, str, bytes, int]]) -> None:
+    samples.check_structure(path)
     for kind in (SeekingReader, NonSeekingReader):
         with path.open("rb") as file:
             got = [

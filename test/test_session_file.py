@@ -104,21 +104,17 @@ def test_rosbags_agrees(session: Path) -> None:
         assert bag.message_count == len(CONTENT)
 
 
-def test_chunk_and_index_records_lie_where_the_indexes_say(session: Path) -> None:
-    with session.open("rb") as file:
-        summary = SeekingReader(file).get_summary()
-        for index in summary.chunk_indexes:
-            file.seek(index.chunk_start_offset)
-            assert file.read(1) == b"\x06"
-            assert index.chunk_length == 9 + int.from_bytes(file.read(8), "little")
-            ends = []
-            for channel, offset in index.message_index_offsets.items():
-                file.seek(offset)
-                assert file.read(1) == b"\x07"
-                size = int.from_bytes(file.read(8), "little")
-                assert int.from_bytes(file.read(2), "little") == channel
-                ends.append(offset + 9 + size)
-            assert max(ends) == index.chunk_start_offset + index.chunk_length + index.message_index_length
+def test_indexes_counts_and_declarations_agree_with_the_data(session: Path) -> None:
+    samples.check_structure(session)
+
+
+def test_a_cloud_is_paired_with_its_own_frame_only(tmp_path: Path) -> None:
+    frames = [item for item in CONTENT if item.topic in (samples.FRAME, samples.POINTS)]
+    del frames[6]  # The record of frame 3.
+    path = samples.write_session(tmp_path, frames)
+    with SessionReader(path) as reader:
+        numbers = [None if item.frame is None else item.frame.frame for item in reader.clouds()]
+    assert numbers == [0, 1, 2, None, *range(4, 90)]
 
 
 def test_same_content_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from cloth_sim_ros.session.errors import RecordingError
 from cloth_sim_ros.session.reader import SessionReader, session_files
 from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
 from cloth_sim_ros.session.storage import AppendFile
-from cloth_sim_ros.session.writer import WriterOptions
+from cloth_sim_ros.session.writer import SessionWriter, WriterOptions
 
 CONTENT = list(samples.samples(60))
 # Uncompressed, so that sizes on the disk are known.
@@ -193,6 +193,26 @@ def test_a_full_or_broken_disk_ends_the_recording_with_what_was_written(tmp_path
         assert len(got) == status.messages > 20
         assert reader.complete
         assert os.strerror(code) in reader.parts[0].end_notes["reason"]
+    samples.check_structure(status.path)
+
+
+def test_what_only_a_lost_chunk_declared_is_not_in_the_indexes(tmp_path: Path) -> None:
+    class Full(SmallDisk):
+        room = 1 << 30
+
+    writer = SessionWriter(tmp_path, snapshot=samples.SNAPSHOT, stem="s", log_time=0, options=QUICK, open_file=Full)
+    writer.declare("/a", "std_msgs/msg/String")
+    writer.add("/a", bytes(9000), log_time=1, publish_time=1, sequence=0)
+    Full.room = writer.bytes_written + 8500
+    writer.declare("/b", "std_msgs/msg/Bool")
+    with pytest.raises(OSError, match="No space"):
+        writer.add("/b", bytes(9000), log_time=2, publish_time=2, sequence=0)
+    with pytest.raises(OSError, match="No space"):
+        writer.finish(reason="full")
+    samples.check_structure(writer.path)
+    with SessionReader(writer.path, strict=True) as reader:
+        assert [item.topic for item in reader.messages()] == ["/a"]
+        assert reader.complete
 
 
 def test_without_room_even_for_the_indexes_the_file_is_intact(tmp_path: Path) -> None:
@@ -385,6 +405,7 @@ def test_split_files_each_open_with_their_snapshot(tmp_path: Path) -> None:
                 assert got[0][:3] == latched[:3]
                 assert got[1:] == samples.plain(content)
                 assert reader.state == b"later"
+        samples.check_structure(path)
     assert session_files(paths[1]) == paths
     with SessionReader(paths, strict=True) as reader:
         assert [frame.frame for frame in reader.frames()] == list(range(120))
