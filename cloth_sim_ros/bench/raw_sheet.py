@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Raw-spring square sheets: equal particles and equal springs everywhere, so that other engines can be given the same scene."""
+"""Raw-spring square sheets: equal particles, equal springs everywhere, so that other engines can be given the same."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Observer
@@ -100,7 +101,7 @@ class RawSheet:
         return dynamics
 
     def flat(self, *, hung: bool) -> Array:
-        """Positions [m], shape (particle_count, 3): in the x-y plane, or hung in the x-z plane; row 0 at y = 0 or z = 0."""
+        """Positions [m], shape (particle_count, 3): flat in x-y, or hung in x-z; row 0 at y = 0 or z = 0."""
         along = np.linspace(0.0, 1.0, self.resolution)
         grid = np.zeros((self.resolution, self.resolution, 3))
         grid[..., 0] = along
@@ -138,6 +139,12 @@ class FusedSprings(Term):
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         for term in self.pairs:
             term.add_jacobian_product(t, x, v, dx, dv, out)
+
+    def coupled_pairs(self) -> NDArray[np.int64]:
+        return np.concatenate([term.pairs for term in self.pairs])
+
+    def pair_blocks(self, x: Array, stiffness_weight: float, damping_weight: float) -> Array:
+        return np.concatenate([term.pair_blocks(x, stiffness_weight, damping_weight) for term in self.pairs])
 
 
 class FusedLeapfrog:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reference solutions: closed forms, or an independent integrator far below the errors compared, checked against itself."""
+"""Reference solutions: closed forms, or an independent integrator far below the errors compared and checked itself."""
 
 from __future__ import annotations
 

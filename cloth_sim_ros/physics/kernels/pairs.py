@@ -151,6 +151,39 @@ def add_pair_damping(pairs, rest, damping, x, blocks):  # type: ignore[no-untype
 
 
 @numba.njit(**_JIT)
+def pair_blocks(pairs, rest, stiffness, damping, x, position, velocity, blocks):  # type: ignore[no-untyped-def]
+    """Set blocks (m, 6) to position (k dd' + (tension / L) (I - dd')) + velocity k_d dd' a spring.
+
+    Compression's negative transverse part is left out: that keeps the blocks positive semidefinite.
+    """
+    for e in range(pairs.shape[0]):
+        a = pairs[e, 0]
+        b = pairs[e, 1]
+        l0 = rest[e]
+        k = position * stiffness[e]
+        c = velocity * damping[e]
+        sx = x[0, b] - x[0, a]
+        sy = x[1, b] - x[1, a]
+        sz = x[2, b] - x[2, a]
+        length = np.sqrt(sx * sx + sy * sy + sz * sz)
+        if l0 == 0.0:
+            across = k + c
+            along = 0.0
+        elif length == 0.0:
+            across = k
+            along = 0.0
+        else:
+            across = k * (1.0 - l0 / length) if length > l0 else 0.0
+            along = (k + c - across) / (length * length)
+        blocks[e, 0] = across + along * sx * sx
+        blocks[e, 1] = across + along * sy * sy
+        blocks[e, 2] = across + along * sz * sz
+        blocks[e, 3] = along * sx * sy
+        blocks[e, 4] = along * sx * sz
+        blocks[e, 5] = along * sy * sz
+
+
+@numba.njit(**_JIT)
 def add_pair_jacobian_product(pairs, rest, stiffness, damping, x, v, dx, dv, out):  # type: ignore[no-untyped-def]
     """Add the exact derivative of the pair forces along (dx, dv) to out (3, n)."""
     s = np.empty(3)

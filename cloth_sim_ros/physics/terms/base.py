@@ -51,3 +51,18 @@ class Term(ABC):
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:  # noqa: B027
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
+
+    def coupled_pairs(self) -> NDArray[np.int64] | None:
+        """Return the particle pairs (m, 2) that `pair_blocks` speaks of; None where the term does not offer it.
+
+        An implicit method then takes the particle blocks of `add_stiffness` and `add_damping` in its place: exact for a
+        term that acts on single particles, a bound that slows its iteration for others.
+        """
+        return None
+
+    def pair_blocks(self, x: Array, stiffness_weight: float, damping_weight: float) -> Array:
+        """Return blocks B (m, 6: xx, yy, zz, xy, xz, yz) of the weighted sum of stiffness and damping matrices at x.
+
+        B is positive semidefinite and enters that matrix at both ends of a pair, and as -B at their coupling.
+        """
+        raise NotImplementedError(f"term '{self.name}' has no coupled pairs")

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.kernels import pairs as kernels
 from cloth_sim_ros.physics.terms.base import Array, Term
@@ -69,6 +69,23 @@ class PairSprings(Term):
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         kernels.add_pair_jacobian_product(self.pairs, self.rest_length, self.stiffness, self.damping, x, v, dx, dv, out)
+
+    def coupled_pairs(self) -> NDArray[np.int64] | None:
+        return self.pairs
+
+    def pair_blocks(self, x: Array, stiffness_weight: float, damping_weight: float) -> Array:
+        blocks = np.empty((len(self.pairs), 6))
+        kernels.pair_blocks(
+            self.pairs,
+            self.rest_length,
+            self.stiffness,
+            self.damping,
+            x,
+            stiffness_weight,
+            damping_weight,
+            blocks,
+        )
+        return blocks
 
 
 def lecture_damping(k_d0: ArrayLike, stiffness: ArrayLike, mass: ArrayLike) -> Array:

@@ -1,0 +1,171 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One advance of the implicit method, attempted until its stages converge and its error is small enough."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
+from cloth_sim_ros.physics.integrators.control import AIM, SHARE_PER_SECOND, Memory
+from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
+from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.base import Array
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.integrators.implicit import Implicit
+
+#: Newton's iteration ends when a correction moves no particle by more than this share of a step's budget.
+CONVERGED = 0.05
+#: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
+_MARGIN = 0.1
+#: Without a tolerance: that distance [m].
+CONVERGED_DISTANCE = 1e-9
+#: A stage that takes more iterations is given up, and the step made smaller.
+MOST_ITERATIONS = 12
+#: Steps of a frame beyond which errors are accepted, flagged and counted.
+MOST_STEPS = 256
+
+
+class ImplicitAdvance:
+    """Advances a state by one duration; made anew for each."""
+
+    def __init__(
+        self,
+        integrator: Implicit,
+        dynamics: Dynamics,
+        state: State,
+        t: float,
+        duration: float,
+        observer: Observer | None,
+    ) -> None:
+        self._integrator, self._dynamics, self._state, self._observer = integrator, dynamics, state, observer
+        self._t, self._duration = t, duration
+        tolerance = integrator.tolerance
+        self._budget = math.inf if tolerance is None else SHARE_PER_SECOND * duration * tolerance
+        self._memory = Memory.of(state)
+        self._matrix = StageMatrix(dynamics, state.x)
+        self._evaluations = 0
+
+    def run(self) -> Advance:
+        """Do it."""
+        state, memory, integrator = self._state, self._memory, self._integrator
+        if integrator.step is not None:
+            steps = steps_for(self._duration, integrator.step)
+        elif integrator.tolerance is not None and memory.stretch > 0.0:
+            steps = steps_for(self._duration, memory.stretch)
+        else:
+            steps = 1
+        least = steps if integrator.step is not None else 1
+        start, rejected, flagged = state.copy(), 0, 0
+        while True:
+            if self._observer is not None:
+                self._observer.restart()
+            error = self._steps(steps)
+            if error is not None and error <= self._budget:
+                break
+            if error is not None and steps >= MOST_STEPS:
+                flagged = 1
+                break
+            state.restore(start)
+            rejected += 1
+            if steps >= 64 * MOST_STEPS:
+                raise UnstableError(f"implicit: no step down to {self._duration / steps:.3g} s converged")
+            grow = 2.0 if error is None else math.sqrt(error / (AIM * self._budget))
+            steps = min(max(steps + 1, math.ceil(steps * min(grow, 8.0))), 64 * MOST_STEPS)
+        h = self._duration / steps
+        if integrator.tolerance is not None:
+            wanted = steps * math.sqrt(max(error, 1e-30) / (AIM * self._budget))
+            fewer = max(1, min(steps, math.ceil(max(wanted, 0.5 * steps))))
+            memory.stretch = self._duration / (fewer if wanted < steps else math.ceil(wanted))
+            memory.store(state)
+        return Advance(
+            steps=steps,
+            evaluations=self._evaluations,
+            step=h,
+            limit=math.inf,
+            rejected=rejected,
+            integrator=integrator.name,
+            binds="step" if integrator.step is not None else ("frame" if steps == least else "accuracy"),
+            error=error if integrator.tolerance is not None else None,
+            flagged=flagged,
+            reason=self._reason(h, steps),
+        )
+
+    def _reason(self, h: float, steps: int) -> str:
+        tolerance = self._integrator.tolerance
+        if self._integrator.step is not None or tolerance is None:
+            return f"implicit: order 2, step {h:.3g} s, no tolerance set"
+        if steps == 1:
+            return f"implicit: order 2, one step a frame; it holds the tolerance {tolerance:g} m"
+        return f"implicit: order 2, step {h:.3g} s set by the tolerance {tolerance:g} m"
+
+    def _steps(self, steps: int) -> float | None:
+        """Take equal steps; return the sum of their errors, or None if a stage did not converge."""
+        from cloth_sim_ros.physics.integrators.implicit import GAMMA, error_constant
+
+        state, h = self._state, self._duration / steps
+        d = GAMMA * h
+        self._close = CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
+        self._curvature = math.inf
+        total = 0.0
+        x, v = state.x, state.v
+        a = np.empty_like(x)
+        self._dynamics.acceleration(self._t, x, v, a)
+        guess = a.copy()
+        for k in range(steps):
+            t = self._t + k * h
+            first = self._stage(t + d, x, v, d, guess)
+            if first is None:
+                return None
+            k1x, k1v = first
+            # The second stage starts from where the first one's slopes lead.
+            base_x, base_v = x + (h - d) * k1x, v + (h - d) * k1v
+            second = self._stage(t + h, base_x, base_v, d, k1v)
+            if second is None:
+                return None
+            k2x, k2v = second
+            if self._observer is not None:
+                self._observer.observe(t + d, x + d * k1x, k1x, h - d)
+                self._observer.observe(t + h, base_x + d * k2x, k2x, d)
+            x += (h - d) * k1x + d * k2x
+            v += (h - d) * k1v + d * k2v
+            guess = k2v
+            total += error_constant() * h * h / (1.0 - GAMMA) * float(largest_distance(k1v, k2v))
+        return total if all_finite(x, v) else None
+
+    def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
+        """Solve a = a(t, x + d u, u), u = v + d a; return u and a, or None if it does not converge."""
+        masses = self._dynamics.model.masses
+        moving = self._dynamics.model.inverse_masses > 0.0
+        u = v + d * guess * moving
+        a = np.empty_like(x)
+        last, diverging = math.inf, 0
+        for _ in range(MOST_ITERATIONS):
+            place = x + d * u
+            self._dynamics.acceleration(t, place, u, a)
+            self._evaluations += 1
+            correction = masses * (v + d * a - u) * moving
+            self._matrix.update(place, d)
+            self._matrix.solve(correction)
+            u += correction
+            size = d * float(np.sqrt((correction * correction).sum(axis=0).max()))
+            if not math.isfinite(size):
+                return None
+            if last < math.inf:
+                self._curvature = max(0.5 * self._curvature if self._curvature < math.inf else 0.0, size / last**2)
+            # Newton's iteration converges quadratically: the next correction would be about curvature * size^2.
+            if size <= self._close or self._curvature * size * size <= _MARGIN * self._close:
+                return u, (u - v) / d
+            if size > last:
+                diverging += 1
+                if diverging > 2:
+                    return None
+            last = size
+        return None

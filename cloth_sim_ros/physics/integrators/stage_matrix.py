@@ -1,0 +1,95 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The linear systems of an implicit step: M + d^2 K + d D, assembled from the terms and factorised within a band."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.kernels import band
+from cloth_sim_ros.physics.terms.base import Array, Term
+
+#: Pairs whose stiffness is below this share of the largest at either end do not widen the band: what of them lies
+#: outside is left to the iteration, which then converges by about this factor a step.
+_NEGLIGIBLE = 0.05
+
+
+class StageMatrix:
+    """Matrix of one model, positive definite by construction: compression's negative stiffness is left out.
+
+    Particles that move are numbered so that coupled ones lie close together (reverse Cuthill-McKee), row by row on a
+    grid.
+    """
+
+    def __init__(self, dynamics: Dynamics, x: Array) -> None:
+        self._model = dynamics.model
+        moving = self._model.inverse_masses > 0.0
+        self._coupled: list[tuple[Term, NDArray[np.int64]]] = []
+        self._single: list[Term] = []
+        for term in self._model.terms:
+            pairs = term.coupled_pairs()
+            if pairs is None:
+                self._single.append(term)
+            else:
+                self._coupled.append((term, np.ascontiguousarray(pairs)))
+        self._places, width = _order(self._band_pairs(x), moving)
+        self._rows = np.zeros((int(moving.sum()), 3, 3 * (width + 1)))
+        self._blocks = np.empty((6, self._model.particle_count))
+
+    def _band_pairs(self, x: Array) -> NDArray[np.int64]:
+        """The pairs that the band has to hold: all but those that are negligible beside others at both their ends."""
+        pairs = [np.empty((0, 2), dtype=np.int64), *(pairs for _, pairs in self._coupled)]
+        sizes = [np.empty(0), *(term.pair_blocks(x, 1.0, 0.0)[:, :3].sum(axis=1) for term, _ in self._coupled)]
+        ends, size = np.concatenate(pairs), np.concatenate(sizes)
+        largest = np.zeros(self._model.particle_count)
+        for side in (0, 1):
+            np.maximum.at(largest, ends[:, side], size)
+        return ends[size >= _NEGLIGIBLE * largest[ends].min(axis=1)]
+
+    def update(self, x: Array, d: float) -> None:
+        """Factorise M + d^2 K + d D at positions x (3, n), d [s]; K and D are stiffness and damping matrices.
+
+        Raises:
+            UnstableError: if an entry is not finite.
+        """
+        self._rows.fill(0.0)
+        for term, pairs in self._coupled:
+            band.assemble(self._rows, self._places, pairs, term.pair_blocks(x, d * d, d))
+        total = np.zeros_like(self._blocks)
+        for kind, weight in (("add_stiffness", d * d), ("add_damping", d)):
+            self._blocks.fill(0.0)
+            for term in self._single:
+                getattr(term, kind)(x, self._blocks)
+            total += weight * self._blocks
+        band.assemble_diagonal(self._rows, self._places, self._model.masses, total)
+        if not band.factor(self._rows):
+            raise UnstableError("the matrix of an implicit step is not positive definite: the motion is not finite")
+
+    def solve(self, right: Array) -> None:
+        """Replace ``right`` (3, n) by the solution; zero for anchored particles."""
+        band.solve(self._rows, self._places, right)
+
+
+def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
+    """Return the block row of each particle, -1 for anchored ones, and the largest distance of coupled ones."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    places = np.where(moving, np.cumsum(moving) - 1, -1).astype(np.int64)
+    ends = places[pairs]
+    ends = ends[(ends >= 0).all(axis=1)]
+    if not len(ends):
+        return places, 0
+    width = int(np.abs(ends[:, 0] - ends[:, 1]).max())
+    count = int(moving.sum())
+    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
+    order = np.asarray(reverse_cuthill_mckee(graph + graph.T, symmetric_mode=True))
+    rank = np.empty(count, dtype=np.int64)
+    rank[order] = np.arange(count)
+    better = int(np.abs(rank[ends[:, 0]] - rank[ends[:, 1]]).max())
+    if better >= width:
+        return places, width
+    return np.where(places >= 0, rank[places], -1), better
