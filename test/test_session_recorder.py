@@ -412,6 +412,27 @@ def test_split_files_each_open_with_their_snapshot(tmp_path: Path) -> None:
         assert reader.complete
 
 
+def test_each_file_counts_its_own_dropped_clouds(tmp_path: Path) -> None:
+    class Gated(GatedFile):
+        gate = threading.Event()
+
+    cloud_size = len(next(item.data for item in CONTENT if item.droppable))
+    recorder = _start(tmp_path, queue_bytes=20 * cloud_size, open_file=Gated)
+    _record(recorder, CONTENT[:120])
+    first = recorder.status().dropped
+    assert first > 0
+    recorder.split(samples.Snapshot(scene_yaml="-", state=b"-"), log_time=CONTENT[119].log_time)
+    _record(recorder, CONTENT[120:])
+    Gated.gate.set()
+    status = recorder.close()
+    counted = []
+    for path in sorted(tmp_path.glob("*.mcap")):
+        with SessionReader(path) as reader:
+            counted.append(int(reader.parts[0].end_notes["dropped"]))
+    assert counted == [first, status.dropped - first]
+    assert counted[1] > 0
+
+
 def test_split_by_session_time(tmp_path: Path) -> None:
     recorder = _start(tmp_path, split_seconds=0.5)
     _record(recorder, CONTENT[:20])

@@ -45,11 +45,14 @@ class _Message(NamedTuple):
 class _Split:
     snapshot: Snapshot
     log_time: int
+    dropped: int
+    """Messages dropped before it, since the recording began."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Stop:
     reason: str
+    dropped: int
     error: str = ""
 
 
@@ -107,6 +110,8 @@ class Recorder:
             state="opening", path=None, bytes_written=0, messages=0, dropped=0, queue_depth=0, queue_bytes=0, error=""
         )
         self._part = 0
+        self._dropped_before = 0
+        """Messages dropped before the present file began."""
         self._finished_bytes = self._finished_messages = 0
         self._latched: dict[str, _Message] = {}
         self._thread = threading.Thread(target=self._run, args=(snapshot, log_time), name="recorder", daemon=True)
@@ -179,7 +184,7 @@ class Recorder:
         with self._put_lock:
             if not self._stop_asked and self._status.state != "failed":
                 self._splits_asked += 1
-                self._put(_Split(snapshot, self._in_order(log_time)))
+                self._put(_Split(snapshot, self._in_order(log_time), self._dropped))
 
     def status(self) -> RecorderStatus:
         """What the recording is doing."""
@@ -209,7 +214,7 @@ class Recorder:
         with self._put_lock:
             if not self._stop_asked and self._status.state != "failed":
                 # In this order: an interruption between the two must not leave a thread that is never stopped.
-                self._put(_Stop(reason))
+                self._put(_Stop(reason, self._dropped))
                 self._stop_asked = True
         self._hurry.set()
         self._thread.join(timeout)
@@ -225,7 +230,7 @@ class Recorder:
             f"{waiting >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
             f"the disk of {self._folder} is stuck or too slow"
         )
-        self._put(_Stop(self._given_up, self._given_up))
+        self._put(_Stop(self._given_up, self._dropped, self._given_up))
         self._stop_asked = True
 
     def _put(self, item: _Message | _Split | _Stop) -> None:
@@ -257,7 +262,7 @@ class Recorder:
                 elif isinstance(item, _Split):
                     writer = self._next_file(writer, item)
                 elif isinstance(item, _Stop):
-                    writer.finish(reason=item.reason, notes=self._notes())
+                    writer.finish(reason=item.reason, notes=self._notes(item.dropped))
                     self._report(writer, "failed" if item.error else "closed", item.error)
                     return
                 writer.maintain()
@@ -295,11 +300,12 @@ class Recorder:
         # The new file first: whoever follows finds it as soon as the old one says that it was split.
         following = self._new_writer(split.snapshot, split.log_time, self._part + 1)
         try:
-            writer.finish(reason="split", notes=self._notes())
+            writer.finish(reason="split", notes=self._notes(split.dropped))
         except (OSError, SessionError):
             following.finish(reason="the file before it could not be finished")
             raise
         self._part += 1
+        self._dropped_before = split.dropped
         self._finished_bytes += writer.bytes_written
         self._finished_messages += writer.message_count
         for item in list(self._latched.values()):
@@ -326,7 +332,7 @@ class Recorder:
         sentence = _sentence(error, writer.path)
         # The chunk that did not fit is refused again; the file itself is finished or, at worst, intact.
         with contextlib.suppress(OSError, SessionError):
-            writer.finish(reason=sentence, notes=self._notes())
+            writer.finish(reason=sentence, notes=self._notes(self._dropped))
         with self._put_lock:
             self._report(writer, "failed", sentence)
             self._empty_queue()
@@ -339,8 +345,9 @@ class Recorder:
                 self._taken_count += 1
                 self._taken_bytes += _weight(item)
 
-    def _notes(self) -> dict[str, str]:
-        return {"dropped": str(self._dropped)}
+    def _notes(self, dropped: int) -> dict[str, str]:
+        """What a file says of itself at its end; `dropped` counts from the beginning of the recording."""
+        return {"dropped": str(dropped - self._dropped_before)}
 
     def _report(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:
         self._status = replace(
