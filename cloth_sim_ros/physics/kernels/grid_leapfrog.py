@@ -98,6 +98,7 @@ class GridLeapfrog:
         self._drag = float(drag)
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
+        self._plan: tuple[tuple[float, bool], tuple[Any, ...]] | None = None
         self._bands = self._cut(inverse, threads)
         self._mail = self._post_office() if threads > 1 else None
         self._workers = ThreadPoolExecutor(threads - 1, thread_name_prefix="grid") if threads > 1 else None
@@ -127,12 +128,25 @@ class GridLeapfrog:
         boxes = np.zeros((len(self._bands), 2, 2, size), dtype=self._dtype)
         return Mail(boxes, np.zeros(len(self._bands) * COUNTER_SPACING, dtype=np.int64), len(self._bands))
 
-    def _constants(self, dt: float, weak: float | None, *, grips: bool) -> Constants:
-        """Constants of a step in which the weak families count `weak` times, None for not at all."""
-        factors = {False: 1.0} if weak is None else {False: 1.0, True: weak}
-        predicted = self._predicts or grips
-        dtype, drag, gravity = self._dtype, self._drag, self._gravity
-        return constants(self.springs, factors, dtype, step=dt, drag=drag, gravity=gravity, predicted=predicted)
+    def _step_plan(self, dt: float, grips: bool) -> tuple[Any, ...]:
+        """Shapes and values of the steps, as `advance_band` takes them. The last ones are kept."""
+        if self._plan is not None and self._plan[0] == (dt, grips):
+            return self._plan[1]
+
+        def count_weak(factors: dict[bool, float]) -> Constants:
+            dtype, drag, gravity, predicted = self._dtype, self._drag, self._gravity, self._predicts or grips
+            return constants(self.springs, factors, dtype, step=dt, drag=drag, gravity=gravity, predicted=predicted)
+
+        plan: tuple[Any, ...]
+        once = count_weak({False: 1.0, True: 1.0})
+        if self.alternate:
+            fast = count_weak({False: 1.0}).shape
+            ends, full = (count_weak({False: 1.0, True: factor}).values for factor in (1.5, 2.0))
+            plan = (once.shape, fast, once.values, ends, full)
+        else:
+            plan = (once.shape, None, once.values, once.values, once.values)
+        self._plan = ((dt, grips), plan)
+        return plan
 
     def compile(self, *, grips: bool = False) -> None:
         """Compile, or load from the disk cache, what `advance` needs; the first time takes a few seconds."""
@@ -160,12 +174,11 @@ class GridLeapfrog:
         if self.alternate and steps % 2 == 0:
             raise ValueError(f"{steps} steps; weak families at every second step need an odd number")
         origin = np.zeros(3) if self._dtype == np.float64 else x[:, 0].copy()
-        once, ends, full = (self._constants(dt, weak, grips=grips is not None) for weak in (1.0, 1.5, 2.0))
-        alternate = self.alternate and steps > 1
+        shape, fast, once, ends, full = self._step_plan(dt, grips is not None)
         common: tuple[Any, ...] = (
-            *(x.reshape(-1), v.reshape(-1), origin, steps, dt, once.shape),
-            self._constants(dt, None, grips=grips is not None).shape if alternate else None,
-            *(once.values, ends.values, full.values),
+            *(x.reshape(-1), v.reshape(-1), origin, steps, dt, shape, fast, once),
+            # A single step is both the first and the last: its weak families count once.
+            *(ends if steps > 1 else once, full),
             *(None if grips is None else _near(grips, origin), self._mail),
         )
         if self._workers is None or self._mail is None:
