@@ -66,7 +66,7 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
             raise SessionError(
                 "compression zstd needs the Python package zstandard; choose none, or install it"
             ) from None
-        # Level 1: on float32 positions higher levels cost much more and save almost nothing (docs/session.md).
+        # Level 1: on float32 positions level 3 takes 8 % more off for 2.5 times the work (docs/session.md).
         return zstandard.ZstdCompressor(level=1).compress
     raise SessionError(f"compression {compression!r} is unknown; choose none, lz4 or zstd")
 
