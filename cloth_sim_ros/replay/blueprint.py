@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 #: How far from straight on the eye looks at the sheet, and from how far above it [degrees].
 _AZIMUTH, _ELEVATION = 35.0, 14.0
 #: Distance of the eye in radii of what is shown: the viewer's vertical field of view is 55 degrees, and some air.
-_DISTANCE = 1.75
+_DISTANCE, _DISTANCE_LYING = 1.9, 2.25
 #: How long a gripper's commanded path stays visible [s].
 _TRAIL_SECONDS = 1.5
 
@@ -34,9 +34,9 @@ def eye_of(survey: Survey) -> tuple[Floats, Floats]:
     facing = survey.normal * np.array([1.0, 1.0, 0.0])
     if np.linalg.norm(facing) < 0.3:
         # It lies rather than hangs: any side will do, from higher up.
-        ahead, elevation = np.array([0.0, -1.0, 0.0]), 40.0
+        ahead, elevation, distance = np.array([0.0, -1.0, 0.0]), 40.0, _DISTANCE_LYING
     else:
-        ahead, elevation = facing / np.linalg.norm(facing), _ELEVATION
+        ahead, elevation, distance = facing / np.linalg.norm(facing), _ELEVATION, _DISTANCE
         sheet = survey.opening.positions.mean(axis=0)
         side = float(np.mean((survey.grips - sheet) @ ahead)) if len(survey.grips) else -ahead[1]
         if side < 0.0:
@@ -47,7 +47,7 @@ def eye_of(survey: Survey) -> tuple[Floats, Floats]:
     way = np.cos(turn) * ahead + np.sin(turn) * (right if lateral >= 0.0 else -right)
     rise = np.radians(elevation)
     way = np.cos(rise) * way + np.sin(rise) * np.array([0.0, 0.0, 1.0])
-    return target + _DISTANCE * radius * way, target
+    return target + distance * radius * way, target
 
 
 def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:

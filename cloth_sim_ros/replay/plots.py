@@ -17,7 +17,7 @@ PLOTS = {
     "plots/strain": "Largest strain [%]",
     "plots/force": "Force on a gripper [N]",
     "plots/steps": "Steps a frame",
-    "plots/pace": "Real-time factor",
+    "plots/pace": "Real time",
     "plots/late": "Late frames",
     "plots/energy": "Energy [J]",
     "plots/error": "Error estimate [m]",
@@ -25,7 +25,7 @@ PLOTS = {
 
 #: What a recorded name must hold to be shown in a plot.
 _PLACES = (
-    (re.compile(r"real[-_ ]?time"), "plots/pace"),
+    (re.compile(r"real[- ]?time factor(?! overall)"), "plots/pace"),
     (re.compile(r"\blate\b"), "plots/late"),
     (re.compile(r"energy|balance|dissipat|\bwork\b"), "plots/energy"),
     (re.compile(r"error estimate"), "plots/error"),

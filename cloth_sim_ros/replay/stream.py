@@ -109,7 +109,9 @@ class Stream:
                 self._scalar(path, moment, value)
         elif topic == "/rosout":
             entry = decode(message.data, "rcl_interfaces/msg/Log")
-            self._say(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS.get(entry.level, "INFO"))
+            # What is less than a warning, the events tell already.
+            if entry.level in _LEVELS:
+                self._say(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
 
     def add_all(self, messages: Iterable[Message]) -> None:
         """Show messages to their end."""
@@ -223,8 +225,8 @@ class Stream:
         return found
 
 
-#: Levels of rcl_interfaces/Log.
-_LEVELS = {10: "DEBUG", 20: "INFO", 30: "WARN", 40: "ERROR", 50: "CRITICAL"}
+#: Levels of rcl_interfaces/Log that are shown.
+_LEVELS = {30: "WARN", 40: "ERROR", 50: "CRITICAL"}
 
 
 def _story(event: Any, grippers: GripperTracks) -> str:

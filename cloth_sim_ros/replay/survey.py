@@ -25,6 +25,8 @@ SAMPLES = 40
 _BETWEEN, _PERIODIC = 1_000_000_000, 5_000_000_000
 #: Part of a cloud's particles whose strain the colours' range leaves out, so that one corner does not dim the rest.
 _BEYOND = 0.002
+#: How far around the cloth's box grippers are kept in view, in its diagonal.
+_MARGIN = 0.08
 #: The colours' range where nothing is stretched, and while a session is still being recorded.
 _LEAST_LIMIT, _FOLLOWED_LIMIT = 0.001, 0.05
 
@@ -42,7 +44,7 @@ class Survey:
     """Mean normal of the cloth at its start, shape (3,)."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    """Corners of the box that holds cloth and grippers [m]."""
+    """Corners of the box that holds the cloth, and the grippers where they are near it [m]."""
     grips: NDArray[np.float64]
     """Positions that grippers were commanded to [m], shape (k, 3)."""
     strain_limit: float
@@ -87,7 +89,10 @@ def survey(reader: SessionReader, *, strain_limit: float | None = None, followed
         measures = measures_of(surface.triangles, rest, opening.positions, rows, columns)
     grips = np.array(gathered.grips).reshape(-1, 3)
     if len(grips):
-        low, high = np.minimum(low, grips.min(axis=0)), np.maximum(high, grips.max(axis=0))
+        # A gripper that comes from afar must not make the cloth small.
+        margin = _MARGIN * float(np.linalg.norm(high - low))
+        low = np.minimum(low, np.maximum(grips.min(axis=0), low - margin))
+        high = np.maximum(high, np.minimum(grips.max(axis=0), high + margin))
     measures.measure(np.ascontiguousarray(opening.positions, dtype=np.float32), normals, strain)
     # A snap when the cloth is let go lasts a few frames, and may be shown in one colour.
     usual = float(np.quantile(strains, 0.9)) if strains else 0.0

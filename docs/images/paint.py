@@ -1,0 +1,134 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Makes the pictures of this folder: four sessions, each simulated, recorded, and painted by `cloth_replay`.
+
+.venv/bin/python docs/images/paint.py [name ...]
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parents[1] / "test"))
+
+from session_maker import SessionMaker, carried_corner  # noqa: E402
+
+from cloth_sim_ros.events import Event, Grasp, Target  # noqa: E402
+from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
+from cloth_sim_ros.scene import Scene  # noqa: E402
+
+#: Turns a sheet from hanging to lying.
+FLAT = [0.0, 0.0, 0.0, 1.0]
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+@attrs.frozen(kw_only=True)
+class Picture:
+    """A session and the moment that is painted."""
+
+    values: dict[str, Any]
+    events: Callable[[Scene], Iterator[list[Event]]]
+    at: float
+    strain_limit: float
+
+
+def carry(scene: Scene) -> Iterator[list[Event]]:
+    """A bottom corner is taken and carried up."""
+    yield from carried_corner(scene, 4.0)
+
+
+def fold(scene: Scene) -> Iterator[list[Event]]:
+    """Two grippers take the bottom corners and lift them over the top edge's line."""
+    start = scene.initial_positions()
+    rows, columns = scene.shape
+    corners = {"left": start[(rows - 1) * columns], "right": start[-1]}
+    for k in range(240):
+        way = _smooth((k - 20) / 180.0)
+        rise = np.array([0.0, -0.55 * np.sin(np.pi * way), 1.25 * way * scene.cloth.size[0] * 0.8])
+        events: list[Event] = [Target(name, tuple(at + rise), UPRIGHT) for name, at in corners.items()]
+        if k == 10:
+            events += [Grasp(name, True) for name in corners]
+        yield events
+
+
+def swing(scene: Scene) -> Iterator[list[Event]]:
+    """A sheet held by its two upper corners is pulled aside at its lower edge and let go."""
+    start = scene.initial_positions()
+    rows, columns = scene.shape
+    middle = start[(rows - 1) * columns + columns // 2]
+    for k in range(180):
+        aside = _smooth((k - 10) / 80.0) * np.array([0.0, -0.6, 0.35])
+        events: list[Event] = [Target("gripper", tuple(middle + aside), UPRIGHT)]
+        if k in (8, 110):
+            events.append(Grasp("gripper", k == 8))
+        yield events
+
+
+def lift(scene: Scene) -> Iterator[list[Event]]:
+    """A lying sheet, anchored at its corners, is lifted in the middle."""
+    rows, columns = scene.shape
+    middle = scene.initial_positions()[rows // 2 * columns + columns // 2]
+    for k in range(240):
+        rise = _smooth((k - 60) / 120.0) * np.array([0.0, 0.0, 0.45])
+        events: list[Event] = [Target("gripper", tuple(middle + rise), UPRIGHT)]
+        if k == 0:
+            events.append(Grasp("gripper", True))
+        yield events
+
+
+PICTURES = {
+    "grasp": Picture(values={}, events=carry, at=2.4, strain_limit=3.0),
+    "fold": Picture(values={"grippers": ["left", "right"]}, events=fold, at=2.4, strain_limit=3.0),
+    "swing": Picture(
+        values={"cloth.anchors": ["top_left", "top_right"], "gripper.radius": 0.08},
+        events=swing,
+        at=2.25,
+        strain_limit=5.0,
+    ),
+    "lift": Picture(
+        values={
+            "cloth.orientation": FLAT,
+            "cloth.position": [0.0, 0.0, 0.6],
+            "cloth.anchors": ["top_left", "top_right", "bottom_left", "bottom_right"],
+            "material.stretch_modulus": 300.0,
+            "material.shear_modulus": 30.0,
+        },
+        events=lift,
+        at=3.6,
+        strain_limit=30.0,
+    ),
+}
+
+
+def _smooth(way: float) -> float:
+    way = float(np.clip(way, 0.0, 1.0))
+    return way * way * (3.0 - 2.0 * way)
+
+
+def paint(name: str) -> int:
+    """Simulate, record and paint one picture; the exit status of `cloth_replay`."""
+    picture = PICTURES[name]
+    scene = Scene.from_parameters({"cloth.resolution": [40, 40], **picture.values})
+    with tempfile.TemporaryDirectory() as folder:
+        maker = SessionMaker(Path(folder), scene, stem=name)
+        for k, events in enumerate(picture.events(scene)):
+            maker.add(events, diagnostics={"real_time_factor": "1.0", "late_frames": "0"} if k % 60 == 0 else None)
+        out = HERE / f"{name}.png"
+        return cloth_replay(
+            [
+                *(str(maker.finish()), "--screenshot", str(out), "--at", str(picture.at)),
+                *("--size", "1280x760", "--strain-limit", str(picture.strain_limit)),
+            ]
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(max(paint(name) for name in sys.argv[1:] or PICTURES))
