@@ -245,3 +245,32 @@ def test_force_of_the_blend_stays_bounded_down_to_collinear(thin):
 def test_hinges_that_are_none_are_refused(build, words):
     with pytest.raises(ValueError, match=words):
         build()
+
+
+@pytest.mark.parametrize("kind", [CrossedSprings, AltitudeSprings])
+def test_stiffness_bound_holds_and_is_not_loose_for_hinges_of_any_shape(kind):
+    # far from rest, so that the part from the length's curvature leads
+    rng = np.random.default_rng(5)
+    looseness = []
+    for _ in range(300):
+        x = rng.standard_normal((3, 4)) * 10.0 ** rng.uniform(-1.5, 0, (3, 1))
+        length = signed_lengths(PAIR, x, crossed=kind is CrossedSprings)[0]
+        rest = length + rng.choice([-1.0, 1.0]) * rng.uniform(0, 3)
+        ends = (PAIR,) if kind is AltitudeSprings else (PAIR[:, :2], PAIR[:, 2:])
+        term = kind(*ends, rest, 1.0)
+        blocks = np.zeros((6, 4))
+        term.add_stiffness(x, blocks)
+        matrix = np.zeros((12, 12))
+        for column in range(12):
+            push, out = np.zeros((3, 4)), np.zeros((3, 4))
+            push[divmod(column, 4)] = 1.0
+            term.add_jacobian_product(0.0, x, 0 * x, push, 0 * x, out)
+            matrix[:, column] = -out.ravel()
+        bound = np.zeros((3, 4, 3, 4))
+        for (i, j), row in zip([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], blocks, strict=True):
+            bound[i, range(4), j, range(4)] = bound[j, range(4), i, range(4)] = row
+        bound = bound.reshape(12, 12)
+        largest = np.linalg.eigvalsh(matrix)[-1]
+        assert np.linalg.eigvalsh(bound - matrix)[0] > -1e-9 * np.abs(matrix).max()
+        looseness.append(np.linalg.eigvalsh(bound)[-1] / largest)
+    assert np.median(looseness) < 12.0

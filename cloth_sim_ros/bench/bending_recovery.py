@@ -19,7 +19,7 @@ import numpy as np
 from cloth_sim_ros.physics.bending_calibration import spring_constants
 from cloth_sim_ros.physics.hinge_shape import HingeShape
 from cloth_sim_ros.physics.kernels.pairs import add_pair_forces, pair_energy
-from cloth_sim_ros.physics.kernels.tetrahedron import JIT, length_and_gradient
+from cloth_sim_ros.physics.kernels.tetrahedron import JIT, dot, length_and_gradient, load
 from cloth_sim_ros.physics.terms.base import Array
 
 #: The five edges of the triangles, then the bending spring.
@@ -139,13 +139,8 @@ def _run(x, lengths, stiffness, damping, h0, second, second_damping, crossed, st
     final = np.zeros(count)
     rise = np.zeros(count)
     p = np.empty((3, 4))
-    q = np.empty((4, 3))
     v = np.empty((3, 4))
     f = np.empty((3, 4))
-    g = np.empty((4, 3))
-    ga = np.empty((4, 3))
-    gv = np.empty((4, 3))
-    w = np.empty((8, 3))
     energies = np.empty(limit)
     for n in range(count):
         v[:] = 0.0
@@ -155,20 +150,19 @@ def _run(x, lengths, stiffness, damping, h0, second, second_damping, crossed, st
             for k in range(4):
                 for j in range(3):
                     p[j, k] = x[n, k, j]
-                    q[k, j] = x[n, k, j]
             f[:] = 0.0
             add_pair_forces(EDGES, lengths, stiffness, damping, p, v, f)
-            defined, h, _ = length_and_gradient(q, crossed, g, ga, gv, w)
+            defined, h, _, g, _, _ = length_and_gradient((load(p, 0), load(p, 1), load(p, 2), load(p, 3)), crossed)
             final[n] = h
             rate = 0.0
             for k in range(4):
-                rate += g[k, 0] * v[0, k] + g[k, 1] * v[1, k] + g[k, 2] * v[2, k]
+                rate += dot(g[k], load(v, k))
             tension = -second * (h - h0) - second_damping * rate
             kinetic = 0.0
             force = 0.0
             for k in range(4):
                 for j in range(3):
-                    total = f[j, k] + tension * g[k, j]
+                    total = f[j, k] + tension * g[k][j]
                     kinetic += 0.5 * v[j, k] * (v[j, k] + step * total)
                     v[j, k] += step * total
                     x[n, k, j] += step * v[j, k]
