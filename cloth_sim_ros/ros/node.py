@@ -31,6 +31,7 @@ from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
 from cloth_sim_ros.ros.strain import StrainGauge
+from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class ClothNode:
         self._interruptible = interruptible
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
+        refuse_endless_frames(scene, self._simulation.state.x)
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, interruptible=interruptible)
@@ -94,7 +96,12 @@ class ClothNode:
             save_state=self._save_state,
             seconds=time.monotonic,
         )
-        self._parameters = parameters.LiveParameters(self.node, scene, self._change_parameters)
+        self._parameters = parameters.LiveParameters(
+            self.node,
+            scene,
+            self._change_parameters,
+            lambda wanted: refuse_endless_frames(wanted, self._simulation.state.x),
+        )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
         self._gauge = StrainGauge(scene)
         self._overheard = Overheard(self.node, self._recording)

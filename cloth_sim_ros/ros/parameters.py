@@ -91,11 +91,19 @@ class LiveParameters:
         node: whose parameters.
         scene: in force.
         change: called with what was accepted, flat names and values.
+        check: refuses a scene with ParameterError.
     """
 
-    def __init__(self, node: Node, scene: Scene, change: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        scene: Scene,
+        change: Callable[[dict[str, Any]], None],
+        check: Callable[[Scene], None],
+    ) -> None:
         self._node = node
         self._change = change
+        self._check = check
         self._names = {entry.name for entry in Scene.declared()}
         # With what was accepted and waits for its frame, so that two changes in one frame are checked together.
         self._accepted = scene
@@ -123,8 +131,10 @@ class LiveParameters:
         if not values or self._returning:
             return SetParametersResult(successful=True)
         try:
-            self._accepted = self._accepted.changed(values)
-            self._change({name: self._accepted.parameters()[name] for name in values})
+            wanted = self._accepted.changed(values)
+            self._check(wanted)
+            self._change({name: wanted.parameters()[name] for name in values})
+            self._accepted = wanted
         except (ParameterError, RuntimeError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

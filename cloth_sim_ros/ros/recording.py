@@ -166,7 +166,7 @@ class SessionRecording:
             time=frame.time,
             events=tuple(events.to_dict(event) for event in frame.events),
             integrator=frame.integrator,
-            tolerance=None,
+            tolerance=frame.tolerance,
             steps=frame.advance.steps if frame.advance else 0,
             digest=self._simulation.state.digest(),
             paused=self._simulation.paused,

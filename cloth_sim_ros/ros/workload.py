@@ -1,0 +1,42 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a live node can bear: parameters by which one frame would take minutes are refused, so that it stays answerable.
+
+The library itself has no such bound; a run of millions of steps is a fair thing to ask of it.
+"""
+
+from __future__ import annotations
+
+from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.scene import Scene
+
+#: Most particle steps in a frame: about a second of the slowest kernels.
+MOST_WORK = 20_000_000
+#: Steps that any cloth may take, however large: who asks for a million particles waits.
+ALWAYS = 1000
+#: Steps that no cloth may take, however small: each has a cost of its own.
+NEVER = 100_000
+
+
+def refuse_endless_frames(scene: Scene, x: Array) -> None:
+    """Refuse a scene whose frames are not over soon.
+
+    Args:
+        scene: to be judged.
+        x: positions [m], shape (3, n).
+
+    Raises:
+        ParameterError: naming the steps that a frame would take, and what to do.
+    """
+    particles = x.shape[1]
+    step, why = scene.step, f"step is {scene.step} s"
+    if not step:
+        step = scene.build_integrator().step_limit(*scene.dynamics().rates(x))
+        why = f"the stability limit of '{scene.integrator}' is {step:.3g} s"
+    most = min(NEVER, max(ALWAYS, MOST_WORK // particles))
+    if step < scene.period / most:
+        raise ParameterError(
+            f"a frame would take {scene.period / step:.3g} steps ({why}), at most {most} are taken live: "
+            "lower stiffness or damping, raise the density, or choose integrator 'auto' with step 0.0"
+        )
