@@ -14,11 +14,11 @@ import numpy as np
 
 from cloth_sim_ros import parameter_file, parameters, scene_files
 from cloth_sim_ros.parameters import ParameterError, parameter, section
+from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.material import Threads
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
@@ -70,10 +70,29 @@ class Scene:
     grippers: tuple[str, ...] = parameter("string[]", ("gripper",), "Names of the grippers; none by ['']")
     gripper: Gripper = section(Gripper)
     integrator: str = parameter(
-        "string", "auto", "How time is stepped; auto chooses", choices=("auto", "leapfrog"), live=True
+        "string",
+        "auto",
+        "How time is stepped; auto chooses from stiffness and tolerance",
+        choices=INTEGRATORS,
+        live=True,
+    )
+    tolerance: float = parameter(
+        "double",
+        1e-3,
+        "Target of the largest particle position error at frames; 0 holds none",
+        unit="m",
+        least=0.0,
+        most=1.0,
+        live=True,
     )
     step: float = parameter(
-        "double", 0.0, "Fixed time step; 0 takes it from the stability limit", unit="s", least=0.0, most=1.0, live=True
+        "double",
+        0.0,
+        "Fixed time step, which holds no tolerance; 0 takes it from tolerance and stability",
+        unit="s",
+        least=0.0,
+        most=1.0,
+        live=True,
     )
     record: Record = section(Record)
     diagnostics: Diagnostics = section(Diagnostics)
@@ -219,7 +238,7 @@ class Scene:
 
     def build_integrator(self) -> Integrator:
         """The integrator that the scene asks for."""
-        return Leapfrog(self.step or None)
+        return make_integrator(self.integrator, step=self.step or None, tolerance=self.tolerance or None)
 
     def _loaded_state(self) -> State:
         what = f"initial_state '{self.initial_state}'"

@@ -13,7 +13,7 @@ import numpy as np
 from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
-from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.integrators.base import Advance, restart
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
@@ -21,6 +21,8 @@ from cloth_sim_ros.scene import Scene
 
 #: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
 REACH = 1e4
+#: Change of a closed gripper's mean velocity from one frame to the next [m/s] from which its target counts as jumping.
+_JUMP = 0.5
 
 
 class EventError(ValueError):
@@ -41,8 +43,11 @@ class Frame:
     grasps: tuple[GraspResult, ...]
     #: Whether simulated time passed.
     moved: bool
+    #: Name of the integrator that ran; of the one that is chosen where no time passed.
     integrator: str
-    #: Steps, evaluations and step sizes; None where no time passed.
+    #: Tolerance in force [m]; None where the step is fixed or none is set.
+    tolerance: float | None
+    #: Steps, evaluations, step sizes, error estimate and what bound the step; None where no time passed.
     advance: Advance | None
     #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape
     #: (gripper_count, 6).
@@ -159,10 +164,13 @@ class Simulation:
                     self.grippers.set_target(event)
                 case Grasp(gripper=name, closed=True):
                     grasps.append(self.grippers.close(name, self.model, self._scene.gripper.radius))
+                    restart(self.state)
                 case Grasp(gripper=name):
                     grasps.append(self.grippers.open(name))
+                    restart(self.state)
                 case SetParameters(values=values):
                     self._apply_scene(self._scene.changed(values))
+                    restart(self.state)
                 case Pause(paused=paused):
                     self.state.memory["paused"][0] = paused
                 case Step():
@@ -178,7 +186,8 @@ class Simulation:
             events=tuple(events),
             grasps=tuple(grasps),
             moved=moved,
-            integrator=self._integrator.name,
+            integrator=done.integrator if done else self._integrator.name,
+            tolerance=(self._scene.tolerance or None) if not self._scene.step else None,
             advance=done,
             wrenches=self._wrenches.mean_wrenches if moved and self._wrenches else np.zeros((count, 6)),
         )
@@ -187,7 +196,11 @@ class Simulation:
         start, period = self.time, self._scene.period
         if self._grips is not None:
             gripper = self._scene.gripper
+            before = self.state.memory["gripper.turn"][:, :3].copy()
             self.grippers.plan_frame(self._grips, self.model, start, period, gripper.stiffness, gripper.damping)
+            jerk = np.abs(self.state.memory["gripper.turn"][:, :3] - before)[self.state.memory["gripper.closed"]]
+            if jerk.max(initial=0.0) > _JUMP * period:
+                restart(self.state)
         done = self._integrator.advance(self.dynamics, self.state, start, period, self._wrenches)
         self.state.frame += 1
         return done

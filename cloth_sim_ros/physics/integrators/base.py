@@ -43,6 +43,7 @@ BINDING = ("accuracy", "stability", "frame", "step")
 class Advance:
     """What an integrator did over one stretch of time."""
 
+    #: Steps of the runs that make up the result.
     steps: int
     #: Force evaluations, those of rejected steps included.
     evaluations: int
@@ -91,13 +92,14 @@ class Integrator(ABC):
         """
 
 
-#: Name under which a controller keeps its memory in ``State.memory``.
-MEMORY = "stepper"
+#: Names under which a controller, and the choice of integrator, keep their memory in ``State.memory``.
+MEMORY, CHOICE = "stepper", "automatic"
 
 
 def restart(state: State) -> None:
-    """Forget the controller's memory: after an event the next advance judges its step anew."""
+    """Forget both: after an event the next advance judges its step, and `auto` its integrator, anew."""
     state.memory.pop(MEMORY, None)
+    state.memory.pop(CHOICE, None)
 
 
 def check_step(step: float | None) -> float | None:

@@ -76,7 +76,6 @@ class Columns:
         self._observed = weights(tuple(counts[:observed])) if observer is not None else ()
         self.counts = tuple(counts)
         self.evaluations = 0
-        self.steps = 0
         self._runs: list[tuple[Array, Array]] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
 
@@ -102,7 +101,6 @@ class Columns:
         observer, weight = (self._observer, self._observed[column]) if seen else (None, 1.0)
         step = self._duration / steps
         self.evaluations += leapfrog(self._dynamics, self._t, x, v, step, steps, observer, weight)
-        self.steps += steps
         self._runs.append((x, v))
 
     def _weighted(self, columns: int) -> tuple[Array, Array]:

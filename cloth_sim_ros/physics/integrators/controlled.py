@@ -69,7 +69,9 @@ class ControlledAdvance:
     ) -> None:
         self._options, self._dynamics, self._state, self._observer = options, dynamics, state, observer
         self._t, self._duration = t, duration
-        self._parts = steps_for(duration, LONGEST_STRETCH)
+        # What is not extrapolated need not be cut.
+        single = options.columns == 1 and options.tolerance is None
+        self._parts = 1 if single else steps_for(duration, LONGEST_STRETCH)
         self._stretch = duration / self._parts
         controlled = options.tolerance is not None
         self._budget = SHARE_PER_SECOND * self._stretch * options.tolerance if options.tolerance else math.inf
@@ -134,8 +136,10 @@ class ControlledAdvance:
     def _reason(self, h: float) -> str:
         columns = self._choice.columns
         order = f"order {columns + 1}" + (f" by {columns} runs" if columns > 1 else "")
+        if self._options.step is not None:
+            return f"{self._options.name}: {order}, fixed step of {h:.3g} s"
         if self._options.tolerance is None:
-            return f"{self._options.name}: {order}, step {h:.3g} s, no tolerance set"
+            return f"{self._options.name}: {order}, step {h:.3g} s set by stability, no tolerance"
         held = f"tolerance {self._options.tolerance:g} m"
         if self._choice.refine > 1.0:
             return f"{self._options.name}: {order}, step {h:.3g} s set by the {held}"
@@ -168,6 +172,11 @@ class ControlledAdvance:
         x, v = columns.combine(choice.columns)
         if not all_finite(x, v):
             self._evaluations += columns.evaluations - before
+            if self._options.step is not None:
+                raise UnstableError(
+                    f"the motion became non-finite at a step of {self._stretch / self._first} s; "
+                    f"its limit was {self._limit:.6g} s at the start"
+                )
             self._retry(choice.columns, 2.0 * choice.refine)
             return None
         error: float | None = 0.0
@@ -184,7 +193,7 @@ class ControlledAdvance:
             return None
         self._limit = min(self._limit, limit) if part + 1 < self._parts else self._limit
         self._memory.omega2, self._memory.damping = omega2, damping
-        self._steps += columns.steps
+        self._steps += sum(columns.counts[: choice.columns])
         state.x[:], state.v[:] = x, v
         return error
 

@@ -21,10 +21,10 @@ class Implicit(Integrator):
     1/sqrt(2).
 
     Stages at t + gamma h and t + h, the second being the new state: stiffly accurate. Order 2, L-stable, and
-    algebraically stable, so that no step makes energy from nowhere. Each stage solves ``M (v - V) = d f(t, X + d v, v)``,
-    d = gamma h, by Newton's iteration with a matrix M + d^2 K + d D that is assembled from the terms and factorised anew
-    each time: stiff springs that turn by a thousandth make an old one useless. Compression's negative stiffness is left
-    out of the matrix, not of the force.
+    algebraically stable, so that no step makes energy from nowhere. Each stage solves ``M (v - V) = d f(t, X + d v,
+    v)``, d = gamma h, by Newton's iteration with a matrix M + d^2 K + d D that is assembled from the terms and
+    factorised anew each time: stiff springs that turn by a thousandth make an old one useless. Compression's negative
+    stiffness is left out of the matrix, not of the force.
 
     The error of a step is estimated as ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``: the leading error of the method with
     x''' from the stages' accelerations. In-plane waves that the step does not resolve are damped out, not followed.

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
 from cloth_sim_ros.physics.integrators.control import AIM, SHARE_PER_SECOND, Memory
 from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
+from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
@@ -50,7 +50,7 @@ class ImplicitAdvance:
         tolerance = integrator.tolerance
         self._budget = math.inf if tolerance is None else SHARE_PER_SECOND * duration * tolerance
         self._memory = Memory.of(state)
-        self._matrix = StageMatrix(dynamics, state.x)
+        self._matrix = stage_matrix(dynamics)
         self._evaluations = 0
 
     def run(self) -> Advance:
@@ -101,7 +101,7 @@ class ImplicitAdvance:
     def _reason(self, h: float, steps: int) -> str:
         tolerance = self._integrator.tolerance
         if self._integrator.step is not None or tolerance is None:
-            return f"implicit: order 2, step {h:.3g} s, no tolerance set"
+            return f"implicit: order 2, step {h:.3g} s, no tolerance"
         if steps == 1:
             return f"implicit: order 2, one step a frame; it holds the tolerance {tolerance:g} m"
         return f"implicit: order 2, step {h:.3g} s set by the tolerance {tolerance:g} m"

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.kernels import band
+from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.terms.base import Array, Term
 
 #: Pairs whose stiffness is below this share of the largest at either end do not widen the band: what of them lies
@@ -24,8 +27,8 @@ class StageMatrix:
     grid.
     """
 
-    def __init__(self, dynamics: Dynamics, x: Array) -> None:
-        self._model = dynamics.model
+    def __init__(self, model: Model) -> None:
+        self._model = model
         moving = self._model.inverse_masses > 0.0
         self._coupled: list[tuple[Term, NDArray[np.int64]]] = []
         self._single: list[Term] = []
@@ -35,12 +38,19 @@ class StageMatrix:
                 self._single.append(term)
             else:
                 self._coupled.append((term, np.ascontiguousarray(pairs)))
-        self._places, width = _order(self._band_pairs(x), moving)
+        self._places, width = _order(self._band_pairs(), moving)
         self._rows = np.zeros((int(moving.sum()), 3, 3 * (width + 1)))
         self._blocks = np.empty((6, self._model.particle_count))
 
-    def _band_pairs(self, x: Array) -> NDArray[np.int64]:
+    @property
+    def size(self) -> tuple[int, int]:
+        """Block rows, and blocks in a row."""
+        return self._rows.shape[0], self._rows.shape[2] // 3
+
+    def _band_pairs(self) -> NDArray[np.int64]:
         """The pairs that the band has to hold: all but those that are negligible beside others at both their ends."""
+        # At coincident places a block is the stiffness times the unit matrix: the order does not depend on the state.
+        x = np.zeros((3, self._model.particle_count))
         pairs = [np.empty((0, 2), dtype=np.int64), *(pairs for _, pairs in self._coupled)]
         sizes = [np.empty(0), *(term.pair_blocks(x, 1.0, 0.0)[:, :3].sum(axis=1) for term, _ in self._coupled)]
         ends, size = np.concatenate(pairs), np.concatenate(sizes)
@@ -71,6 +81,16 @@ class StageMatrix:
     def solve(self, right: Array) -> None:
         """Replace ``right`` (3, n) by the solution; zero for anchored particles."""
         band.solve(self._rows, self._places, right)
+
+
+_MATRICES: WeakKeyDictionary[Model, StageMatrix] = WeakKeyDictionary()
+
+
+def stage_matrix(dynamics: Dynamics) -> StageMatrix:
+    """Return the matrix of a model, made when it is first asked for."""
+    if dynamics.model not in _MATRICES:
+        _MATRICES[dynamics.model] = StageMatrix(dynamics.model)
+    return _MATRICES[dynamics.model]
 
 
 def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:

@@ -4,8 +4,8 @@
 
 Block row I keeps its blocks J = I - w ... I in one contiguous row: ``rows[I, r, (J - I + w) * 3 + c]`` is entry
 (3 I + r, 3 J + c), w the block half bandwidth; blocks left of the first column are zero. Every inner loop is a dot
-product of contiguous numbers. No library of linear algebra is called: the order of all sums is fixed, whatever the number
-of threads.
+product of contiguous numbers. No library of linear algebra is called: the order of all sums is fixed, whatever the
+number of threads.
 """
 
 from __future__ import annotations

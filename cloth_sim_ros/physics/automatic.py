@@ -1,0 +1,150 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The choice of integrator and step, from the scene's stiffness, the tolerance and the frame time."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, Observer, restart
+from cloth_sim_ros.physics.integrators.columns import RATIOS
+from cloth_sim_ros.physics.integrators.control import Memory
+from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.integrators.fixed import SAFETY
+from cloth_sim_ros.physics.integrators.implicit import Implicit
+from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+from cloth_sim_ros.physics.integrators.march import leapfrog_limit
+from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
+from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
+from cloth_sim_ros.physics.state import State
+
+#: Integrators by the name that a scene gives.
+INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
+
+#: Cost of a leapfrog step for one particle [ns], by the fused loop and by terms, and of one multiply-add in the
+#: factorisation of the implicit method's matrix. Measured once; constants, so that the choice is the same on any
+#: machine.
+FUSED_STEP, TERM_STEP, MULTIPLY_ADD = 6.0, 90.0, 0.25
+#: Newton iterations of an implicit step, as a rule.
+ITERATIONS = 5.0
+#: Explicit steps are kept while they cost less than this share of real time: they follow what implicit ones damp out.
+AFFORDABLE = 0.5
+#: Frames between two comparisons while the implicit method runs.
+REVIEW = 30
+
+
+def make_integrator(name: str, *, step: float | None = None, tolerance: float | None = None) -> Integrator:
+    """Return an integrator by its name; with a fixed step no tolerance is held.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    held = None if step is not None else tolerance
+    if name == "auto":
+        return Leapfrog(step) if step is not None else Automatic(tolerance=held)
+    if name == "leapfrog":
+        return Leapfrog(step, tolerance=held)
+    if name == "extrapolated":
+        return Extrapolated(step=step, tolerance=held)
+    if name == "implicit":
+        return Implicit(step, tolerance=held)
+    if name == "symplectic_euler":
+        return SymplecticEuler(step)
+    raise ValueError(f"no integrator '{name}'; there are {', '.join(INTEGRATORS)}")
+
+
+@attrs.define
+class _Memory:
+    """What the choice rests on from frame to frame."""
+
+    #: 0 explicit, 1 implicit.
+    implicit: float = 0.0
+    #: Cost of an implicit frame when last run [ns]; 0 unknown.
+    cost: float = 0.0
+    #: Frames until the next comparison.
+    wait: float = 0.0
+
+    @classmethod
+    def of(cls, state: State) -> _Memory:
+        stored = state.memory.get(CHOICE)
+        return cls() if stored is None else cls(*stored.tolist())
+
+    def store(self, state: State) -> None:
+        state.memory[CHOICE] = np.array(attrs.astuple(self), dtype=np.float64)
+
+
+class Automatic(Integrator):
+    """Explicit steps where they can hold real time, the implicit method where it is cheaper then.
+
+    Explicit is the extrapolated leapfrog, which is the plain leapfrog while the tolerance is loose or none is set.
+    Costs are estimates from the step limit, the particle count and the width of the implicit matrix; no clock is
+    read.
+
+    Args:
+        tolerance: target of the largest particle position error at frames [m]; None holds the stability limit alone.
+    """
+
+    name = "auto"
+    order = 2
+    evaluations_per_step = 1
+    suits = "any scene"
+
+    def __init__(self, *, tolerance: float | None = None) -> None:
+        self.tolerance = tolerance
+        self._explicit = Leapfrog() if tolerance is None else Extrapolated(tolerance=tolerance)
+        self._implicit = Implicit(tolerance=tolerance)
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        return math.inf
+
+    def advance(
+        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+    ) -> Advance:
+        memory = _Memory.of(state)
+        if memory.implicit == 0.0 or memory.wait <= 0.0:
+            self._choose(memory, dynamics, state, duration)
+        memory.wait -= 1.0
+        chosen = self._implicit if memory.implicit else self._explicit
+        done = chosen.advance(dynamics, state, t, duration, observer)
+        if memory.implicit:
+            memory.cost = done.evaluations * _implicit_iteration(dynamics)
+        memory.store(state)
+        if memory.implicit:
+            why = "too stiff for explicit steps in real time"
+        else:
+            why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
+        return attrs.evolve(done, reason=f"auto: {why}; {done.reason}")
+
+    def _choose(self, memory: _Memory, dynamics: Dynamics, state: State, duration: float) -> None:
+        explicit = _explicit_frame(dynamics, state, duration)
+        implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
+        # A change has to pay well: the two would else take turns.
+        if memory.implicit:
+            better = implicit <= 1.5 * explicit and explicit > 0.5 * AFFORDABLE * duration * 1e9
+        else:
+            better = explicit > AFFORDABLE * duration * 1e9 and implicit <= 0.67 * explicit
+        if better != bool(memory.implicit):
+            restart(state)
+        memory.implicit, memory.wait = float(better), float(REVIEW)
+
+
+def _explicit_frame(dynamics: Dynamics, state: State, duration: float) -> float:
+    """Estimated cost of a frame by explicit steps [ns]."""
+    stepper = Memory.of(state)
+    if stepper.omega2 < 0.0:
+        stepper = Memory()
+        stepper.omega2, stepper.damping = dynamics.rates(state.x)
+    limit = SAFETY * leapfrog_limit(stepper.omega2, stepper.damping)
+    steps = max(1.0, duration / limit) * stepper.refine * sum(RATIOS[: stepper.columns])
+    each = FUSED_STEP if dynamics.plan is not None else TERM_STEP
+    return steps * each * dynamics.model.particle_count
+
+
+def _implicit_iteration(dynamics: Dynamics) -> float:
+    """Estimated cost of one iteration of the implicit method [ns]."""
+    rows, width = stage_matrix(dynamics).size
+    return MULTIPLY_ADD * 4.5 * rows * width * width + TERM_STEP * dynamics.model.particle_count
