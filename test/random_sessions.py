@@ -14,6 +14,7 @@ from session_maker import SessionMaker
 from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target
 from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.session.writer import WriterOptions
 from cloth_sim_ros.simulation import EventError
 
 _ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"], [""])
@@ -44,7 +45,7 @@ def _values(random: np.random.Generator) -> dict[str, Any]:
         "material.stretch_modulus": float(10.0 ** random.uniform(1.5, 3.0)),
         "material.shear_modulus": float(random.uniform(1.0, 10.0)),
         "material.damping": float(random.uniform(0.0, 0.5)),
-        "bending.model": str(random.choice(["none", "axial"])),
+        "bending.model": str(random.choice(["none", "axial", "opposite"])),
         "bending.stiffness": float(random.uniform(0.0, 2.0)),
         "air.drag": float(random.choice([0.0, 0.3])),
         "grippers": [["gripper"], ["left", "right"], [""]][random.integers(3)],
@@ -84,7 +85,8 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
 def make_random_session(folder: Path, seed: int, *, frames: int = 60) -> list[Path]:
     """Write a random session; its files, in order. It may end cut off, and may have several files."""
     random = np.random.default_rng(seed)
-    maker = SessionMaker(folder, random_scene(random), stem=f"random_{seed}")
+    options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)
+    maker = SessionMaker(folder, random_scene(random), stem=f"random_{seed}", options=options)
     for _ in range(frames):
         maker.add(random_events(random, maker))
         if random.random() < 0.03:
