@@ -9,9 +9,11 @@ from scipy.linalg import expm
 
 from cloth_sim_ros.physics.chain import Chain, SpringLaw, joint
 from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
 
 LAW = SpringLaw(mass=0.3, rest_length=0.25, stiffness=40.0)
 
@@ -275,3 +277,37 @@ def test_a_hanging_chains_tip_is_exact_at_any_resolution(particle_count):
 def test_values_that_make_no_spring_are_refused(change, words):
     with pytest.raises(ValueError, match=words):
         attrs.evolve(LAW, **change)
+
+
+@pytest.mark.parametrize("anchored", ["none", "first", "both"])
+@pytest.mark.parametrize("k_d0", [0.0, 0.2, 1.0, 1.5])
+def test_a_chains_motion_is_exact_to_1e_10_by_a_high_order(anchored, k_d0):
+    """Chain (S2) and, by its springs' joints at rest length zero, S4: relative to the largest displacement."""
+    chain = Chain(law=attrs.evolve(LAW, k_d0=k_d0), particle_count=9, anchored=anchored)
+    rng = np.random.default_rng(8)
+    free = np.setdiff1d(np.arange(9), chain.anchors)
+    u, w = np.zeros(9), np.zeros(9)
+    u[free], w[free] = 0.02 * rng.standard_normal(free.size), 0.3 * rng.standard_normal(free.size)
+    stiffness, damping = (matrix[np.ix_(free, free)] for matrix in chain_matrices(chain))
+    inverse = 1.0 / chain.masses()[free][:, None]
+    generator = np.block(
+        [[np.zeros((free.size, free.size)), np.eye(free.size)], [-inverse * stiffness, -inverse * damping]]
+    )
+    exact = expm(0.4 * generator) @ np.concatenate([u[free], w[free]])
+    for joints in (False, True):
+        state, model = chain.state(), chain.model()
+        rest = chain.positions()
+        if joints:
+            springs = model.terms[0]
+            model = Model(
+                chain.masses(),
+                [PairSprings(springs.pairs, 0.0, springs.stiffness, springs.damping)],
+                anchors=chain.anchors,
+            )
+            rest = np.zeros_like(rest)
+            state = State(rest)
+        state.x[0] += u
+        state.v[0] = w
+        Extrapolated(columns=4, step=2e-4).advance(Dynamics(model), state, 0.0, 0.4)
+        error = np.abs(state.x[0, free] - rest[free, 0] - exact[: free.size]).max()
+        assert error < 1e-10 * np.abs(exact[: free.size]).max()
