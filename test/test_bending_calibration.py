@@ -10,6 +10,7 @@ import pytest
 from cloth_sim_ros.bench.bending_patterns import grid_patch, plate_of, triangle_patch
 from cloth_sim_ros.bench.bending_recovery import RESTS, rest_shape
 from cloth_sim_ros.physics.bending_calibration import (
+    added_membrane,
     bending_terms,
     grid_hinge_constants,
     mesh_hinge_constants,
@@ -187,6 +188,25 @@ def test_springs_of_one_pair_are_one_with_the_stiffness_of_all():
     assert len(np.unique(opposite.pairs, axis=0)) == len(opposite.pairs)
     _, k7 = spring_constants("crossed", HingeShape.of(hinges, rest), constants)
     assert opposite.stiffness.sum() == pytest.approx(k7.sum())
+
+
+def test_the_stiffness_that_opposite_springs_add_in_the_plane_is_what_their_energy_says():
+    hinges = grid_hinges(4, 5)
+    row, column = np.divmod(np.arange(20), 5)
+    rest = np.stack((column * 0.1, row * 0.2, 0 * row), axis=1)
+    constants = grid_hinge_constants(hinges, columns=5, spacing=(0.1, 0.2), bending_modulus=1e-3)
+    opposite, _ = bending_terms("altitude", hinges, rest, hinge_constants=constants)
+    area = 0.4 * 0.6
+    added = added_membrane(opposite, rest, area=area)
+    strain = 1e-5
+    for which, stretch in enumerate(
+        [np.diag([1, 0, 0]), np.diag([0, 1, 0]), np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])]
+    ):
+        energies = [
+            opposite.energy(0.0, np.ascontiguousarray((rest @ (np.eye(3) + sign * strain * stretch)).T))
+            for sign in (1, -1)
+        ]
+        assert np.mean(energies) == pytest.approx(0.5 * added[which] * strain**2 * area, rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -47,7 +47,7 @@ BendingModel = Literal["opposite", "crossed", "altitude"]
 #: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which it is another, and that other: the middle of
 #: where a pair finds its rest shape again (docs/bending.md has the map).
 RATIOS = {
-    "crossed": (0.5, math.radians(50.0), 1.4),
+    "crossed": (2.0, math.pi, 2.0),
     "altitude": (0.5, math.radians(80.0), 1.4),
 }
 
@@ -186,6 +186,25 @@ def spring_constants(
     slope = shape.length_slope(model) ** 2 + opposite_per_second * shape.wing_distance_slope() ** 2
     stiffness = constants / slope
     return stiffness, opposite_per_second * stiffness
+
+
+def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -> Array:
+    """Return (C11, C22, C66) [N/m] that S7 adds to a flat sheet's stiffness in its plane, shape (3,).
+
+    By the sum over springs of k L² d d d d over the area. S7's stiffness in `crossed` and `altitude` goes as D/h², so
+    on fine meshes it is to be taken off the edge springs (docs/bending.md has the figures).
+
+    Args:
+        springs: the bending springs.
+        positions: particles at rest in the plane of their first two coordinates [m], shape (n, 2) or (n, 3).
+        area: of the sheet [m²].
+    """
+    x = np.asarray(positions, dtype=np.float64)[:, :2]
+    along = x[springs.pairs[:, 1]] - x[springs.pairs[:, 0]]
+    per_length2 = springs.stiffness / np.einsum("ij,ij->i", along, along) / area
+    products = np.stack((along[:, 0] ** 4, along[:, 1] ** 4, (along[:, 0] * along[:, 1]) ** 2))
+    added: Array = products @ per_length2
+    return added
 
 
 def refuse_bending_modulus(model: str) -> None:
