@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -85,8 +86,9 @@ def test_random_commands(ros_domain: int, start_process: Callable[..., Any], cou
         client.wait_for_clouds(3)
     assert process.interrupt() == 0
     assert "Traceback" not in process.output
-    for reason in ("finite numbers", "is in frame", "s ahead", "are no PoseStamped", "are no PointStamped"):
-        assert reason in process.output
+    # The first refusal of each kind is always logged.
+    for reason in ("(finite numbers|no coordinate may|is no quaternion)", "is in frame", "s ahead", "no Po.*Stamped"):
+        assert re.search(reason, process.output)
     # A few kinds of message, each once a second at most; the run takes its time where the machine is busy.
     assert len(process.output.splitlines()) < count / 5
 
