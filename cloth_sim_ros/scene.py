@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
 from cloth_sim_ros.physics.material import Threads
+from cloth_sim_ros.physics.mesh_sheet import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.state import State
@@ -78,7 +79,7 @@ class Scene:
     )
     tolerance: float = parameter(
         "double",
-        1e-3,
+        1e-4,
         "Target of the largest particle position error at frames; 0 holds none",
         unit="m",
         least=0.0,
@@ -203,6 +204,14 @@ class Scene:
         if not isinstance(sheet, GridSheet):
             raise ParameterError("only a grid has threads; this cloth is a mesh or raw springs")
         return grid_threads_of(self, sheet)
+
+    @property
+    def poisson_ratio(self) -> float | None:
+        """Poisson's ratio of the sheet along its axes: network and moduli leave no choice; None for raw springs."""
+        sheet = self.sheet
+        if isinstance(sheet, GridSheet):
+            return grid_threads_of(self, sheet).poisson_ratio
+        return POISSON_RATIO if isinstance(sheet, MeshSheet) else None
 
     def anchored_particles(self) -> list[int]:
         """Indices of the anchored particles."""

@@ -154,3 +154,8 @@ def test_a_viscosity_replaces_the_dimensionless_damping_and_converges():
 
     # k_d = (k_s / l0) viscosity / Y does not change with the resolution; constant k_d0 would halve it.
     assert damping(9) == pytest.approx(damping(5), rel=1e-12)
+
+
+def test_the_poisson_ratio_that_comes_out_is_told():
+    assert Scene().poisson_ratio == Scene().threads().poisson_ratio == pytest.approx(0.099, abs=1e-3)
+    assert Scene.from_parameters({"cloth.shear_layout": "left"}).poisson_ratio == 0.0

@@ -75,8 +75,8 @@ def grid_threads(
     axial_y -= 2.0 * bend_stiffness
     if not min(axial_x, axial_y) > 0.0:
         raise ValueError(
-            f"no edge springs are left at stretch_modulus {stretch_modulus} N/m with shear_modulus {shear_modulus} N/m, "
-            f"bending stiffness {bend_stiffness} N/m and cells of {hx:.4g} m x {hy:.4g} m; "
+            f"no edge springs are left at stretch_modulus {stretch_modulus} N/m with shear_modulus "
+            f"{shear_modulus} N/m, bending stiffness {bend_stiffness} N/m and cells of {hx:.4g} m x {hy:.4g} m; "
             "raise the stretch modulus or lower the others"
         )
     return Threads(

@@ -177,6 +177,7 @@ class ClothNode:
         self.node.get_logger().info(
             f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, "
             f"grippers: {grippers}"
+            + ("" if scene.poisson_ratio is None else f"; Poisson's ratio comes out as {scene.poisson_ratio:.3f}")
         )
 
     def close(self, *, timeout: float = 1.5) -> bool:
