@@ -34,7 +34,9 @@ def refuse_endless_frames(scene: Scene, x: Array) -> None:
     if not step:
         step = scene.build_integrator().step_limit(*scene.dynamics().rates(x))
         why = f"the stability limit of '{scene.integrator}' is {step:.3g} s"
-    most = min(NEVER, max(ALWAYS, MOST_WORK // particles))
+    # A frame of ten seconds may take longer than one of a sixtieth.
+    patience = max(1.0, 2.0 * scene.period)
+    most = int(patience * min(NEVER, max(ALWAYS, MOST_WORK // particles)))
     if step < scene.period / most:
         raise ParameterError(
             f"a frame would take {scene.period / step:.3g} steps ({why}), at most {most} are taken live: "
