@@ -36,6 +36,8 @@ from cloth_sim_ros.scene_physics import (
 from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Record
 
 MOST_PARTICLES = 4_000_000
+#: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
+LEAST_TOLERANCE = 1e-12
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -106,6 +108,10 @@ class Scene:
         if rows * columns > MOST_PARTICLES:
             raise ParameterError(
                 f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES}"
+            )
+        if 0.0 < self.tolerance < LEAST_TOLERANCE:
+            raise ParameterError(
+                f"tolerance is {self.tolerance} m, finer than rounding; take at least {LEAST_TOLERANCE} m, or 0.0 for none"
             )
         if not self.frame_id:
             raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")

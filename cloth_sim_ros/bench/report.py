@@ -1,0 +1,142 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a measurement found: tables, plots and where it was made, as text, JSON, CSV, PNG and Markdown."""
+
+from __future__ import annotations
+
+import csv
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+
+@attrs.define
+class Table:
+    """Rows under named columns."""
+
+    name: str
+    columns: list[str]
+    rows: list[list[Any]] = attrs.field(factory=list)
+
+    def lines(self) -> list[str]:
+        """The table as Markdown, which reads well as text too."""
+        cells = [[_cell(value) for value in row] for row in self.rows]
+        widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(self.columns)]
+        pad = [[text.ljust(width) for text, width in zip(row, widths, strict=True)] for row in [self.columns, *cells]]
+        head, *body = ["| " + " | ".join(row) + " |" for row in pad]
+        return [head, "|" + "|".join("-" * (width + 2) for width in widths) + "|", *body]
+
+
+@attrs.define
+class Plot:
+    """Lines of points; logarithmic axes."""
+
+    name: str
+    x: str
+    y: str
+    lines: dict[str, list[tuple[float, float]]]
+
+
+@attrs.define
+class Report:
+    """One run of one subcommand."""
+
+    title: str
+    command: str
+    tables: list[Table] = attrs.field(factory=list)
+    plots: list[Plot] = attrs.field(factory=list)
+    notes: list[str] = attrs.field(factory=list)
+    #: What was demanded and not met; any makes the exit status 1.
+    failures: list[str] = attrs.field(factory=list)
+    environment: dict[str, str] = attrs.field(factory=lambda: environment())
+
+    def text(self) -> str:
+        """For the terminal and for documentation."""
+        lines = [f"## {self.title}", "", f"`{self.command}`", ""]
+        for table in self.tables:
+            lines += [f"### {table.name}", "", *table.lines(), ""]
+        lines += [f"- {note}" for note in self.notes]
+        lines += [f"- NOT MET: {failure}" for failure in self.failures]
+        lines += ["", ", ".join(f"{key} {value}" for key, value in self.environment.items())]
+        return "\n".join(lines)
+
+    def write(
+        self,
+        *,
+        json_file: Path | None = None,
+        csv_folder: Path | None = None,
+        plot_folder: Path | None = None,
+        markdown: Path | None = None,
+    ) -> None:
+        """Write the files that are asked for."""
+        if json_file is not None:
+            json_file.write_text(json.dumps(attrs.asdict(self), indent=1, default=float) + "\n")
+        if csv_folder is not None:
+            csv_folder.mkdir(parents=True, exist_ok=True)
+            for table in self.tables:
+                with (csv_folder / f"{_file_name(table.name)}.csv").open("w", newline="") as file:
+                    csv.writer(file).writerows([table.columns, *table.rows])
+        if plot_folder is not None:
+            plot_folder.mkdir(parents=True, exist_ok=True)
+            for plot in self.plots:
+                _draw(plot, plot_folder / f"{_file_name(plot.name)}.png")
+        if markdown is not None:
+            markdown.write_text(self.text() + "\n")
+
+
+def environment() -> dict[str, str]:
+    """Machine, versions and commit."""
+    found = {"machine": _processor(), "cores": str(len(os.sched_getaffinity(0))), "python": platform.python_version()}
+    for name in ("numpy", "numba", "scipy", "scikit-sundae"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "absent"
+    found["commit"] = _commit()
+    return found
+
+
+def _processor() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.machine()
+
+
+def _commit() -> str:
+    command = ["git", "describe", "--always", "--dirty"]
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, check=False, capture_output=True, text=True)
+    except FileNotFoundError:
+        return "unknown"
+    return done.stdout.strip() or "unknown"
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _file_name(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in name.lower()).strip("_")
+
+
+def _draw(plot: Plot, file: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for name, points in plot.lines.items():
+        ordered = sorted(points)
+        axes.loglog([x for x, _ in ordered], [y for _, y in ordered], "o-", markersize=3, label=name)
+    axes.set(xlabel=plot.x, ylabel=plot.y, title=plot.name)
+    axes.grid(which="both", alpha=0.3)
+    axes.legend(fontsize=7)
+    figure.savefig(file, dpi=120)

@@ -1,0 +1,111 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Wall time against error on one scene: ours as shipped, the solvers of libraries on the same compiled forces."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+
+import attrs
+
+from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PROBLEMS, problem
+from cloth_sim_ros.bench.reference import reference
+from cloth_sim_ros.bench.report import Plot, Report, Table
+from cloth_sim_ros.bench.rivals import Solver, TooSlow, library_solvers, our_solvers
+
+#: At these errors [m] the best library solver takes at least so many times our time.
+PROMISES = {1e-5: 10.0, 1e-7: 3.0, 1e-10: 2.0}
+TOLERANCES = (1e-2, 1e-3, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    known = [*PROBLEMS, *MORE_PROBLEMS]
+    parser.add_argument(
+        "--scene", choices=known, metavar="SCENE", default="curtain16", help=f"one of {', '.join(known)}"
+    )
+    parser.add_argument("--repeats", type=int, default=5, help="timed runs of each; the median counts")
+    parser.add_argument("--slow", action="store_true", help="also solvers that take minutes")
+    parser.add_argument(
+        "--limit", type=float, default=60.0, metavar="SECONDS", help="give a library solver up after this"
+    )
+
+
+@attrs.frozen
+class Point:
+    """One solver's error and times."""
+
+    solver: Solver
+    error: float
+    seconds: list[float]
+    evaluations: int
+
+    @property
+    def median(self) -> float:
+        """Median time [s]."""
+        return statistics.median(self.seconds)
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure one scene."""
+    scene = problem(options.scene)
+    known = reference(scene)
+    solvers = [*our_solvers(TOLERANCES), *library_solvers(slow=options.slow)]
+    given_up, first = [], {}
+    for solver in solvers:
+        try:
+            # The first run compiles and warms up; it is not counted.
+            first[solver] = solver.solve(scene, options.limit)
+        except TooSlow:
+            given_up.append(f"{solver.name} {solver.setting}: not done after {options.limit:g} s")
+    times: dict[Solver, list[float]] = {solver: [] for solver in first}
+    # Round by round: what else the machine does then weighs on all alike.
+    for repeat in range(options.repeats):
+        for solver, run_before in first.items():
+            if repeat == 0 or run_before.seconds < 5.0:
+                times[solver].append(solver.solve(scene, options.limit).seconds)
+    points = [
+        Point(solver, known.deviation(scene.frames, done.positions), times[solver], done.evaluations)
+        for solver, done in first.items()
+    ]
+    report = Report(f"Work-precision on {scene.name}", f"cloth_bench work-precision --scene {scene.name}")
+    report.notes.append(
+        f"{scene.description}; errors at {scene.duration:g} s; the reference's own error is {known.error:.1g} m"
+    )
+    report.notes += given_up
+    report.tables += [_everything(points), _comparison(points, report, scene.name)]
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for point in points:
+        lines.setdefault(point.solver.name, []).append((point.error, point.median))
+    report.plots.append(Plot(f"Work-precision {scene.name}", "position error [m]", "wall time [s]", lines))
+    return report
+
+
+def _everything(points: list[Point]) -> Table:
+    table = Table("All runs", ["solver", "setting", "error m", "wall s", "least s", "most s", "evaluations"])
+    for point in points:
+        row = [point.solver.name, point.solver.setting, point.error, point.median]
+        table.rows.append([*row, min(point.seconds), max(point.seconds), point.evaluations])
+    return table
+
+
+def _comparison(points: list[Point], report: Report, scene: str) -> Table:
+    table = Table("Least time to an error", ["error m", "ours s", "by", "best library s", "by library", "times"])
+    for error, promise in PROMISES.items():
+        ours = _least(points, "ours", error)
+        theirs = _least(points, "library", error)
+        if ours is None or theirs is None:
+            report.notes.append(f"no comparison at {error:g} m: nobody, or only one side, reached it")
+            continue
+        times = theirs.median / ours.median
+        names = [f"{point.solver.name} {point.solver.setting}" for point in (ours, theirs)]
+        table.rows.append([error, ours.median, names[0], theirs.median, names[1], times])
+        if scene in ("curtain16", "curtain32") and times < promise:
+            report.failures.append(f"{times:.2g} times less than the best library at {error:g} m; promised {promise:g}")
+    return table
+
+
+def _least(points: list[Point], kind: str, error: float) -> Point | None:
+    good = [point for point in points if point.solver.kind == kind and point.error <= error]
+    return min(good, key=lambda point: point.median) if good else None
