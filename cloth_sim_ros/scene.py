@@ -111,7 +111,7 @@ class Scene:
             )
         if 0.0 < self.tolerance < LEAST_TOLERANCE:
             raise ParameterError(
-                f"tolerance is {self.tolerance} m, finer than rounding; take at least {LEAST_TOLERANCE} m, or 0.0 for none"
+                f"tolerance is {self.tolerance} m, finer than rounding; take {LEAST_TOLERANCE} m or more, or 0.0"
             )
         if not self.frame_id:
             raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")

@@ -18,7 +18,6 @@ from rclpy.exceptions import (
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros import __version__
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
@@ -70,7 +69,7 @@ def _run(signals: StopSignals) -> int:
             cloth = ClothNode(interruptible=signals.interruptible)
     except StopRequestedError:
         return 0
-    except (ParameterError, RuntimeError, *_BAD_NAMES) as error:
+    except (ValueError, RuntimeError, *_BAD_NAMES) as error:
         return _refuse(readable(error))
     started = False
     try:

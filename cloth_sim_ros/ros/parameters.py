@@ -13,7 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from cloth_sim_ros.parameters import Parameter, ParameterError
+from cloth_sim_ros.parameters import Parameter
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.scene import Scene
 
@@ -135,7 +135,7 @@ class LiveParameters:
             self._check(wanted)
             self._change({name: wanted.parameters()[name] for name in values})
             self._accepted = wanted
-        except (ParameterError, RuntimeError) as error:
+        except (ValueError, RuntimeError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
