@@ -12,6 +12,7 @@ from cloth_sim_ros.physics.surface import (
     Surface,
     SurfaceError,
     grid_diagonals,
+    grid_hinges,
     grid_triangles,
     opposite_pairs,
 )
@@ -122,3 +123,16 @@ def test_two_closed_fans_in_one_particle_are_refused() -> None:
     other[other > 0] += 3
     with pytest.raises(SurfaceError, match="at particle 0 two parts"):
         Surface.from_triangles(np.concatenate((TETRAHEDRON, other)))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(2, 3), (4, 5), (5, 4)])
+def test_grid_hinges_are_those_of_both_checkerboards(rows: int, columns: int) -> None:
+    hinges = grid_hinges(rows, columns)
+    one = Surface.from_triangles(grid_triangles(rows, columns, "alternating")).hinges
+    assert hinges[: len(one)].tolist() == one.tolist()
+    assert len(hinges) == 2 * len(one)
+    # together they are the same after a shift by one cell, as one checkerboard is not: every cell has both diagonals
+    quads = {(frozenset(h[:2]), frozenset(h[2:])) for h in hinges.tolist()}
+    assert len(quads) == len(hinges)
+    for a, b in grid_diagonals(rows, columns, "both").tolist():
+        assert sum(edge == {a, b} for edge, _ in quads) == 1
