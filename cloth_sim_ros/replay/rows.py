@@ -31,7 +31,8 @@ class Rows:
     Args:
         path: entity path.
         archetype: an archetype class of rerun.
-        ragged: components that hold any number of values in a row; the others hold one.
+        ragged: components that hold any number of values in a row; the others hold as many in each row as in the
+            first, most of them one.
     """
 
     def __init__(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> None:

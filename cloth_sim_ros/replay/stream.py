@@ -72,8 +72,8 @@ class Stream:
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
         self._view = GripperView(self._grippers, self._table)
-        self._mesh = self._table(CLOTH, rr.Mesh3D, ragged=("vertex_positions", "vertex_normals", "vertex_colors"))
-        self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
+        self._mesh = self._table(CLOTH, rr.Mesh3D)
+        self._pins = self._table(ANCHORS, rr.Points3D)
         self._kept: _Shown | None = None
         self._sent = 0
         #: Clouds that were in the messages, and those that were shown.
