@@ -11,7 +11,6 @@ stiffness, of ratio zeta at that mode, lowers this to dt <= (2/omega) (sqrt(1 + 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from cloth_sim_ros.physics.kernels.grid_springs import (
     constants,
     grid_tables,
 )
-from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, REACH, Band, Mail, advance_band
+from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, REACH, Sheet, advance_sheet
 
 _SECOND_CACHE = 1 << 20
 """Bytes; that of the machines at hand. A wrong guess costs a few per cent."""
@@ -99,37 +98,31 @@ class GridLeapfrog:
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
         self._plan: tuple[tuple[float, bool], tuple[Any, ...]] | None = None
-        self._bands = self._cut(inverse, threads)
-        self._mail = self._post_office() if threads > 1 else None
+        self._sheet = self._cut(inverse, threads)
         self._workers = ThreadPoolExecutor(threads - 1, thread_name_prefix="grid") if threads > 1 else None
 
-    def _cut(self, inverse: Array, threads: int) -> list[Band]:
+    def _cut(self, inverse: Array, threads: int) -> Sheet:
         """Cut the sheet into bands of about equal height."""
         springs = self.springs
         pitch, table, table_rows = grid_tables(springs, inverse, self._dtype)
         components = 12 if self._dtype == np.float32 else 9
-        levels = _levels(springs.rows // threads, components * pitch * self._dtype.itemsize, threads)
+        stride = components * pitch
+        levels = _levels(springs.rows // threads, stride * self._dtype.itemsize, threads)
         halo = REACH * levels
         beyond = np.zeros(halo, dtype=np.intp)
-        entries = np.concatenate([beyond, table_rows, beyond])
-        borders = [springs.rows * band // threads for band in range(threads + 1)]
-        bands = []
-        for index, (first, last) in enumerate(pairwise(borders)):
-            state = aligned_zeros((last - first + 2 * halo) * components * pitch, self._dtype)
-            ring = aligned_zeros(levels * 3 * 3 * pitch, self._dtype)
-            own = entries[first : last + 2 * halo].copy()
-            shape = (first, last, springs.rows, springs.columns, pitch, components, levels)
-            bands.append(Band(*shape, state, ring, table, own, index))
-        return bands
-
-    def _post_office(self) -> Mail:
-        band = self._bands[0]
-        size = REACH * band.levels * band.components * band.pitch
-        boxes = np.zeros((len(self._bands), 2, 2, size), dtype=self._dtype)
-        return Mail(boxes, np.zeros(len(self._bands) * COUNTER_SPACING, dtype=np.int64), len(self._bands))
+        borders = springs.rows * np.arange(threads + 1) // threads
+        size = (int(np.diff(borders).max()) + 2 * halo) * stride
+        return Sheet(
+            *(springs.rows, springs.columns, pitch, components, levels, borders),
+            state=aligned_zeros(threads * size, self._dtype).reshape(threads, size),
+            ring=aligned_zeros(threads * levels * 9 * pitch, self._dtype).reshape(threads, levels * 9 * pitch),
+            table=table,
+            table_rows=np.concatenate([beyond, table_rows, beyond]),
+            boxes=np.zeros((threads, 2, 2, halo * stride if threads > 1 else 0), dtype=self._dtype),
+        )
 
     def _step_plan(self, dt: float, grips: bool) -> tuple[Any, ...]:
-        """Shapes and values of the steps, as `advance_band` takes them. The last ones are kept."""
+        """Shapes and values of the steps, as `advance_sheet` takes them. The last ones are kept."""
         if self._plan is not None and self._plan[0] == (dt, grips):
             return self._plan[1]
 
@@ -179,16 +172,18 @@ class GridLeapfrog:
             *(x.reshape(-1), v.reshape(-1), origin, steps, dt, shape, fast, once),
             # A single step is both the first and the last: its weak families count once.
             *(ends if steps > 1 else once, full),
-            *(None if grips is None else _near(grips, origin), self._mail),
+            None if grips is None else _near(grips, origin),
         )
-        if self._workers is None or self._mail is None:
-            advance_band(self._bands[0], *common)
-        else:
-            self._mail.counters[:] = 0
-            others = [self._workers.submit(advance_band, band, *common) for band in self._bands[1:]]
-            advance_band(self._bands[0], *common)
-            for other in others:
-                other.result()
+        bands = len(self._sheet.borders) - 1
+        # New counters for each call: a thread that comes late finds all done, and this call need not wait for it.
+        done, claims = np.zeros((2, bands * COUNTER_SPACING), dtype=np.int64)
+        helpers = []
+        if self._workers is not None:
+            for own in range(1, bands):
+                helpers.append(self._workers.submit(advance_sheet, self._sheet, own, done, claims, *common))
+        advance_sheet(self._sheet, 0, done, claims, *common)
+        for helper in helpers:
+            helper.cancel()
         if grips is not None:
             grips.moments[:] += np.cross(origin, grips.impulses)
 

@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leapfrog sweeps over a band of rows: the compiled loops of `grid_leapfrog`.
 
-A band keeps its own padded copy of its rows, two rows of the band above before them and two of the band below after
-them. After each step it posts its outer rows and reads those of its neighbours; the springs that cross a border are
-evaluated on both sides, with the same operations in the same order, so that any number of bands gives the same bits.
+A sheet is cut into bands of rows. Each has its own padded copy of its rows and of those of its neighbours that it looks
+at. Before each sweep it takes in its neighbours' rows, after it posts its own outer ones; the springs that cross a
+border are evaluated on both sides, with the same operations in the same order, so that any number of bands gives the
+same bits.
 
-None in place of `grips`, `fast` or `mail` leaves their code out of the compiled loop.
+A band's next sweep is a task that any thread may take; each prefers the band of its own number, which its cache
+holds. So a thread that the system puts aside between two tasks holds nobody up.
+
+None in place of `grips` or `fast` leaves their code out of the compiled loop.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.kernels.grid_copy import copy_in
 from cloth_sim_ros.physics.kernels.grid_rows import row_above, row_start, row_step, row_two_above
-from cloth_sim_ros.physics.kernels.grid_sync import store_release, wait_for
+from cloth_sim_ros.physics.kernels.grid_sync import claim, load_acquire, pause, store_release, yield_processor
 
 REACH = 2
 """Rows that a step looks beyond the rows that it moves: the longest spring."""
@@ -28,14 +32,38 @@ COUNTER_SPACING = 16
 """Counters of two bands lie this many int64 apart, on cache lines of their own."""
 
 
-class Band(NamedTuple):
-    """Rows `first` to `last` - 1 of a sheet of `rows` x `columns` particles, and the buffers of the thread that moves
-    them.
+_PATIENCE = 2000
+"""Looks, some tens of microseconds, before a thread takes another's task or lets others have the processor."""
 
-    `state`: flat; the band's rows with REACH * levels rows on either side, `components` times `pitch` numbers each.
-    `levels`: steps taken in one sweep. `ring`: flat, for each level 3 rows of 3 times `pitch`. `table_rows`: where
-    the table entries of the rows in `state` start. `number`: which band this is.
+_IMPATIENCE = 20
+"""The same for a thread that has just found another one missing."""
+
+
+class Sheet(NamedTuple):
+    """A sheet of `rows` x `columns` particles, cut into bands.
+
+    `pitch`: numbers in a padded row. `components`: padded rows that make up a row of `state`. `levels`: steps taken
+    in one sweep. `borders`: first row of each band, and `rows`. `state`: for each band its rows with REACH * levels
+    rows on either side. `ring`: for each band and level 3 rows of 3 times `pitch`. `table`: see `grid_rows`;
+    `table_rows`: where the entries of the rows start, from REACH * levels rows above the sheet to as many below.
+    `boxes`: outer rows of each band, [band, upper or lower, parity of the sweep, numbers].
     """
+
+    rows: int
+    columns: int
+    pitch: int
+    components: int
+    levels: int
+    borders: NDArray[np.int64]
+    state: NDArray[Any]
+    ring: NDArray[Any]
+    table: NDArray[Any]
+    table_rows: NDArray[np.intp]
+    boxes: NDArray[Any]
+
+
+class Band(NamedTuple):
+    """Rows `first` to `last` - 1 of a sheet, with the sheet's properties; `state` and `ring` are the band's own."""
 
     first: int
     last: int
@@ -48,19 +76,25 @@ class Band(NamedTuple):
     ring: NDArray[Any]
     table: NDArray[Any]
     table_rows: NDArray[np.intp]
-    number: int
 
 
-class Mail(NamedTuple):
-    """Where bands exchange their outer rows.
-
-    `boxes`: [band, upwards or downwards, parity of the step, numbers]. `counters`: steps posted by each band,
-    COUNTER_SPACING apart.
-    """
-
-    boxes: NDArray[Any]
-    counters: NDArray[np.int64]
-    bands: int
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _band(sheet, number):  # type: ignore[no-untyped-def]
+    first, last = sheet.borders[number], sheet.borders[number + 1]
+    state, ring, entries = sheet.state[number], sheet.ring[number], sheet.table_rows[first:]
+    return Band(
+        first,
+        last,
+        sheet.rows,
+        sheet.columns,
+        sheet.pitch,
+        sheet.components,
+        sheet.levels,
+        state,
+        ring,
+        sheet.table,
+        entries,
+    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -243,43 +277,109 @@ def _copy(source, place, target, start, count):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _exchange(band, mail, turn):  # type: ignore[no-untyped-def]
-    """Post this band's outer rows before sweep number `turn`; wait for the neighbours' and take them in.
+def _post(sheet, band, number, turn):  # type: ignore[no-untyped-def]
+    """Copy the band's outer rows, as they are before sweep `turn`, to where its neighbours find them.
 
-    Two boxes in turn are enough: a band posts for sweep n + 2 only after its neighbour posted for n + 1, so has taken
+    Two boxes in turn are enough: a band posts for sweep n + 2 after its neighbours have done sweep n, so have taken
     in n.
     """
-    stride, parity, halo = band.components * band.pitch, turn % 2, REACH * band.levels
-    size, count, number = (band.last - band.first) * stride, halo * stride, band.number
+    stride = sheet.components * sheet.pitch
+    count, size = REACH * sheet.levels * stride, (band.last - band.first) * stride
     if number > 0:
-        _copy(band.state, count, mail.boxes[number, 0, parity], 0, count)
-    if number < mail.bands - 1:
-        _copy(band.state, size, mail.boxes[number, 1, parity], 0, count)
-    store_release(mail.counters, number * COUNTER_SPACING, turn + 1)
-    if number > 0:
-        wait_for(mail.counters, (number - 1) * COUNTER_SPACING, turn + 1)
-        _copy(mail.boxes[number - 1, 1, parity], 0, band.state, 0, count)
-    if number < mail.bands - 1:
-        wait_for(mail.counters, (number + 1) * COUNTER_SPACING, turn + 1)
-        _copy(mail.boxes[number + 1, 0, parity], 0, band.state, count + size, count)
+        _copy(band.state, count, sheet.boxes[number, 0, turn % 2], 0, count)
+    if number < len(sheet.borders) - 2:
+        _copy(band.state, size, sheet.boxes[number, 1, turn % 2], 0, count)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def advance_band(band, x, v, origin, steps, dt, shape, fast, once, ends, full, grips, mail):  # type: ignore[no-untyped-def]
-    """Advance one band by `steps` steps of dt; called by as many threads as there are bands, or by one without mail.
+def _take_in(sheet, band, number, turn):  # type: ignore[no-untyped-def]
+    """Copy what the neighbours posted before sweep `turn` to the rows beyond the band's own."""
+    stride = sheet.components * sheet.pitch
+    count, size = REACH * sheet.levels * stride, (band.last - band.first) * stride
+    if number > 0:
+        _copy(sheet.boxes[number - 1, 1, turn % 2], 0, band.state, 0, count)
+    if number < len(sheet.borders) - 2:
+        _copy(sheet.boxes[number + 1, 0, turn % 2], 0, band.state, count + size, count)
 
-    `x`, `v` are flat. `shape` and `once` describe an ordinary step. With `fast`, the shape without the weak families,
-    odd steps leave them out and even steps use the values `full`, where they count double; but the first and the last
-    `ends`, 1.5 times.
-    """
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _begin(sheet, number, x, v, origin, dt, shape, once, grips):  # type: ignore[no-untyped-def]
+    """First task of a band: load it and go to the first half step."""
+    band = _band(sheet, number)
     _load(band, x, v, origin)
     if shape.predicted is not None:
         _start_sweep(band, shape, once, grips)
     else:
         _drift(band, shape, band.state.dtype.type(0.5 * dt))
-    for turn in range((steps + band.levels - 1) // band.levels):
-        if mail is not None:
-            _exchange(band, mail, turn)
-        begin = turn * band.levels
-        _sweep(band, begin, min(band.levels, steps - begin), steps, dt, shape, fast, once, ends, full, grips)
-    _unload(band, x, v, origin, 0.5 * dt)
+    _post(sheet, band, number, 0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _continue(  # type: ignore[no-untyped-def]
+    sheet, number, turn, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
+):
+    """One more sweep of a band; the last one ends with writing the state."""
+    band = _band(sheet, number)
+    _take_in(sheet, band, number, turn)
+    begin = turn * sheet.levels
+    _sweep(band, begin, min(sheet.levels, steps - begin), steps, dt, shape, fast, once, ends, full, grips)
+    if begin + sheet.levels < steps:
+        _post(sheet, band, number, turn + 1)
+    else:
+        _unload(band, x, v, origin, 0.5 * dt)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _is_ready(done, number, tasks):  # type: ignore[no-untyped-def]
+    """Whether the band has a task left for which its neighbours have done theirs."""
+    mine = load_acquire(done, number * COUNTER_SPACING)
+    if mine == tasks:
+        return False
+    bands = len(done) // COUNTER_SPACING
+    above = number == 0 or load_acquire(done, (number - 1) * COUNTER_SPACING) >= mine
+    return above and (number == bands - 1 or load_acquire(done, (number + 1) * COUNTER_SPACING) >= mine)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def advance_sheet(  # type: ignore[no-untyped-def]
+    sheet, own, done, claims, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
+):
+    """Advance a sheet by `steps` steps of dt, alone or together with other threads; return when all is done.
+
+    `own`: the band to prefer. `done`, `claims`: zeros to begin with, for each band its tasks done and whether one is
+    being done, COUNTER_SPACING apart. `x`, `v` are flat. `shape` and `once` describe an ordinary step. With `fast`,
+    the shape without the weak families, odd steps leave them out and even steps use the values `full`, where they
+    count double; but the first and the last `ends`, 1.5 times.
+    """
+    bands = len(sheet.borders) - 1
+    tasks = 1 + (steps + sheet.levels - 1) // sheet.levels
+    finished, waits, patience = 0, 0, _PATIENCE
+    while finished < bands:
+        number = own
+        if not _is_ready(done, own, tasks):
+            # Look at the others only after a while: as a rule their own threads are at hand.
+            waits += 1
+            if waits >= patience:
+                for other in range(bands):
+                    if _is_ready(done, other, tasks):
+                        number = other
+        if _is_ready(done, number, tasks) and claim(claims, number * COUNTER_SPACING):
+            if _is_ready(done, number, tasks):
+                task = load_acquire(done, number * COUNTER_SPACING)
+                if task == 0:
+                    _begin(sheet, number, x, v, origin, dt, shape, once, grips)
+                else:
+                    _continue(sheet, number, task - 1, x, v, origin, steps, dt, shape, fast, once, ends, full, grips)
+                store_release(done, number * COUNTER_SPACING, task + 1)
+                # Who found another thread missing looks after its work sooner the next time, until it is back.
+                patience = min(2 * patience, _PATIENCE) if number == own else _IMPATIENCE
+                waits = 0
+            store_release(claims, number * COUNTER_SPACING, 0)
+        elif waits >= _PATIENCE:
+            yield_processor()
+        else:
+            pause()
+        finished = 0
+        for band in range(bands):
+            if load_acquire(done, band * COUNTER_SPACING) == tasks:
+                finished += 1

@@ -1,21 +1,15 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Progress counters by which compiled loops of several threads wait for each other, a fraction of a microsecond at
-a time.
-"""
+"""Counters by which compiled loops of several threads share out work, a fraction of a microsecond at a time."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import llvmlite.binding as llvm
-import numba
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
-
-_SPINS_BEFORE_YIELDING = 4000
-"""A few tens of microseconds: longer than a neighbour's row takes, shorter than a time slice of the system."""
 
 
 def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -46,7 +40,19 @@ def store_release(typing, counters, index, value):  # type: ignore[no-untyped-de
 
 
 @intrinsic
-def _pause(typing):  # type: ignore[no-untyped-def]
+def claim(typing, counters, index):  # type: ignore[no-untyped-def]
+    """Set counters[index] to 1 if it was 0, at once for all threads; tell whether it was. `counters` is int64."""
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        place = _place(context, builder, signature, arguments)
+        free, taken = ir.Constant(ir.IntType(64), 0), ir.Constant(ir.IntType(64), 1)
+        return builder.extract_value(builder.cmpxchg(place, free, taken, "acquire", "monotonic"), 1)
+
+    return types.boolean(counters, types.intp), generate
+
+
+@intrinsic
+def pause(typing):  # type: ignore[no-untyped-def]
     """Tell the processor that this is a waiting loop, where it has a word for that."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
@@ -62,7 +68,7 @@ def _pause(typing):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def _yield_processor(typing):  # type: ignore[no-untyped-def]
+def yield_processor(typing):  # type: ignore[no-untyped-def]
     """Let another thread have this core: sched_yield of the C library."""
 
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
@@ -72,14 +78,3 @@ def _yield_processor(typing):  # type: ignore[no-untyped-def]
         return context.get_dummy_value()
 
     return types.void(), generate
-
-
-@numba.njit(cache=True, nogil=True)
-def wait_for(counters, index, value):  # type: ignore[no-untyped-def]
-    """Return when counters[index] has reached `value`."""
-    spins = 0
-    while load_acquire(counters, index) < value:
-        _pause()
-        spins += 1
-        if spins >= _SPINS_BEFORE_YIELDING:
-            _yield_processor()
