@@ -19,6 +19,7 @@ from cloth_sim_ros.physics.material import Threads, grid_threads
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
+from cloth_sim_ros.physics.surface import grid_hinges
 from cloth_sim_ros.physics.terms.base import Array, Term
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
@@ -169,23 +170,25 @@ def _hinge_springs(
     from cloth_sim_ros.physics import bending_calibration as calibration
 
     model = scene.bending.model
-    surface = sheet.surface
     rest = sheet.positions()
+    hinges = sheet.surface.hinges
     modulus = scene.material.bending_modulus
     options: dict[str, Any] = {}
     if model == "opposite":
-        ends = rest[surface.hinges[:, 1]] - rest[surface.hinges[:, 0]]
+        ends = rest[hinges[:, 1]] - rest[hinges[:, 0]]
         options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(np.sum(ends * ends, axis=1))
     elif isinstance(sheet, GridSheet):
+        # Not one triangulation's: the hinges of both, so that the sheet bends alike both ways and does not twist.
+        hinges = grid_hinges(sheet.rows, sheet.columns)
         options["hinge_constants"] = calibration.grid_hinge_constants(
-            surface.hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus
+            hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus
         )
     else:
-        options["hinge_constants"] = calibration.mesh_hinge_constants(surface.hinges, rest, bending_modulus=modulus)
+        options["hinge_constants"] = calibration.mesh_hinge_constants(hinges, rest, bending_modulus=modulus)
     return [
         *calibration.bending_terms(
             model,  # type: ignore[arg-type]
-            surface.hinges,
+            hinges,
             rest,
             rest_angle=scene.bending.rest_angle or None,
             damping=scene.material.damping,
