@@ -23,12 +23,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 from tqdm import tqdm
 
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.locations import config_file
+from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.ros.stopping import StopSignals
 
 _NODE = "/cloth_sim"
@@ -48,6 +50,8 @@ class Seen:
     """What the demonstration's own subscriber received."""
 
     clouds: int = 0
+    #: Stamp of the first one [ns].
+    first: int = 0
     values: dict[str, str] = attrs.field(factory=dict)
 
 
@@ -101,7 +105,9 @@ def _play(options: argparse.Namespace, script: GripperScript, signals: StopSigna
     node = Node("cloth_demo")
     seen = Seen()
 
-    def count(_data: bytes) -> None:
+    def count(data: bytes) -> None:
+        if seen.clouds == 0:
+            seen.first = read_stamp(deserialize_message(data, PointCloud2).header.stamp)
         seen.clouds += 1
 
     def note(message: Any) -> None:
@@ -174,7 +180,8 @@ def _report(seen: Seen) -> int:
     values = seen.values
     published = int(values.get("clouds_published", "0"))
     path = values.get("recording_file", "")
-    print(f"frames published  {published}, received {seen.clouds}")
+    lost = _published_since(path, seen.first) - seen.clouds
+    print(f"frames published  {published}, received {seen.clouds}, lost since the first one {lost}")
     print(f"late frames       {values.get('late_frames')}")
     print(f"real-time factor  {float(values.get('real_time_factor_overall', 'nan')):.3f}")
     print(f"session           {path}")
@@ -183,11 +190,21 @@ def _report(seen: Seen) -> int:
     with contextlib.suppress(ValueError):
         command = command.relative_to(Path.cwd())
     print(f"look at it        {command} {path}")
-    if not path or not Path(path).is_file():
-        raise DemoError("there is no session file")
-    if seen.clouds == 0 or published == 0:
-        raise DemoError("no frames were published and received")
+    if lost:
+        raise DemoError(f"{lost} frames were lost on their way")
     return 0
+
+
+def _published_since(path: str, stamp: int) -> int:
+    """Number of clouds in the session from a stamp [ns] on: the subscriber meets the node after its start."""
+    from cloth_sim_ros.session.errors import SessionError
+    from cloth_sim_ros.session.reader import SessionReader
+
+    try:
+        with SessionReader(path) as session:
+            return sum(1 for _ in session.messages([f"{_NODE}/points"], start=stamp))
+    except SessionError as error:
+        raise DemoError(f"the session can't be read: {error}") from error
 
 
 class _Child:
