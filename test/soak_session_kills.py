@@ -44,7 +44,7 @@ def record(folder: Path, seed: int, notes: mmap.mmap) -> None:
     generator = random.Random(seed)
     points = generator.choice([10, 900, 16_000])
     # Some children do little but begin and end sessions, or split them: the kill then falls into one of these.
-    lengths = generator.choice([[1], [1, 50, 300], [300]])
+    lengths = generator.choice([[1], [1, 50, 300], [LIMIT]])
     splits = generator.choice([[0.0], [0.02], [0.0, 0.1, 0.3]])
     frame = 0
     while True:
