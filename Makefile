@@ -59,6 +59,8 @@ format: $(DEV)
 soak: export CLOTH_SIM_ROS_SOAK_SECONDS ?= 3600
 soak: $(DEV)
 	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
+	@$(BIN)/python test/soak_session_kills.py --count 500
+	@$(BIN)/python test/soak_verify.py --sessions 200
 
 bench: $(DEV)
 	@$(BIN)/cloth_bench $(ARGS)
@@ -66,6 +68,7 @@ bench: $(DEV)
 # The pictures of the README and docs, anew, from real sessions.
 screenshots: $(DEV)
 	@$(BIN)/python scripts/screenshots.py $(ARGS)
+	@$(BIN)/python scripts/session_pictures.py
 
 # The layout that `ros2 run` and `ros2 launch` expect, into install/.
 colcon: $(DEV)

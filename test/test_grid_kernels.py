@@ -179,7 +179,7 @@ def some_grips():
         stiffness=np.array([20.0, 10.0, 30.0, 25.0]),
         damping=np.array([0.1, 0.2, 0.0, 0.1]),
         impulses=np.full((4, 3), 7.0),
-        moments=np.full((4, 3), 7.0),
+        work=np.full(4, 7.0),
     )
 
 
@@ -218,19 +218,19 @@ def test_grips_pull_and_feel_the_pull(choice, dtype, relative):
     assert close(grips.impulses, impulses, 10 * relative)
 
 
-def test_moment_of_a_grip_is_about_the_origin():
-    """One particle held far from the origin: its moment is the point times the impulse."""
+def test_work_of_a_grip_is_force_times_the_way_of_its_point():
+    """A point that moves steadily does the work impulse times velocity, with the sign of what the cloth gains."""
     springs = GridSprings(1, 2, ())
-    point = np.array([5.0, -2.0, 1.0])
+    velocity = np.array([0.5, -2.0, 1.0])
     for dtype in (np.float64, np.float32):
         grips = GridGrips(
-            np.array([1]), np.zeros((1, 3, 4)), np.array([10.0]), np.array([0.1]), np.zeros((1, 3)), np.zeros((1, 3))
+            np.array([1]), np.zeros((1, 3, 4)), np.array([10.0]), np.array([0.1]), np.zeros((1, 3)), np.zeros(1)
         )
-        grips.paths[0, :, 0] = point
-        x = np.array([point, point + np.array([0.0, 0.1, 0.2])]).T.copy()
+        grips.paths[0, :, 1] = velocity
+        x = np.array([[5.0, 0.0, 0.0], [0.0, 0.1, 0.2]]).T.copy()
         GridLeapfrog(springs, np.full(2, 100.0), dtype=dtype).advance(x, np.zeros((3, 2)), 10, 1e-3, grips=grips)
         assert np.abs(grips.impulses).max() > 1e-3
-        assert close(grips.moments[0], np.cross(point, grips.impulses[0]), 1e-5 if dtype == np.float32 else 1e-13)
+        assert close(grips.work[0], -velocity @ grips.impulses[0], 1e-5 if dtype == np.float32 else 1e-13)
 
 
 def test_anchored_particles_keep_their_velocity():
@@ -344,7 +344,7 @@ def test_any_number_of_threads_gives_the_same_bits(choice, dtype, alternate):
         plan = GridLeapfrog(springs, some_masses(143), threads=threads, **options)
         for _ in range(3):
             plan.advance(x, v, 7, 2e-4, grips=grips)
-        results.append((x, v, grips.impulses, grips.moments))
+        results.append((x, v, grips.impulses, grips.work))
     for other in results[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))
     assert np.abs(results[0][0] - crumpled(11, 13)[0]).max() > 1e-4

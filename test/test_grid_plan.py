@@ -85,6 +85,8 @@ def test_grips_and_wrenches_are_those_of_the_terms_to_rounding(values, turning):
     assert fused.positions == pytest.approx(plain.positions, abs=1e-10)
     scale = np.abs(frames[1].wrenches).max()
     assert scale > 0.0
+    works = [simulation._wrenches.work for simulation in (fused, plain)]
+    assert works[0] == pytest.approx(works[1], abs=1e-8 * max(1.0, abs(works[1])))
     assert frames[0].wrenches == pytest.approx(frames[1].wrenches, abs=1e-8 * max(1.0, scale))
 
 

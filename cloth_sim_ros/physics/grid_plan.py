@@ -85,9 +85,9 @@ class GridPlan:
         grips, order = self._held(t)
         self._loop.advance(x, v, steps, step, grips=grips)
         if wrenches is not None:
-            wrenches.add_impulses(
-                None if grips is None else grips.impulses[np.argsort(order)], weight * step * steps, weight
-            )
+            back = np.argsort(order)
+            booked = None if grips is None else np.column_stack([grips.impulses, grips.work])[back]
+            wrenches.add_run(booked, weight * step * steps, weight)
 
     def _turns(self) -> bool:
         grips = self._grips
@@ -117,5 +117,5 @@ class GridPlan:
             grips.stiffness[order],
             grips.damping[order],
             np.zeros((count, 3)),
-            np.zeros((count, 3)),
+            np.zeros(count),
         ), order

@@ -103,12 +103,13 @@ class GridSheet:
         if threads.diagonal > 0.0:
             # As `grid_diagonals` lays them: left runs down to the right; alternating is left where row + column is
             # even.
-            lefts, rights = {
+            parities: dict[Layout, tuple[list[int | None], list[int | None]]] = {
                 "left": ([None], []),
                 "right": ([], [None]),
                 "alternating": ([0], [1]),
                 "both": ([None], [None]),
-            }[self.layout]
+            }
+            lefts, rights = parities[self.layout]
             length = float(np.hypot(hx, hy))
             terms["shear"] = [
                 *(family("diagonal", threads.diagonal, length, parity=parity) for parity in lefts),

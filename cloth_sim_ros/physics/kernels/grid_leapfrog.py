@@ -39,7 +39,7 @@ class GridGrips(NamedTuple):
     `particles`: indices, ascending, shape (grip_count,). `paths` [m, m/s, m/s^2, m/s^3]: coefficients of 1, t, t^2,
     t^3 with t the time since the start of the call, shape (grip_count, 3, 4). `stiffness` [N/m], `damping` [N s/m]:
     shape (grip_count,). `impulses` [N s], shape (grip_count, 3), receives the time integral of the force of the cloth
-    on each point; `moments` [N m s], shape (grip_count, 3), that of path(t) x force.
+    on each point; `work` [J], shape (grip_count,), the work done on the cloth by each point.
     """
 
     particles: NDArray[np.int64]
@@ -47,7 +47,7 @@ class GridGrips(NamedTuple):
     stiffness: Array
     damping: Array
     impulses: Array
-    moments: Array
+    work: Array
 
 
 class GridLeapfrog:
@@ -184,8 +184,6 @@ class GridLeapfrog:
         advance_sheet(self._sheet, 0, done, claims, *common)
         for helper in helpers:
             helper.cancel()
-        if grips is not None:
-            grips.moments[:] += np.cross(origin, grips.impulses)
 
 
 def _levels(rows: int, row_bytes: int, threads: int) -> int:
@@ -199,9 +197,9 @@ def _levels(rows: int, row_bytes: int, threads: int) -> int:
 
 
 def _near(grips: GridGrips, origin: Array) -> GridGrips:
-    """The same grips with paths relative to `origin`, impulses and moments at zero."""
+    """The same grips with paths relative to `origin`, impulses and work at zero."""
     paths = np.array(grips.paths, dtype=np.float64)
     paths[:, :, 0] -= origin
     grips.impulses[:] = 0.0
-    grips.moments[:] = 0.0
+    grips.work[:] = 0.0
     return grips._replace(paths=paths)

@@ -136,12 +136,12 @@ def _unload(band, x, v, origin, half):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _reaction(grips, grip, c, time, state, place, pitch):  # type: ignore[no-untyped-def]
-    """One component of a grip's point and of the force on it; the velocity is the predicted one."""
+    """One component of a held point's velocity and of the force on it; the particle's velocity is the predicted one."""
     path = grips.paths[grip, c]
     point = path[0] + time * (path[1] + time * (path[2] + time * path[3]))
     speed = path[1] + time * (2.0 * path[2] + time * 3.0 * path[3])
     stretch = state[place + c * pitch] - point
-    return point, grips.stiffness[grip] * stretch + grips.damping[grip] * (state[place + (6 + c) * pitch] - speed)
+    return speed, grips.stiffness[grip] * stretch + grips.damping[grip] * (state[place + (6 + c) * pitch] - speed)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -150,19 +150,17 @@ def _pull(grips, grip, time, dt, state, place, pitch, ring, ring_place):  # type
 
     state[place] is the particle's first position component.
     """
-    x, fx = _reaction(grips, grip, 0, time, state, place, pitch)
-    y, fy = _reaction(grips, grip, 1, time, state, place, pitch)
-    z, fz = _reaction(grips, grip, 2, time, state, place, pitch)
+    ux, fx = _reaction(grips, grip, 0, time, state, place, pitch)
+    uy, fy = _reaction(grips, grip, 1, time, state, place, pitch)
+    uz, fz = _reaction(grips, grip, 2, time, state, place, pitch)
     ring[ring_place] -= fx
     ring[ring_place + pitch] -= fy
     ring[ring_place + 2 * pitch] -= fz
-    impulse, moment = grips.impulses[grip], grips.moments[grip]
+    impulse = grips.impulses[grip]
     impulse[0] += dt * fx
     impulse[1] += dt * fy
     impulse[2] += dt * fz
-    moment[0] += dt * (y * fz - z * fy)
-    moment[1] += dt * (z * fx - x * fz)
-    moment[2] += dt * (x * fy - y * fx)
+    grips.work[grip] -= dt * (ux * fx + uy * fy + uz * fz)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -107,7 +107,7 @@ class Grips(Term):
 
 
 class WrenchObserver(Observer):
-    """Mean force and torque of the cloth on each gripper over an advance.
+    """Mean force and torque of the cloth on each gripper over an advance, and the work that the grippers did.
 
     Args:
         grips: the term that is observed.
@@ -115,7 +115,7 @@ class WrenchObserver(Observer):
 
     def __init__(self, grips: Grips) -> None:
         self._grips = grips
-        self._sum = np.zeros((grips.gripper_count, 6))
+        self._sum = np.zeros((grips.gripper_count, 7))
         self._duration = 0.0
         self._nothing: Array | None = None
 
@@ -129,23 +129,30 @@ class WrenchObserver(Observer):
             if self._nothing is None:
                 self._nothing = np.zeros_like(x)
             self._grips.add_force(t, x, v, self._nothing)
-            self._sum += weight * self._grips.wrenches[:, :6]
+            self._sum += weight * self._grips.wrenches
 
-    def add_impulses(self, impulses: Array | None, duration: float, weight: float) -> None:
+    def add_run(self, booked: Array | None, duration: float, weight: float) -> None:
         """Take note of a whole run of a compiled loop, during which no gripper turned.
 
         Args:
-            impulses: time integral of the force on each grip's point [N s], shape (m, 3); None where nothing is held.
+            booked: time integral of the force on each grip's point [N s] and the work done on the cloth by it [J],
+                shape (m, 4); None where nothing is held.
             duration: length of the run [s], times the weight.
-            weight: factor on the impulses.
+            weight: factor on what was booked.
         """
         self._duration += duration
-        if impulses is not None:
+        if booked is not None:
             grips = self._grips
-            wrenches = weight * np.concatenate([impulses, np.cross(grips.arms(), impulses)], axis=1)
-            np.add.at(self._sum, grips.owners(), wrenches)
+            impulses, work = booked[:, :3], booked[:, 3:]
+            row = np.concatenate([impulses, np.cross(grips.arms(), impulses), work], axis=1)
+            np.add.at(self._sum, grips.owners(), weight * row)
 
     @property
     def mean_wrenches(self) -> Array:
         """Force [N] and torque [N m] on each gripper about its pose, mean over time, shape (gripper_count, 6)."""
-        return self._sum / self._duration if self._duration else np.zeros((len(self._sum), 6))
+        return self._sum[:, :6] / self._duration if self._duration else np.zeros((len(self._sum), 6))
+
+    @property
+    def work(self) -> float:
+        """Work that the grippers did on the cloth [J], what their springs store and lose included."""
+        return float(self._sum[:, 6].sum())

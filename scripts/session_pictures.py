@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the pictures of this folder: four sessions, each simulated, recorded, and painted by `cloth_replay`.
+"""Makes the pictures of docs/images: four sessions, each simulated, recorded, and painted by `cloth_replay`.
 
-.venv/bin/python docs/images/paint.py [name ...]
+.venv/bin/python scripts/session_pictures.py [name ...]
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parents[1] / "test"))
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "test"))
 
-from session_maker import SessionMaker, carried_corner  # noqa: E402
+from session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
 
 from cloth_sim_ros.events import Event, Grasp, Target  # noqa: E402
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
@@ -121,7 +121,7 @@ def paint(name: str) -> int:
         maker = SessionMaker(Path(folder), scene, stem=name)
         for k, events in enumerate(picture.events(scene)):
             maker.add(events, diagnostics={"real_time_factor": "1.0", "late_frames": "0"} if k % 60 == 0 else None)
-        out = HERE / f"{name}.png"
+        out = ROOT / "docs" / "images" / f"{name}.png"
         return cloth_replay(
             [
                 *(str(maker.finish()), "--screenshot", str(out), "--at", str(picture.at)),
