@@ -13,7 +13,7 @@ NAME = "cloth_sim_ros"
 # 24.04, so that the same code runs on a robot's own packages; constraints.txt pins what `make` installs.
 CORE = ["numpy>=1.26", "scipy>=1.11", "numba>=0.59", "attrs>=23.1", "PyYAML>=6.0", "xxhash>=3.2", "tqdm>=4.66"]
 
-SESSION = ["mcap>=1.1", "rosbags>=0.10.6", "zstandard>=0.22", "lz4>=4.0"]
+SESSION = ["mcap>=1.1", "rosbags>=0.10.8", "zstandard>=0.22", "lz4>=4.0"]
 
 EXTRAS = {
     # Always the names with the distribution in them: the bare ones also carry later distributions. The wheels are for

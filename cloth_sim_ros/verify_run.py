@@ -115,7 +115,7 @@ class _Run:
         # Commands wait across the end of a file.
         self._commands: CommandCheck = before._commands if before else _commands(self.simulation, node)
         self._frame: Frame | None = None
-        self._frame_log_time = -1
+        self._frame_stamp = -1
 
     @property
     def topics(self) -> frozenset[str]:
@@ -125,7 +125,7 @@ class _Run:
     def take(self, message: Message) -> bool:
         """Run or compare what a message tells; False where the session cannot be run any further."""
         if message.topic == self._frame_topic:
-            return self._run_frame(read_frame(message), message.log_time)
+            return self._run_frame(read_frame(message), message)
         if message.topic == self._points:
             self._compare_cloud(message)
         elif message.topic in self._wrenches:
@@ -146,7 +146,7 @@ class _Run:
             self._note_difference(f"the snapshot that {self._part.path.name} opens with")
             self._close_frame()
 
-    def _run_frame(self, record: FrameRecord, log_time: int) -> bool:
+    def _run_frame(self, record: FrameRecord, message: Message) -> bool:
         self._close_frame()
         simulation = self.simulation
         if record.frame > simulation.frame + 1:
@@ -165,11 +165,12 @@ class _Run:
             self._note_difference(f"it cannot be run: {error}", record)
             self._close_frame()
             return False
-        self._frame_log_time = log_time
+        # What belongs to a frame has its publish time; a log time may be raised to keep the order of recording.
+        self._frame_stamp = message.publish_time
         self._verdict.frames += 1
         self._verdict.simulated += simulation.time - was
         self._compare_frame(record)
-        uncommanded = self._commands.compare(record, log_time)
+        uncommanded = self._commands.compare(record, message.log_time)
         if uncommanded:
             self._note_difference(uncommanded, record)
         return True
@@ -191,7 +192,7 @@ class _Run:
                 return
 
     def _compare_cloud(self, message: Message) -> None:
-        if message.log_time != self._frame_log_time:
+        if message.publish_time != self._frame_stamp:
             return
         recorded = decode_cloud(message.data).xyz
         again = self.simulation.state.x.T.astype(np.float32)
@@ -206,7 +207,7 @@ class _Run:
             self._note_difference(f"its cloud, by {deviation:.3g} m at particle {worst}")
 
     def _compare_wrench(self, message: Message) -> None:
-        if message.log_time != self._frame_log_time or self._frame is None:
+        if message.publish_time != self._frame_stamp or self._frame is None:
             return
         wrench = decode(message.data, _WRENCH).wrench
         recorded = [getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"]
