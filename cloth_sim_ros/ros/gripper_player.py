@@ -21,6 +21,8 @@ from cloth_sim_ros.ros.messages import set_stamp
 #: or after other grippers of it were.
 _SETTLING = 3.0
 _SETTLING_WITH_OTHERS = 1.0
+#: How often a wait looks whether it shall go on.
+_POLL = Duration(seconds=0.1)
 #: How long the end waits for the last grasp to be received.
 _DELIVERY = Duration(seconds=0.5)
 
@@ -66,7 +68,7 @@ class GripperPlayer:
         seen: float | None = None
         while self._proceed():
             if self._targets.get_subscription_count() and self._grasps.get_subscription_count():
-                return True
+                return self._begin_open()
             now = time.monotonic()
             if self._target not in self._node_names():
                 seen = None
@@ -83,6 +85,18 @@ class GripperPlayer:
                     f"no node {self._target} came within {limit:g} s; is it running, in this ROS_DOMAIN_ID?"
                 )
             self._executor.spin_once(timeout_sec=0.02)
+        return False
+
+    def _begin_open(self) -> bool:
+        """Open the gripper, and wait until the node has received that.
+
+        We have met the node's subscriptions; it may take the node seconds longer to meet our publishers, and targets,
+        sent as best effort, would be lost until then. What it acknowledges here it has met.
+        """
+        self._grasps.publish(Bool(data=False))
+        while self._proceed():
+            if self._grasps.wait_for_all_acked(_POLL):
+                return True
         return False
 
     def play(self) -> bool:
