@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cloth_sim_ros import parameter_file
+from cloth_sim_ros.environment import differences
 from cloth_sim_ros.events import Event, from_dict
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
@@ -24,7 +25,6 @@ from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.reader import SessionReader, read_frame
 from cloth_sim_ros.simulation import Frame, Simulation
 from cloth_sim_ros.verify_commands import CommandCheck
-from cloth_sim_ros.verify_environment import differences
 
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros import parameter_file
+from cloth_sim_ros.environment import environment
 from cloth_sim_ros.events import Event, Grasp, Target, to_dict
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.session.cdr import encode, encode_string, message_class
@@ -18,7 +19,6 @@ from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.layouts import Qos
 from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
 from cloth_sim_ros.simulation import Simulation
-from cloth_sim_ros.verify_environment import environment
 
 NODE = "/cloth_sim"
 #: ROS time of every made session's start [ns]: any fixed number will do.

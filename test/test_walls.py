@@ -46,7 +46,7 @@ def room_of(path: Path) -> str:
 def modules_of(room: str) -> list[str]:
     """Names of all modules of a room."""
     if not (PACKAGE / room).is_dir():
-        # A room may be a module, with helpers named after it: verify.py, verify_environment.py.
+        # A room may be a module, with helpers named after it: verify.py, environment.py.
         return sorted(f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if room_of(path) == room)
     names = []
     for path in sorted((PACKAGE / room).rglob("*.py")):

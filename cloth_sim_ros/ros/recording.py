@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from cloth_sim_ros import events, parameter_file
+from cloth_sim_ros.environment import environment
 from cloth_sim_ros.simulation import Frame, Simulation
-from cloth_sim_ros.verify_environment import environment
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
@@ -193,6 +193,7 @@ class SessionRecording:
         return Snapshot(
             scene_yaml=parameter_file.dump(self._simulation.scene.parameters()),
             state=self._simulation.state.to_bytes(),
+            files=self._simulation.scene.files,
             metadata={
                 "node": self._node_name,
                 "period": repr(self._simulation.scene.period),
