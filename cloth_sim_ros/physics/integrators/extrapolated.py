@@ -28,7 +28,7 @@ class Extrapolated(Integrator):
 
     Args:
         tolerance: target of the largest particle position error at frames [m]; None takes fixed columns and steps.
-        step: largest step of the first column without a tolerance [s]; None takes 0.9 of the stability limit.
+        step: largest step of the first column without a tolerance [s]; None takes 0.96 of the stability limit.
         columns: most columns, 1 to 4; without a tolerance, the columns.
 
     Raises:

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.kernels.leapfrog import all_finite
 from cloth_sim_ros.physics.state import State
 
 #: Fraction of the step limit that is used: room for stiffening by stretch within one advance.
-SAFETY = 0.9
+SAFETY = 0.96
 #: How often an advance is repeated with a smaller step before it is given up.
 ATTEMPTS = 12
 

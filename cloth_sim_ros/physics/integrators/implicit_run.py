@@ -93,7 +93,7 @@ class ImplicitAdvance:
             rejected=rejected,
             integrator=integrator.name,
             binds="step" if integrator.step is not None else ("frame" if steps == least else "accuracy"),
-            error=error if integrator.tolerance is not None else None,
+            error=error,
             flagged=flagged,
             reason=self._reason(h, steps),
         )

@@ -18,7 +18,7 @@ class Leapfrog(Extrapolated):
     h w <= 2).
 
     Args:
-        step: fixed largest step [s]; None takes 0.9 of the stability limit.
+        step: fixed largest step [s]; None takes 0.96 of the stability limit.
         tolerance: target of the largest particle position error at frames [m]: the step follows the error, which a
             second run with smaller steps judges every few frames.
 

@@ -20,7 +20,7 @@ class SymplecticEuler(Integrator):
     damping sees the velocity of the step before).
 
     Args:
-        step: fixed largest step [s]; None takes 0.9 of the stability limit.
+        step: fixed largest step [s]; None takes 0.96 of the stability limit.
 
     Raises:
         ValueError: if the step is not positive.
