@@ -203,4 +203,6 @@ class Record:
 class Diagnostics:
     """What is reported beyond the usual."""
 
-    energy: bool = parameter("bool", False, "Report the cloth's energy; it is computed once a second", live=True)
+    energy: bool = parameter(
+        "bool", False, "Report the energy balance; every frame is run a second time for it, term by term", live=True
+    )

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
+from cloth_sim_ros.energy_watch import EnergyReport, EnergyWatch
 from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
@@ -81,6 +82,8 @@ class Simulation:
                 f"the state has {len(self.state.memory['gripper.pose'])} grippers, "
                 f"the scene {len(scene.gripper_names)} ({', '.join(scene.gripper_names) or 'none'})"
             )
+        #: Energy balance since it was asked for or parameters changed; None where it is not asked for.
+        self.energy_report: EnergyReport | None = None
         self._apply_scene(scene)
 
     @property
@@ -201,7 +204,10 @@ class Simulation:
             jerk = np.abs(self.state.memory["gripper.turn"][:, :3] - before)[self.state.memory["gripper.closed"]]
             if jerk.max(initial=0.0) > _JUMP * period:
                 restart(self.state)
+        before_frame = self.state.copy() if self._energy is not None else None
         done = self._integrator.advance(self.dynamics, self.state, start, period, self._wrenches)
+        if self._energy is not None and before_frame is not None:
+            self.energy_report = self._energy.follow(self._integrator, before_frame, start, period)
         self.state.frame += 1
         return done
 
@@ -220,6 +226,8 @@ class Simulation:
         grips = [term for term in self.model.terms if isinstance(term, Grips)]
         self._grips = grips[0] if grips else None
         self._wrenches = WrenchObserver(self._grips) if self._grips else None
+        self._energy = EnergyWatch(self.dynamics) if scene.diagnostics.energy else None
+        self.energy_report = None
 
 
 def _check_target(event: Target) -> None:

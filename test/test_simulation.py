@@ -258,3 +258,18 @@ def test_a_gripper_led_steadily_moves_at_a_steady_velocity():
     assert simulation.state.memory["gripper.twist"][0, :3] == pytest.approx([0.6, 0.0, 0.0])
     simulation.advance()
     assert not simulation.state.memory["gripper.twist"].any(), "without a new target it comes to rest"
+
+
+def test_the_energy_balance_closes_and_watching_it_changes_no_bit():
+    watched, plain = Simulation(small(**{"diagnostics.energy": True})), Simulation(small())
+    for batch in list(script(watched, 30, seed=2)):
+        kept = [event for event in batch if isinstance(event, Target | Grasp)]
+        watched.advance(kept)
+        plain.advance(kept)
+    assert watched.state.digest() == plain.state.digest()
+    assert plain.energy_report is None
+    report = watched.energy_report
+    assert abs(report.work) > 1e-2
+    assert report.dissipated > 1e-2
+    assert abs(report.residual) < 1e-3 * report.turned_over
+    assert report.total == pytest.approx(watched.energy(), rel=1e-9)

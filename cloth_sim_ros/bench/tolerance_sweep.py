@@ -11,7 +11,7 @@ from collections import Counter
 import attrs
 import numpy as np
 
-from cloth_sim_ros.bench.energy import EnergyBalance
+from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.report import Plot, Report, Table

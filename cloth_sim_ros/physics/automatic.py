@@ -11,7 +11,6 @@ import numpy as np
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, Observer, restart
-from cloth_sim_ros.physics.integrators.columns import RATIOS
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
@@ -33,8 +32,10 @@ FUSED_STEP, TERM_STEP, MULTIPLY_ADD = 6.0, 90.0, 0.25
 ITERATIONS = 5.0
 #: Explicit steps are kept while they cost less than this share of real time: they follow what implicit ones damp out.
 AFFORDABLE = 0.5
-#: Frames between two comparisons while the implicit method runs.
+#: Frames between two comparisons.
 REVIEW = 30
+#: A change has to pay by this factor: the two would else take turns.
+_DEAR = 1.5
 
 
 def make_integrator(name: str, *, step: float | None = None, tolerance: float | None = None) -> Integrator:
@@ -67,6 +68,8 @@ class _Memory:
     cost: float = 0.0
     #: Frames until the next comparison.
     wait: float = 0.0
+    #: Cost of an explicit frame at the stability limit when last compared [ns].
+    explicit: float = 0.0
 
     @classmethod
     def of(cls, state: State) -> _Memory:
@@ -105,8 +108,7 @@ class Automatic(Integrator):
         self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
     ) -> Advance:
         memory = _Memory.of(state)
-        if memory.implicit == 0.0 or memory.wait <= 0.0:
-            self._choose(memory, dynamics, state, duration)
+        self._choose(memory, dynamics, state, duration)
         memory.wait -= 1.0
         chosen = self._implicit if memory.implicit else self._explicit
         done = chosen.advance(dynamics, state, t, duration, observer)
@@ -120,26 +122,31 @@ class Automatic(Integrator):
         return attrs.evolve(done, reason=f"auto: {why}; {done.reason}")
 
     def _choose(self, memory: _Memory, dynamics: Dynamics, state: State, duration: float) -> None:
-        explicit = _explicit_frame(dynamics, state, duration)
-        implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
-        # A change has to pay well: the two would else take turns.
-        if memory.implicit:
-            better = implicit <= 1.5 * explicit and explicit > 0.5 * AFFORDABLE * duration * 1e9
-        else:
-            better = explicit > AFFORDABLE * duration * 1e9 and implicit <= 0.67 * explicit
+        """Compare costs, from time to time and whenever the implicit method turns out dear."""
+        if memory.wait > 0.0 and not (memory.implicit and memory.cost > _DEAR * memory.explicit):
+            return
+        memory.explicit = _explicit_frame(dynamics, state, duration)
+        better = memory.explicit > AFFORDABLE * duration * 1e9
+        if better:
+            implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
+            better = implicit <= (_DEAR if memory.implicit else 1.0 / _DEAR) * memory.explicit
         if better != bool(memory.implicit):
             restart(state)
         memory.implicit, memory.wait = float(better), float(REVIEW)
 
 
 def _explicit_frame(dynamics: Dynamics, state: State, duration: float) -> float:
-    """Estimated cost of a frame by explicit steps [ns]."""
+    """Estimated cost of a frame by explicit steps at the stability limit [ns].
+
+    What accuracy asks for on top of that is not counted: a motion that makes explicit steps smaller than stability
+    does is too lively for large implicit ones.
+    """
     stepper = Memory.of(state)
     if stepper.omega2 < 0.0:
         stepper = Memory()
         stepper.omega2, stepper.damping = dynamics.rates(state.x)
     limit = SAFETY * leapfrog_limit(stepper.omega2, stepper.damping)
-    steps = max(1.0, duration / limit) * stepper.refine * sum(RATIOS[: stepper.columns])
+    steps = max(1.0, duration / limit)
     each = FUSED_STEP if dynamics.plan is not None else TERM_STEP
     return steps * each * dynamics.model.particle_count
 

@@ -214,6 +214,9 @@ class ClothNode:
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
         if frame.moved or frame.events or not shown:
             self._shown = begun
+            energy = self._simulation.energy_report
+            if energy is not None:
+                self._extras |= {"energy": energy.total, "energy balance": energy.residual}
             self._recording.add_frame(frame, due.stamp, self._extras)
             self._extras = {}
             self._outputs.send(self._simulation.state.x, frame.wrenches, due.stamp)
@@ -311,11 +314,15 @@ class ClothNode:
     def _describe_motion(self) -> dict[str, str]:
         advance = self._advance
         strain = self._gauge.largest(self._simulation.state.x)
-        asked = self._simulation.scene.diagnostics.energy
+        energy = self._simulation.energy_report
         values = {
             "largest_strain": "not measured" if strain is None else f"{strain:.6f}",
-            "energy_j": f"{self._simulation.energy():.9g}" if asked else "off",
+            "energy_j": "off" if energy is None else f"{energy.total:.9g}",
         }
+        if energy is not None:
+            values["energy_work_j"] = f"{energy.work:.6g}"
+            values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
+            values["energy_balance_j"] = f"{energy.residual:.3g}"
         if advance is not None:
             values["steps_per_frame"] = str(advance.steps)
             values["integrator"] = advance.integrator

@@ -25,12 +25,14 @@ if TYPE_CHECKING:
 CONVERGED = 0.05
 #: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
 _MARGIN = 0.1
+#: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.
+_PATIENCE, _LEAST_SHARE = 4, 1e-3
 #: Without a tolerance: that distance [m].
 CONVERGED_DISTANCE = 1e-9
 #: A stage that takes more iterations is given up, and the step made smaller.
-MOST_ITERATIONS = 12
+MOST_ITERATIONS = 30
 #: Steps of a frame beyond which errors are accepted, flagged and counted.
-MOST_STEPS = 256
+MOST_STEPS = 48
 
 
 class ImplicitAdvance:
@@ -146,14 +148,16 @@ class ImplicitAdvance:
         moving = self._dynamics.model.inverse_masses > 0.0
         u = v + d * guess * moving
         a = np.empty_like(x)
-        last, diverging = math.inf, 0
-        for _ in range(MOST_ITERATIONS):
+        last = math.inf
+        for iteration in range(MOST_ITERATIONS):
             place = x + d * u
             self._dynamics.acceleration(t, place, u, a)
             self._evaluations += 1
             correction = masses * (v + d * a - u) * moving
             self._matrix.update(place, d)
             self._matrix.solve(correction)
+            if iteration >= _PATIENCE:
+                correction *= self._share(t, x, v, d, u, correction)
             u += correction
             size = d * float(np.sqrt((correction * correction).sum(axis=0).max()))
             if not math.isfinite(size):
@@ -163,9 +167,20 @@ class ImplicitAdvance:
             # Newton's iteration converges quadratically: the next correction would be about curvature * size^2.
             if size <= self._close or self._curvature * size * size <= _MARGIN * self._close:
                 return u, (u - v) / d
-            if size > last:
-                diverging += 1
-                if diverging > 2:
-                    return None
             last = size
         return None
+
+    def _share(self, t: float, x: Array, v: Array, d: float, u: Array, correction: Array) -> float:
+        """Return how much of a correction to take: the largest power of 1/2 that lowers what the stage minimises.
+
+        That is ``1/2 |u - v|^2_M + E(x + d u) + d/2 u'D u`` while the damping matrix D is nearly constant.
+        """
+        share, before = 1.0, self._merit(t, x, v, d, u)
+        while share > _LEAST_SHARE and not self._merit(t, x, v, d, u + share * correction) <= before:
+            share *= 0.5
+        return share
+
+    def _merit(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
+        place = x + d * u
+        slip = self._dynamics.dissipation(t, place, u)
+        return self._dynamics.energy(t, place, u - v) + 0.5 * d * slip

@@ -19,19 +19,23 @@ class EnergyBalance(Observer):
     Args:
         dynamics: equations of motion.
         state: the start.
+        t: time at the start [s].
     """
 
-    def __init__(self, dynamics: Dynamics, state: State) -> None:
+    def __init__(self, dynamics: Dynamics, state: State, t: float = 0.0) -> None:
         self._dynamics = dynamics
         self._grips = [term for term in dynamics.model.terms if isinstance(term, Grips)]
         self._scratch = np.zeros_like(state.x)
-        self._start = dynamics.energy(0.0, state.x, state.v)
+        self._start = dynamics.energy(t, state.x, state.v)
         self._still = np.zeros_like(state.v)
-        self._lost = self._work = 0.0
+        #: Dissipated so far [J].
+        self.lost = 0.0
+        #: Done on the cloth by grippers so far [J].
+        self.work = 0.0
         self._pending = [0.0, 0.0]
         #: Energy that went from one form into another so far, at least [J].
         self.turned_over = 0.0
-        self._kinetic = self._start - dynamics.energy(0.0, state.x, self._still)
+        self._kinetic = self._start - dynamics.energy(t, state.x, self._still)
 
     def restart(self) -> None:
         self._pending = [0.0, 0.0]
@@ -45,11 +49,11 @@ class EnergyBalance(Observer):
     def close(self, t: float, state: State) -> float:
         """Book an advance that ended at time t; return the residual [J] so far."""
         lost, work = self._pending
-        self._lost += lost
-        self._work += work
+        self.lost += lost
+        self.work += work
         self.restart()
         energy = self._dynamics.energy(t, state.x, state.v)
         kinetic = energy - self._dynamics.energy(t, state.x, self._still)
         self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work)
         self._kinetic = kinetic
-        return energy - self._start - self._work + self._lost
+        return energy - self._start - self.work + self.lost
