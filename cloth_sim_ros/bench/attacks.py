@@ -160,6 +160,7 @@ def scene(*, stiffness: float, damping: float, rate: float, integrator: str, ste
             "gripper.radius": 0.15,
             "integrator": integrator,
             "step": step,
+            "tolerance": 1e-3,
         }
     )
 

@@ -25,7 +25,7 @@ AIM = 0.5
 #: Longest time between two judgements by a further column, in stretches.
 LONGEST_WAIT = 16
 #: The smallest step is the stability limit divided by this: below it errors are accepted, flagged and counted.
-FINEST = 64.0
+FINEST = 32.0
 #: Below this rounding rules [m]: a difference of combinations says nothing.
 ROUNDING = 2e-14
 

@@ -241,11 +241,14 @@ class ControlledAdvance:
         if not accepted or choice.refine > COSTLY:
             while len(errors) < most and errors[-1] > AIM * self._budget:
                 errors.append(columns.difference(len(errors) + 1))
-        if not accepted and choice.refine >= FINEST:
+        if not accepted and choice.refine >= FINEST and choice.columns == 1:
             self._flagged += 1
             accepted = True
         wanted, refine = cheapest(errors, choice.refine, self._budget, most)
-        if not accepted and wanted == choice.columns:
+        if refine >= FINEST:
+            # Nothing converges here: the plain leapfrog at the smallest step at least makes no energy.
+            wanted, refine = 1, FINEST
+        if not accepted and wanted == choice.columns and refine < FINEST:
             refine = max(refine, min(FINEST, 1.1 * choice.refine))
         refine = max(refine, 0.5 * choice.refine)
         self._remember(errors, wanted, refine, activity, error)

@@ -27,12 +27,14 @@ CONVERGED = 0.05
 _MARGIN = 0.1
 #: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.
 _PATIENCE, _LEAST_SHARE = 4, 1e-3
+#: Attempts after which an advance is given up.
+_ATTEMPTS = 12
 #: Without a tolerance: that distance [m].
 CONVERGED_DISTANCE = 1e-9
 #: A stage that takes more iterations is given up, and the step made smaller.
 MOST_ITERATIONS = 30
-#: Steps of a frame beyond which errors are accepted, flagged and counted.
-MOST_STEPS = 48
+#: Steps of a frame beyond which errors, and stages that do not converge, are accepted, flagged and counted.
+MOST_STEPS = 32
 
 
 class ImplicitAdvance:
@@ -65,22 +67,22 @@ class ImplicitAdvance:
         else:
             steps = 1
         least = steps if integrator.step is not None else 1
-        start, rejected, flagged = state.copy(), 0, 0
+        start, rejected = state.copy(), 0
         while True:
             if self._observer is not None:
                 self._observer.restart()
+            self._last_resort = steps >= MOST_STEPS
             error = self._steps(steps)
-            if error is not None and error <= self._budget:
-                break
-            if error is not None and steps >= MOST_STEPS:
-                flagged = 1
+            if error is not None and (error <= self._budget or steps >= MOST_STEPS):
                 break
             state.restore(start)
             rejected += 1
-            if steps >= 64 * MOST_STEPS:
-                raise UnstableError(f"implicit: no step down to {self._duration / steps:.3g} s converged")
+            if rejected > _ATTEMPTS:
+                raise UnstableError(f"implicit: steps of {self._duration / steps:.3g} s did not stay finite")
             grow = 2.0 if error is None else math.sqrt(error / (AIM * self._budget))
-            steps = min(max(steps + 1, math.ceil(steps * min(grow, 8.0))), 64 * MOST_STEPS)
+            finer = max(steps + 1, math.ceil(steps * min(grow, 8.0)))
+            steps = min(finer, MOST_STEPS) if error is not None or steps < MOST_STEPS else 2 * steps
+        flagged = int(error > self._budget) + self._unsolved
         h = self._duration / steps
         if integrator.tolerance is not None:
             wanted = steps * math.sqrt(max(error, 1e-30) / (AIM * self._budget))
@@ -115,7 +117,7 @@ class ImplicitAdvance:
         state, h = self._state, self._duration / steps
         d = GAMMA * h
         self._close = CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
-        self._curvature = math.inf
+        self._curvature, self._unsolved = math.inf, 0
         total = 0.0
         x, v = state.x, state.v
         a = np.empty_like(x)
@@ -168,7 +170,13 @@ class ImplicitAdvance:
             if size <= self._close or self._curvature * size * size <= _MARGIN * self._close:
                 return u, (u - v) / d
             last = size
-        return None
+        if not self._last_resort:
+            return None
+        # Better unsolved than unstable: no more energy than there is, if need be by stopping.
+        self._unsolved += 1
+        if not self._merit(t, x, v, d, u) <= self._merit(t, x, v, d, np.zeros_like(u)):
+            u = np.zeros_like(u)
+        return u, (u - v) / d
 
     def _share(self, t: float, x: Array, v: Array, d: float, u: Array, correction: Array) -> float:
         """Return how much of a correction to take: the largest power of 1/2 that lowers what the stage minimises.

@@ -100,8 +100,8 @@ def pair_dissipation(pairs, rest, damping, x, v):  # type: ignore[no-untyped-def
 def add_pair_stiffness(pairs, rest, stiffness, x, blocks):  # type: ignore[no-untyped-def]
     """Add twice each spring's stiffness matrix k dd' + |tension / L| (I - dd') to the blocks of both its ends.
 
-    Compression's transverse part is negative and makes nothing unstable, but a spring that is pushed nearly to a point turns
-    as fast as one that is stretched: it counts by its size, up to a tenth of the rest length.
+    Compression's transverse part is negative and makes nothing unstable, but a spring that is pushed nearly to a point
+    turns as fast as one that is stretched: it counts by its size, up to a tenth of the rest length.
     """
     for e in range(pairs.shape[0]):
         a = pairs[e, 0]
