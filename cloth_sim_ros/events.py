@@ -33,7 +33,8 @@ class Grasp:
     """A gripper closes or opens."""
 
     gripper: str
-    closed: bool
+    #: Any truth value, numpy's included.
+    closed: bool = attrs.field(converter=bool)
 
 
 @attrs.frozen

@@ -126,12 +126,16 @@ class Simulation:
         Raises:
             EventError: naming the value, the limit and the remedy.
         """
+        if not isinstance(event, Event):
+            raise EventError(f"{event!r} is no event; see cloth_sim_ros.events")
         if isinstance(event, Target | Grasp) and event.gripper not in self.grippers.names:
             known = ", ".join(self.grippers.names) or "none"
             raise EventError(f"there is no gripper '{event.gripper}'; this cloth has {known}")
         if isinstance(event, Target):
             _check_target(event)
         elif isinstance(event, SetParameters):
+            if not isinstance(event.values, dict) or not all(isinstance(name, str) for name in event.values):
+                raise EventError(f"parameters {event.values!r} must be values by full name, e.g. {{'air.drag': 0.5}}")
             try:
                 self._scene.changed(event.values)
             except ValueError as error:

@@ -135,3 +135,16 @@ def test_an_observer_sees_every_step():
     integrator = fused.scene.build_integrator()
     done = integrator.advance(fused.dynamics, fused.state, 0.0, 1 / 60, counter)
     assert counter.points == done.steps
+
+
+@pytest.mark.parametrize("integrator", ["auto", "leapfrog", "extrapolated"])
+def test_an_observer_changes_no_bit(integrator):
+    digests = []
+    for observer in (None, _Counter()):
+        fused, _ = pair({"integrator": integrator, "tolerance": 1e-6})
+        stir(fused)
+        stepper = fused.scene.build_integrator()
+        for k in range(3):
+            stepper.advance(fused.dynamics, fused.state, k / 60, 1 / 60, observer)
+        digests.append(fused.state.digest())
+    assert digests[0] == digests[1]

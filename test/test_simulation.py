@@ -186,6 +186,8 @@ def test_reset_restores_cloth_and_grippers_but_not_the_frame_number():
         (Target("left", (0, 0)), "3 finite numbers"),
         (Target("left", (1e9, 0, 0)), "beyond 10000 m"),
         (Target("left", (0, 0, 0), (0, 0, 0, 0)), "no quaternion"),
+        ("close", "'close' is no event"),
+        (SetParameters({1: 2}), "must be values by full name"),
         (SetParameters({"material.density": -1.0}), "must be above 0.0 kg/m"),
         (SetParameters({"cloth.size": [1.0, 1.0]}), "can't change while the cloth runs"),
         (SetParameters({"material.densty": 1.0}), "did you mean 'material.density'"),
@@ -273,3 +275,17 @@ def test_the_energy_balance_closes_and_watching_it_changes_no_bit():
     assert report.dissipated > 1e-2
     assert abs(report.residual) < 1e-3 * report.turned_over
     assert report.total == pytest.approx(watched.energy(), rel=1e-9)
+
+
+def test_a_numpy_truth_closes_a_gripper():
+    simulation = Simulation(small())
+    grasp = simulation.advance([Target("left", corner(simulation)), Grasp("left", np.True_)]).grasps[0]
+    assert (grasp.closed, grasp.held) == (True, 1)
+
+
+def test_a_fixed_step_that_a_grip_makes_too_large_stops_with_its_limit_named():
+    simulation = Simulation(small(step=0.9e-3, **{"gripper.stiffness": 1e5}))
+    before = simulation.state.digest()
+    with pytest.raises(UnstableError, match=r"step 0.0009 s is above the stability limit"):
+        simulation.advance([Target("left", corner(simulation)), Grasp("left", True)])
+    assert simulation.state.digest() == before

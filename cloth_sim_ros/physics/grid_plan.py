@@ -28,10 +28,9 @@ class GridPlan:
     """Takes over the spring terms of a grid; equal to their sum to rounding.
 
     The leapfrog is fused where the model has no other terms than these, gravity, drag and grips, and no gripper that
-    holds something turns during the
-    run (a held point's path is then a cubic). That is decided by the scene and its commands alone. An observer of
-    anything but wrenches
-    has to watch a run of its own, by terms: it must not change the bits of this one.
+    holds something turns during the run (a held point's path is then a cubic). That is decided by the scene and its
+    commands alone. Wrenches come out of the compiled loop; any other observer watches a copy of the run that goes by
+    terms beside it, so that it changes no bit of this one.
 
     Args:
         dynamics: the equations whose terms are taken over; it gets the plan.
@@ -79,9 +78,11 @@ class GridPlan:
         weight.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
-        if self._loop is None or self._turns() or (observer is not None and wrenches is None):
+        if self._loop is None or self._turns():
             leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight)
             return
+        if observer is not None and wrenches is None:
+            leapfrog_by_terms(self._dynamics, t, x.copy(), v.copy(), step, steps, observer, weight)
         grips, order = self._held(t)
         self._loop.advance(x, v, steps, step, grips=grips)
         if wrenches is not None:

@@ -60,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(signals)
     finally:
+        signals.ignore()
         rclpy.try_shutdown()
 
 

@@ -32,6 +32,11 @@ class StopSignals:
         for number in _SIGNALS:
             signal.signal(number, self._handle)
 
+    def ignore(self) -> None:
+        """Ignore the signals from now on, the interpreter's own end included: it would put their defaults back."""
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
     @contextmanager
     def interruptible(self) -> Iterator[None]:
         """Within, the first signal raises `StopRequestedError`.

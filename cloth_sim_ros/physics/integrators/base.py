@@ -124,14 +124,18 @@ def check_tolerance(tolerance: float | None) -> float | None:
     return tolerance
 
 
+class StepLimitError(UnstableError, ValueError):
+    """A fixed step is above the stability limit: at the start, or because the motion stiffened."""
+
+
 def refuse_unstable(step: float, limit: float, name: str) -> None:
     """Refuse a fixed step above the limit.
 
     Raises:
-        ValueError: naming step, limit and remedy.
+        StepLimitError: naming step, limit and remedy.
     """
     if step > limit:
-        raise ValueError(
+        raise StepLimitError(
             f"step {step} s is above the stability limit {limit:.6g} s of '{name}'; "
             "take a smaller step, or 0 to let it choose"
         )
