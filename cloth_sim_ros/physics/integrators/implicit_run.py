@@ -11,7 +11,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
-from cloth_sim_ros.physics.integrators.control import AIM, SHARE_PER_SECOND, Memory
+from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
@@ -21,8 +21,12 @@ from cloth_sim_ros.physics.terms.base import Array
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
+#: Share of the tolerance that the estimates may add up to in one second, and the part of it that steps aim at. The
+#: estimate
+#: is on the safe side: errors of later steps partly undo those of earlier ones.
+SHARE_PER_SECOND, AIM = 1.2, 0.8
 #: Newton's iteration ends when a correction moves no particle by more than this share of a step's budget.
-CONVERGED = 0.05
+CONVERGED = 0.2
 #: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
 _MARGIN = 0.1
 #: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.kernels import band
+from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.terms.base import Array, Term
 
@@ -38,14 +37,14 @@ class StageMatrix:
                 self._single.append(term)
             else:
                 self._coupled.append((term, np.ascontiguousarray(pairs)))
-        self._places, width = _order(self._band_pairs(), moving)
-        self._rows = np.zeros((int(moving.sum()), 3, 3 * (width + 1)))
+        places, width = _order(self._band_pairs(), moving)
+        self._matrix = BandMatrix(places, width, [pairs for _, pairs in self._coupled])
         self._blocks = np.empty((6, self._model.particle_count))
 
     @property
     def size(self) -> tuple[int, int]:
         """Block rows, and blocks in a row."""
-        return self._rows.shape[0], self._rows.shape[2] // 3
+        return self._matrix.count, self._matrix.width + 1
 
     def _band_pairs(self) -> NDArray[np.int64]:
         """The pairs that the band has to hold: all but those that are negligible beside others at both their ends."""
@@ -65,22 +64,18 @@ class StageMatrix:
         Raises:
             UnstableError: if an entry is not finite.
         """
-        self._rows.fill(0.0)
-        for term, pairs in self._coupled:
-            band.assemble(self._rows, self._places, pairs, term.pair_blocks(x, d * d, d))
         total = np.zeros_like(self._blocks)
         for kind, weight in (("add_stiffness", d * d), ("add_damping", d)):
             self._blocks.fill(0.0)
             for term in self._single:
                 getattr(term, kind)(x, self._blocks)
             total += weight * self._blocks
-        band.assemble_diagonal(self._rows, self._places, self._model.masses, total)
-        if not band.factor(self._rows):
-            raise UnstableError("the matrix of an implicit step is not positive definite: the motion is not finite")
+        blocks = [term.pair_blocks(x, d * d, d) for term, _ in self._coupled]
+        self._matrix.update(blocks, self._model.masses, total)
 
     def solve(self, right: Array) -> None:
         """Replace ``right`` (3, n) by the solution; zero for anchored particles."""
-        band.solve(self._rows, self._places, right)
+        self._matrix.solve(right)
 
 
 _MATRICES: WeakKeyDictionary[Model, StageMatrix] = WeakKeyDictionary()

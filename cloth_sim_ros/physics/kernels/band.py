@@ -18,19 +18,16 @@ _TINY = 1e-120
 
 
 @numba.njit(**_JIT)
-def assemble(rows, places, pairs, blocks):  # type: ignore[no-untyped-def]
-    """Add pair blocks B (m, 6: xx, yy, zz, xy, xz, yz) to ``rows``: B at both ends' diagonals, -B at their coupling.
+def assemble(rows, places, pairs, blocks, chosen):  # type: ignore[no-untyped-def]
+    """Add the pair blocks B (m, 6: xx, yy, zz, xy, xz, yz) that are chosen: B at both diagonals, -B at the coupling.
 
-    ``places`` (n,) maps particles to block rows, -1 for those that do not move. Couplings beyond the band are left out.
+    ``places`` (n,) maps particles to block rows, -1 for those that do not move. ``chosen`` are indices of pairs.
     """
     w = rows.shape[2] // 3 - 1
     b = np.empty((3, 3))
-    for e in range(pairs.shape[0]):
+    for e in chosen:
         i = places[pairs[e, 0]]
         j = places[pairs[e, 1]]
-        far = i >= 0 and j >= 0 and abs(i - j) > w
-        if far:
-            continue
         b[0, 0] = blocks[e, 0]
         b[1, 1] = blocks[e, 1]
         b[2, 2] = blocks[e, 2]
@@ -72,8 +69,12 @@ def assemble_diagonal(rows, places, masses, blocks):  # type: ignore[no-untyped-
 
 
 @numba.njit(**_JIT)
-def factor(rows):  # type: ignore[no-untyped-def]
-    """Replace a positive definite band matrix by its Cholesky factor, diagonals inverted; return whether it was one."""
+def factor(rows, inner):  # type: ignore[no-untyped-def]
+    """Eliminate the first ``inner`` block rows of a positive definite band matrix; return whether it was one.
+
+    They are replaced by their rows of the Cholesky factor, diagonals inverted; the rest by its columns of the factor
+    and, among itself, by the Schur complement. With inner = all rows that is the whole factorisation.
+    """
     count = rows.shape[0]
     width = rows.shape[2]
     w = width // 3 - 1
@@ -83,7 +84,7 @@ def factor(rows):  # type: ignore[no-untyped-def]
         row1 = rows[i, 1]
         row2 = rows[i, 2]
         for j in range(first, i + 1):
-            length = 3 * (j - first)
+            length = 3 * max(0, min(j, inner) - first)
             at_i = (first - i + w) * 3
             at_j = (first - j + w) * 3
             here = (j - i + w) * 3
@@ -121,7 +122,17 @@ def factor(rows):  # type: ignore[no-untyped-def]
             a11 = row1[here + 1] - s11
             a21 = row2[here + 1] - s21
             a22 = row2[here + 2] - s22
-            if j < i:
+            if j >= inner:
+                row0[here] = a00
+                row0[here + 1] -= s01
+                row0[here + 2] -= s02
+                row1[here] = a10
+                row1[here + 1] = a11
+                row1[here + 2] -= s12
+                row2[here] = a20
+                row2[here + 1] = a21
+                row2[here + 2] = a22
+            elif j < i:
                 # X L_jj' = S, row by row; the diagonal of L_jj is stored inverted.
                 a01 = row0[here + 1] - s01
                 a02 = row0[here + 2] - s02
@@ -180,43 +191,62 @@ def factor(rows):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**_JIT)
-def solve(rows, places, right):  # type: ignore[no-untyped-def]
-    """Replace ``right`` (3, n) by the solution; zero where a particle does not move."""
-    count = rows.shape[0]
+def forward(rows, inner, y):  # type: ignore[no-untyped-def]
+    """Eliminate the first ``inner`` unknowns from the right-hand side y (block rows, 3)."""
     w = rows.shape[2] // 3 - 1
-    y = np.zeros((count, 3))
-    for p in range(places.shape[0]):
-        if places[p] >= 0:
-            for c in range(3):
-                y[places[p], c] = right[c, p]
     flat = y.ravel()
-    for i in range(count):
+    for i in range(rows.shape[0]):
         first = max(0, i - w)
         at = (first - i + w) * 3
-        length = 3 * (i - first)
+        length = 3 * max(0, min(i, inner) - first)
         start = 3 * first
         for r in range(3):
             row = rows[i, r]
             total = 0.0
             for k in range(length):
                 total += row[at + k] * flat[start + k]
-            for c in range(r):
-                total += row[3 * w + c] * flat[3 * i + c]
-            flat[3 * i + r] = (flat[3 * i + r] - total) * row[3 * w + r]
-    for i in range(count - 1, -1, -1):
+            if i < inner:
+                for c in range(r):
+                    total += row[3 * w + c] * flat[3 * i + c]
+                flat[3 * i + r] = (flat[3 * i + r] - total) * row[3 * w + r]
+            else:
+                flat[3 * i + r] -= total
+
+
+@numba.njit(**_JIT)
+def backward(rows, inner, y):  # type: ignore[no-untyped-def]
+    """Find the first ``inner`` unknowns of what `forward` left in y, the others being solved."""
+    w = rows.shape[2] // 3 - 1
+    flat = y.ravel()
+    for i in range(rows.shape[0] - 1, -1, -1):
         first = max(0, i - w)
         at = (first - i + w) * 3
-        length = 3 * (i - first)
+        length = 3 * max(0, min(i, inner) - first)
         start = 3 * first
         for r in range(2, -1, -1):
             row = rows[i, r]
-            value = flat[3 * i + r] * row[3 * w + r]
-            flat[3 * i + r] = value
-            for c in range(r):
-                flat[3 * i + c] -= row[3 * w + c] * value
+            if i < inner:
+                flat[3 * i + r] *= row[3 * w + r]
+            value = flat[3 * i + r]
+            if i < inner:
+                for c in range(r):
+                    flat[3 * i + c] -= row[3 * w + c] * value
             for k in range(length):
                 flat[start + k] -= row[at + k] * value
-    for p in range(places.shape[0]):
-        i = places[p]
-        for c in range(3):
-            right[c, p] = y[i, c] if i >= 0 else 0.0
+
+
+@numba.njit(**_JIT)
+def join(upper, lower, inner_upper, inner_lower, middle):  # type: ignore[no-untyped-def]
+    """Set ``middle`` to the sum of two Schur complements of the same block rows, the lower one's in reverse order."""
+    count = middle.shape[0]
+    w = upper.shape[2] // 3 - 1
+    wide = middle.shape[2] // 3 - 1
+    for i in range(count):
+        for j in range(i + 1):
+            at = (j - i + wide) * 3
+            here = (j - i + w) * 3
+            # In reverse order the pair (i, j) is stored transposed, as (count - 1 - j, count - 1 - i).
+            other = inner_lower + count - 1 - j
+            for r in range(3):
+                for c in range(3):
+                    middle[i, r, at + c] = upper[inner_upper + i, r, here + c] + lower[other, c, here + r]

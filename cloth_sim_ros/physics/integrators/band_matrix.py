@@ -1,0 +1,120 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A symmetric positive definite band matrix, factorised from both ends at once by two threads.
+
+The upper and the lower part of the block rows are eliminated independently, the lower one in reverse order; what is
+left is a matrix of as many block rows as the band is wide. The parts are fixed by the size alone, so that one and two
+threads give the same bits.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.kernels import band
+from cloth_sim_ros.physics.terms.base import Array
+
+_Index = NDArray[np.int64]
+
+
+@cache
+def _helper() -> ThreadPoolExecutor:
+    """The second thread."""
+    return ThreadPoolExecutor(1, thread_name_prefix="band")
+
+
+class BandMatrix:
+    """Blocks of 3x3 by particle pairs and single particles.
+
+    Args:
+        places: block row of each particle, -1 for those that do not move, shape (n,).
+        width: block half bandwidth.
+        pairs: particle pairs of each group of blocks that will be added, each of shape (m, 2); those that lie outside
+            the band
+            are left out.
+    """
+
+    def __init__(self, places: _Index, width: int, pairs: list[_Index]) -> None:
+        self._places, self.width = places, width
+        self.count = int(places.max(initial=-1)) + 1
+        # Two ends only where both are longer than what they share.
+        self._shared = width if self.count >= 4 * width else 0
+        self._upper = (self.count - self._shared) // 2 if self._shared else self.count
+        self._lower = self.count - self._shared - self._upper
+        last = self.count - 1
+        above = places < self._upper + self._shared
+        below = places >= self._upper
+        self._maps = (np.where(above, places, -1), np.where(below, last - places, -1))
+        self._chosen = [self._split(ends) for ends in pairs]
+        self._pairs = pairs
+        shape = 3, 3 * (width + 1)
+        self._rows = np.zeros((self._upper + self._shared, *shape)), np.zeros((self._lower + self._shared, *shape))
+        self._middle = np.zeros((self._shared, 3, 3 * max(self._shared, 1)))
+
+    def _split(self, pairs: _Index) -> tuple[_Index, _Index]:
+        """Which pairs go to the upper and to the lower part."""
+        ends = self._places[pairs]
+        near = (np.abs(ends[:, 0] - ends[:, 1]) <= self.width) | (ends < 0).any(axis=1)
+        near &= (ends >= 0).any(axis=1)
+        lower = (ends >= self._upper + self._shared).any(axis=1)
+        return np.flatnonzero(near & ~lower), np.flatnonzero(near & lower)
+
+    def update(self, blocks: list[Array], masses: Array, diagonal: Array) -> None:
+        """Assemble and factorise.
+
+        Args:
+            blocks: pair blocks (m, 6) of each group.
+            masses: added to the diagonal, shape (n,).
+            diagonal: blocks added to the diagonal, shape (6, n).
+
+        Raises:
+            UnstableError: if the matrix is not positive definite.
+        """
+        if self._shared:
+            lower = _helper().submit(self._eliminate, 1, blocks, masses, diagonal)
+            good = self._eliminate(0, blocks, masses, diagonal)
+            good = lower.result() and good
+            band.join(*self._rows, self._upper, self._lower, self._middle)
+            good = good and bool(band.factor(self._middle, self._shared))
+        else:
+            good = self._eliminate(0, blocks, masses, diagonal)
+        if not good:
+            raise UnstableError("the matrix of an implicit step is not positive definite: the motion is not finite")
+
+    def _eliminate(self, part: int, blocks: list[Array], masses: Array, diagonal: Array) -> bool:
+        rows, places = self._rows[part], self._maps[part]
+        rows.fill(0.0)
+        for pairs, values, chosen in zip(self._pairs, blocks, self._chosen, strict=True):
+            band.assemble(rows, places, pairs, values, chosen[part])
+        # What is shared is counted once.
+        own = places if part == 0 else np.where(places < self._lower, places, -1)
+        band.assemble_diagonal(rows, own, masses, diagonal)
+        return bool(band.factor(rows, (self._upper, self._lower)[part]))
+
+    def solve(self, right: Array) -> None:
+        """Replace ``right`` (3, n) by the solution; zero for particles that do not move."""
+        moving = self._places >= 0
+        y = np.zeros((self.count, 3))
+        y[self._places[moving]] = right[:, moving].T
+        cut = self._upper + self._shared
+        upper = y[:cut].copy()
+        band.forward(self._rows[0], self._upper, upper)
+        if self._shared:
+            lower = y[self._upper :][::-1].copy()
+            lower[self._lower :] = 0.0
+            band.forward(self._rows[1], self._lower, lower)
+            middle = upper[self._upper :] + lower[self._lower :][::-1]
+            band.forward(self._middle, self._shared, middle)
+            band.backward(self._middle, self._shared, middle)
+            upper[self._upper :], lower[self._lower :] = middle, middle[::-1]
+            band.backward(self._rows[1], self._lower, lower)
+            y[self._upper :] = lower[::-1]
+        band.backward(self._rows[0], self._upper, upper)
+        y[:cut] = upper
+        right[:] = 0.0
+        right[:, moving] = y[self._places[moving]].T

@@ -1,0 +1,47 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The implicit method's band matrix against a dense one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
+from cloth_sim_ros.physics.integrators.base import UnstableError
+
+
+def system(count: int, width: int) -> tuple[BandMatrix, np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]:
+    """A matrix, its dense equal and the places of its particles, every fifth of which is held."""
+    random = np.random.default_rng(count + width)
+    places = np.full(count, -1)
+    moving = np.arange(count) % 5 != 2
+    places[moving] = random.permutation(int(moving.sum()))
+    ends = [(a, b) for a in range(count) for b in range(a) if places[a] < 0 or abs(places[a] - places[b]) <= width]
+    pairs = np.array(ends, dtype=np.int64)
+    away = random.normal(size=(len(pairs), 3))
+    blocks = np.stack([away[:, i] * away[:, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=1)
+    dense = np.eye(3 * count)
+    for (a, b), d in zip(pairs, away, strict=True):
+        block = np.outer(d, d)
+        for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
+            dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += sign * block
+    return BandMatrix(places, width, [pairs]), dense, moving, [blocks], np.ones(count)
+
+
+@pytest.mark.parametrize(("count", "width"), [(6, 2), (9, 6), (40, 3), (41, 4), (120, 7)])
+def test_band_solution_equals_the_dense_one(count: int, width: int) -> None:
+    matrix, dense, moving, blocks, masses = system(count, width)
+    matrix.update(blocks, masses, np.zeros((6, count)))
+    right = np.random.default_rng(1).normal(size=(3, count))
+    free = np.repeat(moving, 3)
+    expected = np.zeros(3 * count)
+    expected[free] = np.linalg.solve(dense[np.ix_(free, free)], right.T.ravel()[free])
+    matrix.solve(right)
+    assert right.T.ravel() == pytest.approx(expected, abs=1e-11)
+
+
+def test_a_matrix_that_is_not_positive_is_refused() -> None:
+    matrix, _, _, blocks, masses = system(40, 3)
+    with pytest.raises(UnstableError, match="not positive definite"):
+        matrix.update(blocks, -100.0 * masses, np.zeros((6, 40)))
