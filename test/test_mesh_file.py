@@ -187,9 +187,143 @@ def test_what_can_not_be_mended_is_refused_with_the_place(kind, words):
         ("cloth.obj", b"v 0 0 0\nf 1 2 3\n", "no readable OBJ file|vertices are"),
         ("cloth.ply", b"garbage \x00\xff", "no readable PLY file"),
         ("cloth.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "no readable PLY file"),
-        ("cloth.stl", b"xx", "no triangles|no readable STL file"),
+        ("cloth.stl", b"xx", "has 2 bytes; a binary file has a header of 84"),
     ],
 )
 def test_files_that_are_no_meshes_are_refused(name, data, words):
     with pytest.raises(ValueError, match=words):
         mesh_file.read(data, name=name)
+
+
+def stl(ascii_text=False):
+    mesh = trimesh.Trimesh(*grid(), process=False)
+    return mesh.export(file_type="stl_ascii").encode() if ascii_text else mesh.export(file_type="stl")
+
+
+COUNT = len(TRIANGLES)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (stl()[:-1], f"ends after {COUNT - 1} of {COUNT} triangles"),
+        (stl()[:100], f"ends after 0 of {COUNT} triangles"),
+        (stl()[:80] + (COUNT + 3).to_bytes(4, "little") + stl()[84:], f"ends after {COUNT} of {COUNT + 3} triangles"),
+        (stl()[:80] + (COUNT - 2).to_bytes(4, "little") + stl()[84:], "100 bytes follow them, room for 2 more"),
+        (b"solid" + stl()[5:-1], f"ends after {COUNT - 1} of {COUNT} triangles"),
+        (stl(True)[: stl(True).rindex(b"endfacet")], f"ends after {COUNT - 1} of {COUNT} facets"),
+        (stl(True)[: stl(True).rindex(b"endsolid")], f"ends after {COUNT} facets without endsolid"),
+        (stl(True).replace(b"vertex", b"vortex", 1), f"have {3 * COUNT - 1} vertices"),
+    ],
+)
+def test_an_stl_file_of_the_wrong_length_is_refused(data, words):
+    with pytest.raises(ValueError, match=f"no readable STL file: .*{words}"):
+        mesh_file.read(data, name="cloth.stl")
+
+
+def test_a_few_bytes_after_an_stl_files_end_are_left_out_and_said():
+    mesh = mesh_file.read(stl() + b"\r\n\0", name="cloth.stl")
+    assert mesh.repairs == ("3 bytes after the last triangle left out",)
+    assert len(mesh.surface.triangles) == COUNT
+    assert len(mesh_file.read(stl(True) + b"\n\n", name="cloth.stl").surface.triangles) == COUNT
+
+
+def test_relative_obj_indices_count_from_where_they_stand():
+    text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 1 1 0\nf -1/1 -2 -3//4\n"
+    mesh = mesh_file.read(text, name="cloth.obj")
+    assert mesh.repairs == ()
+    assert mesh.surface.triangles.tolist() == [[0, 1, 2], [3, 2, 1]]
+
+
+@pytest.mark.parametrize(
+    ("face", "words"),
+    [
+        (b"f 0 1 2", "line 4: a face has vertex 0; indices count from 1"),
+        (b"f -4 1 2", "line 4: a face has vertex -4, with only 3 vertices above it"),
+        (b"f 1 2 4", "line 4: a face has vertex 4; the file has 3 vertices"),
+        (b"f 1 2", "line 4: a face has at least 3 corners, not 2"),
+        (b"f 1 2 x/3", "line 4: 'x/3' is no corner of a face"),
+        (b"v 1 2", "line 4: a vertex has 3 coordinates, not 2"),
+    ],
+)
+def test_a_wrong_obj_line_is_named(face, words):
+    with pytest.raises(ValueError, match=words):
+        mesh_file.read(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + face + b"\n", name="cloth.obj")
+
+
+def test_obj_comments_tabs_indents_marks_and_continued_lines_are_read():
+    text = (
+        b"\xef\xbb\xbfv 0 0 0 # first\r\n\tv\t1 0 0\r\n  v 0 \\\r\n 1 0#close\r\nv 1 1 0\r\n"
+        b"f 1 2 \\\r\n3 # one\r\n\tf\t2 4 3 # path C:\\\r\n"
+    )
+    mesh = mesh_file.read(text, name="cloth.obj")
+    assert mesh.positions.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
+    assert mesh.surface.triangles.tolist() == [[0, 1, 2], [1, 3, 2]]
+
+
+def ply(points, faces, *, told=None):
+    rows = [" ".join(map(str, row)) for row in points] + [" ".join(map(str, (len(f), *f))) for f in faces]
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty float x\nproperty float y\n"
+    head += f"property float z\nelement face {told or len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    return (head + "\n".join(rows) + "\n").encode()
+
+
+SQUARE = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (ply(SQUARE, [[0, 1, 2]], told=2), "ends after 1 of 2 faces"),
+        (ply(SQUARE, [])[:-8].replace(b"face 0", b"face 2"), "ends after 3 of 4 vertices"),
+        (ply(SQUARE, [[0, 1, 2], [0, 2, 3]])[:-3], "face 1 has 3 of 4 values"),
+        (trimesh.Trimesh(*grid(), process=False).export(file_type="ply")[:-5], "cut short"),
+    ],
+)
+def test_a_ply_file_cut_short_is_refused(data, words):
+    with pytest.raises(ValueError, match=f"no readable PLY file: .*{words}"):
+        mesh_file.read(data, name="cloth.ply")
+
+
+DART = [[0, 0, 0], [2, -1, 0], [0.5, 0, 0], [2, 1, 0]]
+
+
+@pytest.mark.parametrize("shift", range(4))
+@pytest.mark.parametrize("kind", ["obj", "ply", "mixed"])
+def test_concave_faces_are_cut_along_the_inner_diagonal(kind, shift):
+    points, face = [*DART, [1, -2, 0]], np.roll(range(4), shift).tolist()
+    faces = [face, [0, 4, 1]] if kind == "mixed" else [face]
+    text = ply(points, faces)
+    if kind == "obj":
+        text = "".join(f"v {x} {y} {z}\n" for x, y, z in points) + "f " + " ".join(str(k + 1) for k in face)
+        text = text.encode()
+    mesh = mesh_file.read(text, name="cloth.obj" if kind == "obj" else "cloth.ply")
+    area = normals(mesh.positions, mesh.surface.triangles)[:, 2]
+    assert (area > 0).all()
+    assert area[:2].sum() == pytest.approx(1.0)  # twice the hull's area 2 less the notch's 1.5
+
+
+def test_a_single_ply_face_with_two_lists_is_read():
+    text = ply(SQUARE, [[0, 1, 2, 3]]).replace(b"end_header", b"property list uchar float weights\nend_header")
+    mesh = mesh_file.read(text.rstrip() + b" 2 0.5 0.5\n", name="cloth.ply")
+    assert mesh.surface.triangles.tolist() == [[0, 1, 2], [0, 2, 3]]
+
+
+def test_a_face_no_corner_sees_whole_is_refused_with_its_place():
+    comb = [[0, 0, 0], [5, 0, 0], [5, 3, 0], [4, 1, 0], [3, 3, 0], [2, 1, 0], [1, 3, 0], [0.5, 1, 0], [0, 3, 0]]
+    with pytest.raises(ValueError, match=r"face 0, of vertices \[0, 1, .*no corner sees all others"):
+        mesh_file.read(ply(comb, [list(range(9))]), name="cloth.ply")
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "words"),
+    [
+        (1.0, 3e8, r"vertex \d+ is .*magnitude 3e\+08 m is beyond 1e\+06 m; positions are in metres"),
+        (1e200, 0.0, r"magnitude 4.*e\+200 m is beyond"),
+        (1e-9, 0.0, r"the whole mesh is 4.*e-09 m across, less than 1e-06 m"),
+    ],
+)
+def test_sizes_of_no_cloth_are_refused_with_their_magnitude(scale, shift, words):
+    points, triangles = grid()
+    with pytest.raises(SurfaceError, match=words):
+        checked_mesh(points * scale + shift, triangles)

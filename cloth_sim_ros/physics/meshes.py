@@ -6,14 +6,15 @@ Mended, and said so: vertices in no triangle (left out), vertices at one and the
 given twice (kept once), triangles with two corners in one place (left out, which leaves no hole), triangles wound
 against their neighbours (turned).
 
-Refused, with the place: values that are not finite, indices out of range, triangles whose three corners lie on one
-line, edges of more than two triangles, parts that touch in one point, a surface that can't be wound one way (a Möbius
-strip), more than one piece, nothing at all.
+Refused, with the place: values that are not finite or no cloth's in metres, indices out of range, faces that no fan of
+triangles fills, triangles whose three corners lie on one line, edges of more than two triangles, parts that touch in
+one point, a surface that can't be wound one way (a Möbius strip), more than one piece, nothing at all.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import attrs
 import numpy as np
@@ -24,6 +25,8 @@ from cloth_sim_ros.physics.terms.base import Array
 
 #: A triangle whose height over its longest side is below this share of that side has no area.
 FLATNESS = 1e-6
+#: The largest coordinate [m] and the smallest extent of a whole mesh [m] that are taken for a cloth's in metres.
+FARTHEST, SMALLEST = 1e6, 1e-6
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -48,6 +51,7 @@ def checked_mesh(positions: ArrayLike, triangles: ArrayLike) -> CheckedMesh:
             from 0.
     """
     points, faces = _arrays(positions, triangles)
+    _check_size(points, faces)
     repairs: list[str] = []
     place, copies = _first_of_equals(points, faces)
     if copies:
@@ -78,6 +82,71 @@ def checked_mesh(positions: ArrayLike, triangles: ArrayLike) -> CheckedMesh:
             "so give each its own file or join them"
         )
     return CheckedMesh(positions=np.ascontiguousarray(points[kept]), surface=surface, kept=kept, repairs=tuple(repairs))
+
+
+def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
+    """Cut polygons with vertices out of (n, 3) [m] into triangles, (m, 3), in the order given.
+
+    Each is cut into a fan from its first corner from which no triangle lies outside it, measured against the
+    polygon's area vector (Newell), so that a concave face is cut along an inner diagonal.
+
+    Raises:
+        SurfaceError: for a polygon of fewer than three corners, a corner out of range, or one no fan can fill.
+    """
+    triangles: list[Sequence[int]] = []
+    for number, polygon in enumerate(polygons):
+        if len(polygon) == 3:
+            triangles.append(polygon)
+            continue
+        if len(polygon) < 3:
+            raise SurfaceError(f"face {number} is {list(polygon)}; a face has at least 3 corners")
+        if min(polygon) < 0 or max(polygon) >= len(positions):
+            raise SurfaceError(f"face {number} is {list(polygon)}; vertices are 0 to {len(positions) - 1}")
+        begin = _fan_corner(positions[list(polygon)])
+        if begin is None:
+            raise SurfaceError(
+                f"face {number}, of vertices {list(polygon)}, at {positions[polygon[0]].tolist()}, is too concave or "
+                "crosses itself: no corner sees all others; cut it into triangles in the program that made it"
+            )
+        turned = [*polygon[begin:], *polygon[:begin]]
+        triangles.extend((turned[0], turned[k], turned[k + 1]) for k in range(1, len(turned) - 1))
+    return np.array(triangles, dtype=np.int64).reshape(-1, 3)
+
+
+def _fan_corner(corners: Array) -> int | None:
+    """The first of a polygon's corners (k, 3) to fan it from with no triangle outside; None if there is none."""
+    best, best_share = 0, -np.inf
+    for begin in range(len(corners)):
+        arms = np.roll(corners, -begin, axis=0)[1:] - corners[begin]
+        with np.errstate(invalid="ignore", over="ignore"):
+            areas = np.cross(arms[:-1], arms[1:])
+            whole = areas.sum(axis=0)
+            size = whole @ whole
+        if not (0 < size < np.inf):
+            return 0  # without an area or not finite: the check of the triangles names the place
+        share = float((areas @ whole).min() / size)
+        if share > FLATNESS:
+            return begin
+        if share > best_share + FLATNESS:
+            best, best_share = begin, share
+    # a corner given twice leaves a triangle without area in every fan
+    return best if best_share > -FLATNESS else None
+
+
+def _check_size(points: Array, faces: NDArray[np.int64]) -> None:
+    used = np.unique(faces)
+    reach = np.abs(points[used]).max(axis=1)
+    if reach.max() > FARTHEST:
+        bad = int(used[np.argmax(reach)])
+        raise SurfaceError(
+            f"vertex {bad} is {points[bad].tolist()}: a coordinate of magnitude {reach.max():.3g} m is beyond "
+            f"{FARTHEST:g} m; positions are in metres, so scale the mesh or move it to the origin"
+        )
+    extent = float(np.ptp(points[used], axis=0).max())
+    if extent < SMALLEST:
+        raise SurfaceError(
+            f"the whole mesh is {extent:.3g} m across, less than {SMALLEST:g} m; positions are in metres, so scale it"
+        )
 
 
 def _arrays(positions: ArrayLike, triangles: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
