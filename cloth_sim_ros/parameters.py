@@ -17,6 +17,8 @@ import attrs
 
 _META = "parameter"
 _SECTION = "section"
+#: Whole numbers of a parameter are those of 64 bits, as ROS has them.
+_INT_END = 1 << 63
 
 #: ROS parameter types by name, as Python types.
 KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
@@ -67,7 +69,8 @@ class Parameter:
         """
         if not self.is_array:
             return self._check_one(value)
-        if isinstance(value, str) or (not isinstance(value, Sequence) and not hasattr(value, "__array__")):
+        listed = isinstance(value, Sequence) or hasattr(value, "__array__")
+        if not listed or isinstance(value, str | bytes) or getattr(value, "ndim", 1) != 1:
             raise ParameterError(f"{self.name} is {value!r}; it must be an array of {self.element}")
         values = tuple(self._check_one(_item(entry)) for entry in value)
         if self.length is not None and len(values) != self.length:
@@ -76,6 +79,9 @@ class Parameter:
 
     def _check_one(self, value: Any) -> Any:
         kind = KINDS[self.element]
+        if type(value) is int and not -_INT_END <= value < _INT_END:
+            # Not shown: Python writes out no number of more than some thousand digits.
+            raise ParameterError(f"{self.name} is a whole number of {value.bit_length()} bits; it must fit into 64")
         if kind is float and type(value) is int:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
         if type(value) is not kind:
@@ -99,7 +105,7 @@ class Parameter:
 
 def _item(entry: Any) -> Any:
     """Return numpy scalars as the Python numbers that they hold."""
-    return entry.item() if hasattr(entry, "item") else entry
+    return entry.item() if hasattr(entry, "item") and getattr(entry, "ndim", 0) == 0 else entry
 
 
 def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:

@@ -264,9 +264,10 @@ class Scene:
         rows, columns = self.shape
         if state.particle_count != rows * columns:
             raise ParameterError(f"{what} has {state.particle_count} particles, the cloth {rows * columns}")
-        grippers = len(state.memory.get("gripper.pose", ()))
-        if grippers and grippers != len(self.gripper_names):
-            raise ParameterError(f"{what} has {grippers} grippers, the cloth {len(self.gripper_names)}")
+        # A state that never ran has no gripper memory at all, and fits any number; one that ran without has 0 of them.
+        poses = state.memory.get("gripper.pose")
+        if poses is not None and len(poses) != len(self.gripper_names):
+            raise ParameterError(f"{what} has {len(poses)} grippers, the cloth {len(self.gripper_names)}")
         state.frame = 0
         state.memory.pop("paused", None)
         return state

@@ -39,8 +39,11 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
 def _content(parameter: str, path: Path) -> bytes:
     try:
         size = path.stat().st_size
-        if size > MOST_BYTES:
-            raise ParameterError(f"{parameter} '{path}' has {size} bytes; at most {MOST_BYTES} are read")
-        return path.read_bytes()
+        if size <= MOST_BYTES:
+            return path.read_bytes()
+    except ValueError as error:
+        # A null character, or one that the file system's encoding lacks.
+        raise ParameterError(f"{parameter} {str(path)!r} is no file name: {error}") from error
     except OSError as error:
         raise ParameterError(f"{parameter}: cannot read '{path}': {error.strerror}") from error
+    raise ParameterError(f"{parameter} '{path}' has {size} bytes; at most {MOST_BYTES} are read")

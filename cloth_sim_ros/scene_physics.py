@@ -90,9 +90,12 @@ def anchored_particles(scene: Scene, sheet: Sheet) -> list[int]:
     found: set[int] = set()
     for name in scene.cloth.anchors:
         if name.isdecimal():
-            if int(name) >= count:
-                raise ParameterError(f"cloth.anchors names particle {name}; there are {count}, counted from 0")
-            found.add(int(name))
+            # Python reads no number of more than some thousand digits.
+            digits = name.lstrip("0") or "0"
+            if len(digits) > len(str(count)) or int(digits) >= count:
+                shown = name if len(name) <= 20 else f"{name[:20]}... ({len(name)} digits)"
+                raise ParameterError(f"cloth.anchors names particle {shown}; there are {count}, counted from 0")
+            found.add(int(digits))
         elif name and isinstance(sheet, GridSheet):
             try:
                 found.update(int(particle) for particle in sheet.edge(name))

@@ -20,9 +20,8 @@ class Cloth:
         "Height (along a column) and width (along a row) of the sheet",
         unit="m",
         length=2,
-        least=0.0,
+        least=1e-6,
         most=100.0,
-        open_least=True,
     )
     resolution: tuple[int, ...] = parameter(
         "int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096
@@ -52,9 +51,7 @@ class Cloth:
 class Material:
     """The sheet's physical moduli."""
 
-    density: float = parameter(
-        "double", 0.2, "Mass per area", unit="kg/m^2", least=0.0, most=1e3, open_least=True, live=True
-    )
+    density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", least=1e-9, most=1e3, live=True)
     stretch_modulus: float = parameter(
         "double",
         1000.0,

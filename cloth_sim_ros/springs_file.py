@@ -4,12 +4,9 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from typing import Any
 
-import numpy as np
-
+from cloth_sim_ros.physics import npz
 from cloth_sim_ros.physics.raw_springs import RawSprings
 
 
@@ -19,16 +16,8 @@ def parse(data: bytes) -> RawSprings:
     Raises:
         ValueError: for bytes that are neither, or tables that make no system; the message names the table.
     """
-    tables = _arrays(data) if data[:2] == b"PK" else _yaml(data)
+    tables = npz.read(data) if data[:2] == b"PK" else _yaml(data)
     return RawSprings.from_tables(tables)
-
-
-def _arrays(data: bytes) -> dict[str, Any]:
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (zipfile.BadZipFile, OSError, EOFError) as error:
-        raise ValueError(f"it is no .npz file: {error}") from error
 
 
 def _yaml(data: bytes) -> dict[str, Any]:
@@ -36,7 +25,7 @@ def _yaml(data: bytes) -> dict[str, Any]:
 
     try:
         tree = yaml.safe_load(data)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"it is no YAML: {error}") from error
     if not isinstance(tree, dict):
         raise ValueError("it has no tables; it needs positions, masses, springs and stiffness")

@@ -24,7 +24,7 @@ TARGET = "/cloth_sim/gripper/target"
 
 #: What the node is started with, and what it says.
 REFUSED = [
-    (["-p", "cloth.size:=[-1.0, 1.0]"], "cloth.size is -1.0 m; it must be above 0.0 m"),
+    (["-p", "cloth.size:=[-1.0, 1.0]"], "cloth.size is -1.0 m; it must be at least 1e-06 m"),
     (["-p", "cloth.resolution:=[1, 1]"], "cloth.resolution is 1; it must be at least 2"),
     (["-p", "rate:=60"], "write 60.0"),
     (["-p", "grippers:=[left, left]"], "two grippers are named 'left'"),
@@ -130,5 +130,5 @@ def check_parameters(client: Client) -> None:
 
     assert "read-only" in refusal("rate", double_value=30.0)
     assert "out of range" in refusal("material.density", double_value=-1.0)
-    assert "above 0.0 kg/m^2" in refusal("material.density", double_value=0.0)
+    assert "above 0.0 N/m" in refusal("material.stretch_modulus", double_value=0.0)
     assert "Wrong parameter type" in refusal("material.density", string_value="heavy")

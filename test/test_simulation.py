@@ -188,7 +188,7 @@ def test_reset_restores_cloth_and_grippers_but_not_the_frame_number():
         (Target("left", (0, 0, 0), (0, 0, 0, 0)), "no quaternion"),
         ("close", "'close' is no event"),
         (SetParameters({1: 2}), "must be values by full name"),
-        (SetParameters({"material.density": -1.0}), "must be above 0.0 kg/m"),
+        (SetParameters({"material.density": -1.0}), "must be at least 1e-09 kg/m"),
         (SetParameters({"cloth.size": [1.0, 1.0]}), "can't change while the cloth runs"),
         (SetParameters({"material.densty": 1.0}), "did you mean 'material.density'"),
     ],

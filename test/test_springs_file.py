@@ -3,6 +3,7 @@
 """Raw springs as a scene: S1, S2 and S4 from a file."""
 
 import io
+import zipfile
 
 import numpy as np
 import pytest
@@ -86,6 +87,8 @@ def test_the_content_is_kept_when_the_file_is_gone(tmp_path):
         (("masses: 0.2", "weights: 0.2"), "unknown table 'weights'"),
         (("stiffness: [50, 20]", "stiffness: [50, 20, 3]"), "'stiffness' has 3 numbers; give one, or 2"),
         (("[1, 2]]", "[1, 3]]"), "names particle 3; there are 3"),
+        (("[1, 2]]", "[1, -2]]"), "row 1 of table 'springs' names particle -2; there are 3"),
+        (("masses: 0.2", f"masses: 1{'0' * 400}"), "table 'masses' is no table of numbers"),
         (("[1, 2]]", "[1, 1]]"), "joins particle 1 to itself"),
         (("[1, 2]]", "[1, 1.5]]"), "row 1 of table 'springs'"),
         (("[0, 2, 0]]", "[0, .nan, 0]]"), "row 2 of table 'velocities'"),
@@ -105,6 +108,43 @@ def test_tables_that_make_no_system_are_refused_by_name(change, words):
 def test_a_broken_archive_is_refused():
     with pytest.raises(ValueError, match=r"no \.npz"):
         springs_file.parse(b"PK\x03\x04 broken")
+
+
+def archive(**tables):
+    buffer = io.BytesIO()
+    np.savez(buffer, **tables)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("header", [b"{'descr': '<f8', (((", b"{'descr': " + b"[" * 2000, b"\x00\xff", b"'"])
+def test_an_archive_whose_array_header_is_broken_is_refused(header):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as file:
+        file.writestr("positions.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(ValueError, match=r"no \.npz"):
+        springs_file.parse(buffer.getvalue())
+
+
+def test_damage_anywhere_in_an_archive_is_a_value_error_or_does_no_harm():
+    whole = archive(positions=np.eye(3), masses=0.2, springs=[[0, 1], [1, 2]], stiffness=1.0)
+    random = np.random.default_rng(5)
+    refused = 0
+    for _ in range(400):
+        data = bytearray(whole)
+        for place in random.integers(len(data), size=3):
+            data[place] = random.integers(256)
+        try:
+            springs_file.parse(bytes(data))
+        except ValueError:
+            refused += 1
+    assert refused > 100
+
+
+def test_complex_tables_are_refused():
+    tables = {"positions": np.eye(3), "masses": 0.2, "springs": [[0, 1]], "stiffness": 1.0}
+    for name in tables:
+        with pytest.raises(ValueError, match=f"table '{name}' is no table of numbers: they are complex"):
+            springs_file.parse(archive(**{**tables, name: np.asarray(tables[name]) + 1j}))
 
 
 @pytest.mark.parametrize(

@@ -61,8 +61,13 @@ class RawSprings:
         pairs = _table("springs", tables["springs"], np.int64, 2)
         triangles = _table("triangles", tables.get("triangles", np.empty((0, 3), np.int64)), np.int64, 3)
         for name, indices in (("springs", pairs), ("triangles", triangles)):
-            if indices.size and not (indices.min() >= 0 and indices.max() < count):
-                raise ValueError(f"table '{name}' names particle {indices.max()}; there are {count}, counted from 0")
+            wrong = np.argwhere((indices < 0) | (indices >= count))
+            if wrong.size:
+                row, column = wrong[0]
+                raise ValueError(
+                    f"row {row} of table '{name}' names particle {indices[row, column]}; "
+                    f"there are {count}, counted from 0"
+                )
         away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
         rest = _numbers("rest_lengths", tables.get("rest_lengths", np.sqrt(np.sum(away * away, axis=1))), len(pairs))
         k_s = _numbers("stiffness", tables["stiffness"], len(pairs))
@@ -92,10 +97,7 @@ class RawSprings:
 
 
 def _table(name: str, value: Any, dtype: type, columns: int) -> Any:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"table '{name}' is no table of numbers: {error}") from error
+    array = _reals(name, value)
     if array.size == 0:
         array = array.reshape(0, columns)
     if array.ndim != 2 or array.shape[1] != columns:
@@ -109,11 +111,18 @@ def _table(name: str, value: Any, dtype: type, columns: int) -> Any:
     return array.astype(dtype)
 
 
-def _numbers(name: str, value: Any, count: int) -> Array:
+def _reals(name: str, value: Any) -> Array:
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"table '{name}' is no list of numbers: {error}") from error
+        if np.asarray(value).dtype.kind == "c":
+            # Conversion would drop the imaginary parts.
+            raise ValueError("they are complex; give real ones")
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"table '{name}' is no table of numbers: {error}") from error
+
+
+def _numbers(name: str, value: Any, count: int) -> Array:
+    array = _reals(name, value)
     if array.ndim and array.shape != (count,):
         raise ValueError(f"table '{name}' has {array.size} numbers; give one, or {count}")
     return np.array(np.broadcast_to(array, (count,)))

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import io
-import zipfile
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cloth_sim_ros.physics import npz, state_memory
 from cloth_sim_ros.physics.terms.base import Array
 
 _FRAME = "frame"
 _POSITION = "position"
 _VELOCITY = "velocity"
+_MEMORY = "memory."
 
 
 class State:
@@ -74,7 +75,7 @@ class State:
         """Return all that the state is, by name, in the fixed order of the digest."""
         everything = {_FRAME: np.array(self.frame, dtype=np.int64), _POSITION: self.x, _VELOCITY: self.v}
         for name in sorted(self.memory):
-            everything["memory." + name] = self.memory[name]
+            everything[_MEMORY + name] = self.memory[name]
         return everything
 
     def copy(self) -> State:
@@ -114,13 +115,37 @@ class State:
         """Read what `to_bytes` wrote.
 
         Raises:
-            ValueError: if the bytes are not a state.
+            ValueError: if the bytes are not a state; the message names the array and what is wrong with it.
         """
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-            x, v, frame = arrays.pop(_POSITION), arrays.pop(_VELOCITY), int(arrays.pop(_FRAME))
-        except (zipfile.BadZipFile, KeyError, OSError, EOFError) as error:
+            arrays = npz.read(data)
+            for name in (_FRAME, _POSITION, _VELOCITY):
+                if name not in arrays:
+                    raise ValueError(f"array '{name}' is missing")
+            frame, x, v = arrays.pop(_FRAME), arrays.pop(_POSITION), arrays.pop(_VELOCITY)
+            _check_core(frame, x, v)
+            for name in arrays:
+                if not name.startswith(_MEMORY):
+                    raise ValueError(f"array '{name}' is none of a state's")
+            memory = {name.removeprefix(_MEMORY): array for name, array in arrays.items()}
+            state_memory.check(memory, x.shape[1])
+            return cls(x.T, v.T, memory=memory, frame=int(frame))
+        except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
-        memory = {name.removeprefix("memory."): array for name, array in arrays.items()}
-        return cls(x.T, v.T, memory=memory, frame=frame)
+
+
+def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
+    """Check the type and shape of the arrays that every state file has; the values are the constructor's to check."""
+    if frame.dtype != np.int64 or frame.shape != ():
+        raise ValueError(
+            f"array '{_FRAME}' is of type {frame.dtype} and shape {frame.shape}; it must be a single int64"
+        )
+    if frame < 0:
+        raise ValueError(f"array '{_FRAME}' is {int(frame)}; it must be at least 0")
+    for name, array in ((_POSITION, x), (_VELOCITY, v)):
+        if array.dtype != np.float64:
+            raise ValueError(f"array '{name}' is of type {array.dtype}; it must be float64")
+        if array.ndim != 2 or array.shape[0] != 3 or array.shape[1] == 0:
+            raise ValueError(f"array '{name}' has shape {array.shape}; it must be (3, particle_count)")
+    if v.shape != x.shape:
+        raise ValueError(f"array '{_VELOCITY}' has shape {v.shape}; '{_POSITION}' has {x.shape}")

@@ -1,0 +1,73 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a state's named memory must look like before a simulation takes it over from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+_FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
+
+#: Arrays of grippers and grips: type and shape, g standing for the number of grippers, m for that of held particles.
+_GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
+    "gripper.pose": (_FLOAT, ("g", 7)),
+    "gripper.target": (_FLOAT, ("g", 7)),
+    "gripper.twist": (_FLOAT, ("g", 6)),
+    "gripper.turn": (_FLOAT, ("g", 6)),
+    "gripper.placed": (_BOOL, ("g",)),
+    "gripper.closed": (_BOOL, ("g",)),
+    "grip.particles": (_INT, ("m",)),
+    "grip.offsets": (_FLOAT, ("m", 3)),
+    "grip.starts": (_INT, ("g+1",)),
+}
+
+
+def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
+    """Refuse memory that grippers, grips or the pause can't go on from; names that are not known here pass.
+
+    The arrays of grippers and grips are there together, or none of them.
+
+    Args:
+        memory: arrays by name, as in `State.memory`.
+        particle_count: number of particles of the state.
+
+    Raises:
+        ValueError: naming the array and what is wrong with it.
+    """
+    for name, array in memory.items():
+        if array.dtype not in (_FLOAT, _INT, _BOOL):
+            raise ValueError(f"memory '{name}' is of type {array.dtype}; it must be float64, int64 or bool")
+    if "paused" in memory:
+        _check_one("paused", memory["paused"], _BOOL, (1,))
+    if not any(name in memory for name in _GRIPPERS):
+        return
+    for name in _GRIPPERS:
+        if name not in memory:
+            raise ValueError(f"memory '{name}' is missing; a state with grippers has {', '.join(_GRIPPERS)}")
+    grippers = len(np.atleast_1d(memory["gripper.pose"]))
+    sizes = {"g": grippers, "g+1": grippers + 1, "m": len(np.atleast_1d(memory["grip.particles"]))}
+    for name, (dtype, shape) in _GRIPPERS.items():
+        wanted = tuple(sizes[length] if isinstance(length, str) else length for length in shape)
+        _check_one(name, memory[name], dtype, wanted)
+    particles, starts = memory["grip.particles"], memory["grip.starts"]
+    if starts[0] != 0 or starts[-1] != len(particles) or (np.diff(starts) < 0).any():
+        raise ValueError(
+            f"memory 'grip.starts' is {starts.tolist()}; it must ascend from 0 to {len(particles)}, "
+            "the length of 'grip.particles'"
+        )
+    wrong = np.flatnonzero((particles < 0) | (particles >= particle_count))
+    if wrong.size:
+        raise ValueError(
+            f"memory 'grip.particles' names particle {particles[wrong[0]]}; there are {particle_count}, counted from 0"
+        )
+
+
+def _check_one(name: str, array: np.ndarray, dtype: np.dtype, shape: tuple[int, ...]) -> None:
+    if array.dtype != dtype:
+        raise ValueError(f"memory '{name}' is of type {array.dtype}; it must be {dtype}")
+    if array.shape != shape:
+        raise ValueError(f"memory '{name}' has shape {array.shape}; it must be {shape}")
+    if dtype == _FLOAT and not np.isfinite(array).all():
+        raise ValueError(f"memory '{name}' holds {array[~np.isfinite(array)][0]}; it must be finite")

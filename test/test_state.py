@@ -1,0 +1,120 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""State files: what a simulation saved comes back whole; anything else is refused by name."""
+
+import io
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.events import Grasp, Target
+from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+SMALL = {"cloth.resolution": [4, 5], "gripper.radius": 0.6}
+
+
+def saved(grippers=("left", "right")):
+    """A state whose first gripper holds some particles, where there is one."""
+    simulation = Simulation(Scene.from_parameters({**SMALL, "grippers": list(grippers) or [""]}))
+    held = [Target(grippers[0], (0.0, 0.0, 0.5)), Grasp(grippers[0], True)] if grippers else []
+    simulation.advance(held)
+    if grippers:
+        assert simulation.grippers.held(0).size > 1
+    return simulation.state
+
+
+def archive(arrays):
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def test_a_saved_state_comes_back_whole():
+    state = saved()
+    back = State.from_bytes(state.to_bytes())
+    assert back.digest() == state.digest()
+    assert back.frame == 1
+    bare = State(np.eye(3))
+    assert State.from_bytes(bare.to_bytes()).digest() == bare.digest()
+
+
+def test_a_single_array_is_no_state():
+    buffer = io.BytesIO()
+    np.save(buffer, np.eye(3))
+    for data in (buffer.getvalue(), b"", b"PK", b"PK\x05\x06" + bytes(18)):
+        with pytest.raises(ValueError, match="not a state file"):
+            State.from_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("frame", lambda a: np.array([1, 2]), "shape (2,); it must be a single int64"),
+        ("frame", lambda a: np.array([1]), "shape (1,); it must be a single int64"),
+        ("frame", lambda a: np.array(1.0), "of type float64"),
+        ("frame", lambda a: np.array(-1), "is -1; it must be at least 0"),
+        ("position", lambda a: a.astype(np.float32), "of type float32; it must be float64"),
+        ("position", lambda a: a.astype(str), "it must be float64"),
+        ("position", lambda a: a.T.copy(), "has shape (20, 3); it must be (3, particle_count)"),
+        ("position", lambda a: np.array(1.0), "has shape ()"),
+        ("velocity", lambda a: a + 0j, "of type complex128"),
+        ("velocity", lambda a: a[:, 1:], "has shape (3, 19)"),
+        ("velocity", lambda a: a * np.nan, "velocity of particle 0"),
+        ("memory.further", lambda a: np.array(["text"]), "it must be float64, int64 or bool"),
+        ("memory.paused", lambda a: np.zeros(2, bool), "has shape (2,); it must be (1,)"),
+        ("memory.paused", lambda a: np.zeros(1), "of type float64; it must be bool"),
+        ("memory.gripper.placed", lambda a: a[:1], "has shape (1,); it must be (2,)"),
+        ("memory.gripper.closed", lambda a: a.astype(np.int64), "it must be bool"),
+        ("memory.gripper.pose", lambda a: np.full_like(a, np.inf), "it must be finite"),
+        ("memory.gripper.pose", lambda a: a[:, :6], "has shape (2, 6); it must be (2, 7)"),
+        ("memory.gripper.pose", lambda a: np.array(1.0), "has shape ()"),
+        ("memory.gripper.twist", lambda a: a[:, :5], "it must be (2, 6)"),
+        ("memory.gripper.turn", lambda a: a[0], "it must be (2, 6)"),
+        ("memory.gripper.target", lambda a: a[:1], "it must be (2, 7)"),
+        ("memory.grip.starts", lambda a: a[:-1], "it must be (3,)"),
+        ("memory.grip.starts", lambda a: a + 1, "it must ascend from 0"),
+        ("memory.grip.starts", lambda a: a[::-1].copy(), "it must ascend from 0"),
+        ("memory.grip.starts", lambda a: np.array([0, a[-1] + 5, a[-1]]), "it must ascend from 0"),
+        ("memory.grip.particles", lambda a: a * 0 + 20, "names particle 20; there are 20"),
+        ("memory.grip.particles", lambda a: a * 0 - 1, "names particle -1; there are 20"),
+        ("memory.grip.particles", lambda a: a * 1.0, "it must be int64"),
+        ("memory.grip.offsets", lambda a: a[1:], "memory 'grip.offsets' has shape"),
+        ("memory.grip.offsets", lambda a: a * np.nan, "it must be finite"),
+        ("elsewhere", lambda a: np.zeros(1), "none of a state's"),
+    ],
+)
+def test_an_array_that_does_not_fit_is_refused_by_name(name, change, words):
+    arrays = saved().arrays()
+    arrays[name] = change(arrays.get(name))
+    with pytest.raises(ValueError, match="not a state file") as caught:
+        State.from_bytes(archive(arrays))
+    assert words in str(caught.value)
+    assert name.removeprefix("memory.") in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["frame", "position", "velocity", "memory.gripper.pose", "memory.grip.particles"])
+def test_a_missing_array_is_named(name):
+    arrays = saved().arrays()
+    del arrays[name]
+    with pytest.raises(ValueError, match=f"'{name.removeprefix('memory.')}' is missing"):
+        State.from_bytes(archive(arrays))
+
+
+@pytest.mark.parametrize(("had", "has"), [((), ("left",)), (("left",), ()), (("left", "right"), ("left",))])
+def test_a_state_with_other_grippers_than_the_scene_is_refused(had, has):
+    values = {**SMALL, "grippers": list(has) or [""], "initial_state": "s.npz"}
+    with pytest.raises(ParameterError, match=f"initial_state 's.npz' has {len(had)} grippers, the cloth {len(has)}"):
+        Scene.from_parameters(values, files={"s.npz": saved(had).to_bytes()})
+
+
+@pytest.mark.parametrize("names", [(), ("left",), ("left", "right")])
+def test_a_state_with_the_scenes_grippers_is_taken(names):
+    state = saved(names)
+    values = {**SMALL, "grippers": list(names) or [""], "initial_state": "s.npz"}
+    loaded = Simulation(Scene.from_parameters(values, files={"s.npz": state.to_bytes()}))
+    assert loaded.frame == 0
+    np.testing.assert_array_equal(loaded.positions, state.positions)
+    loaded.advance()
