@@ -154,8 +154,6 @@ def _ply(data: bytes) -> _Read:
         counts, polygons = polygons["f0"], polygons["f1"]
         if np.any(counts != counts[0]):
             raise ValueError(f"face {int(np.argmax(counts != counts[0]))} has another number of corners than face 0")
-    if polygons.dtype != np.object_:
-        polygons = polygons.reshape(face["length"], -1)  # trimesh drops the axis of a single face
     points = np.array(loaded["vertices"], dtype=np.float64).reshape(-1, 3)
     return points, triangulated(points, [np.asarray(row).astype(np.int64).tolist() for row in polygons]), []
 

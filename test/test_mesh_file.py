@@ -303,12 +303,6 @@ def test_concave_faces_are_cut_along_the_inner_diagonal(kind, shift):
     assert area[:2].sum() == pytest.approx(1.0)  # twice the hull's area 2 less the notch's 1.5
 
 
-def test_a_single_ply_face_with_two_lists_is_read():
-    text = ply(SQUARE, [[0, 1, 2, 3]]).replace(b"end_header", b"property list uchar float weights\nend_header")
-    mesh = mesh_file.read(text.rstrip() + b" 2 0.5 0.5\n", name="cloth.ply")
-    assert mesh.surface.triangles.tolist() == [[0, 1, 2], [0, 2, 3]]
-
-
 def test_a_face_no_corner_sees_whole_is_refused_with_its_place():
     comb = [[0, 0, 0], [5, 0, 0], [5, 3, 0], [4, 1, 0], [3, 3, 0], [2, 1, 0], [1, 3, 0], [0.5, 1, 0], [0, 3, 0]]
     with pytest.raises(ValueError, match=r"face 0, of vertices \[0, 1, .*no corner sees all others"):
