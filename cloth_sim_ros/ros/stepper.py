@@ -46,17 +46,18 @@ class Stepper:
         self.refused_parameters = ""
         try:
             frame = self._advance(entries)
-        except UnstableError as error:
-            self.trouble = str(error)
-            entries = [*entries, Entry(event=Pause(True))]
-            frame = self._advance(entries)
-        except ValueError as error:
+        except (UnstableError, ValueError) as error:
             changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
-            if not changes:
+            if changes and isinstance(error, ValueError):
+                # Each value was right by itself, and together, or with this motion, they are not: the rest must not
+                # suffer for it.
+                self.refused_parameters = str(error)
+                entries = [entry for entry in entries if entry not in changes]
+            elif isinstance(error, UnstableError):
+                self.trouble = str(error)
+                entries = [*entries, Entry(event=Pause(True))]
+            else:
                 raise
-            # Each value was right by itself, and together they are not: the rest must not suffer for it.
-            self.refused_parameters = str(error)
-            entries = [entry for entry in entries if entry not in changes]
             frame = self._advance(entries)
         if frame.moved:
             self.trouble = ""
