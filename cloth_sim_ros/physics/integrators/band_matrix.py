@@ -103,18 +103,23 @@ class BandMatrix:
         y[self._places[moving]] = right[:, moving].T
         cut = self._upper + self._shared
         upper = y[:cut].copy()
-        band.forward(self._rows[0], self._upper, upper)
         if self._shared:
             lower = y[self._upper :][::-1].copy()
             lower[self._lower :] = 0.0
-            band.forward(self._rows[1], self._lower, lower)
+            below = _helper().submit(band.forward, self._rows[1], self._lower, lower)
+            band.forward(self._rows[0], self._upper, upper)
+            below.result()
             middle = upper[self._upper :] + lower[self._lower :][::-1]
             band.forward(self._middle, self._shared, middle)
             band.backward(self._middle, self._shared, middle)
             upper[self._upper :], lower[self._lower :] = middle, middle[::-1]
-            band.backward(self._rows[1], self._lower, lower)
+            below = _helper().submit(band.backward, self._rows[1], self._lower, lower)
+            band.backward(self._rows[0], self._upper, upper)
+            below.result()
             y[self._upper :] = lower[::-1]
-        band.backward(self._rows[0], self._upper, upper)
+        else:
+            band.forward(self._rows[0], self._upper, upper)
+            band.backward(self._rows[0], self._upper, upper)
         y[:cut] = upper
         right[:] = 0.0
         right[:, moving] = y[self._places[moving]].T

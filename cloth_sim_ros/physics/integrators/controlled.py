@@ -99,7 +99,11 @@ class ControlledAdvance:
             if self._observer is not None:
                 self._observer.restart()
             self._flagged = self._steps = 0
-            error = self._attempt(start)
+            try:
+                error = self._attempt(start)
+            except UnstableError:
+                state.restore(start)
+                raise
             if error is not None:
                 break
             state.restore(start)
@@ -165,7 +169,8 @@ class ControlledAdvance:
     def _part(self, part: int) -> float | None:
         state, choice = self._state, self._choice
         t = self._t + part * self._stretch
-        longest = self._options.step or SAFETY * self._limit
+        # A stretch that stability would take in one step is refined from there.
+        longest = self._options.step or min(SAFETY * self._limit, self._stretch)
         self._first = steps_for(self._stretch, longest / choice.refine)
         columns = self._columns(part, t)
         before = columns.evaluations
@@ -176,6 +181,10 @@ class ControlledAdvance:
                 raise UnstableError(
                     f"the motion became non-finite at a step of {self._stretch / self._first} s; "
                     f"its limit was {self._limit:.6g} s at the start"
+                )
+            if choice.refine >= FINEST:
+                raise UnstableError(
+                    f"{self._options.name}: the motion is not finite even by steps of {self._stretch / self._first:.3g} s"
                 )
             self._retry(choice.columns, 2.0 * choice.refine)
             return None

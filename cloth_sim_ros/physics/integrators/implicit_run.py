@@ -21,10 +21,8 @@ from cloth_sim_ros.physics.terms.base import Array
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
-#: Share of the tolerance that the estimates may add up to in one second, and the part of it that steps aim at. The
-#: estimate
-#: is on the safe side: errors of later steps partly undo those of earlier ones.
-SHARE_PER_SECOND, AIM = 1.2, 0.8
+#: Share of the tolerance that the estimates may add up to in one second, and the part of it that steps aim at.
+SHARE_PER_SECOND, AIM = 0.7, 0.7
 #: Newton's iteration ends when a correction moves no particle by more than this share of a step's budget.
 CONVERGED = 0.2
 #: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.

@@ -1,0 +1,177 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Error control: tolerances held, limits followed, memory kept in the state, events that judge anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.bench.problems import PERIOD, Problem, problem
+from cloth_sim_ros.bench.raw_sheet import RawSheet
+from cloth_sim_ros.bench.reference import Reference, reference
+from cloth_sim_ros.bench.tolerance_sweep import measure
+from cloth_sim_ros.events import Grasp, SetParameters, Target
+from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import MEMORY, Observer, UnstableError
+from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.integrators.implicit import Implicit
+from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+
+@pytest.fixture(scope="module", params=["chain", "mesh"])
+def scene(request: pytest.FixtureRequest) -> tuple[Problem, Reference]:
+    found = problem(request.param)
+    return found, reference(found)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+def test_achieved_error_is_below_the_tolerance_and_not_far_below(
+    scene: tuple[Problem, Reference], tolerance: float
+) -> None:
+    done = measure(*scene, "auto", tolerance, energy=False)
+    assert done.error <= tolerance
+    assert done.flagged == 0
+    if done.binds["accuracy"] > 0.5 * scene[0].frames:
+        assert done.error >= 0.01 * tolerance
+
+
+def test_an_implicit_run_holds_its_tolerance(scene: tuple[Problem, Reference]) -> None:
+    if scene[0].name == "mesh":
+        assert 1e-5 < measure(*scene, "implicit", 1e-3, energy=False).error <= 1e-3
+
+
+def test_what_binds_is_named() -> None:
+    scene = problem("curtain16")
+    dynamics, state = scene.build()
+    loose = Extrapolated(tolerance=1e-2).advance(dynamics, state, 0.0, PERIOD)
+    assert loose.binds == "stability"
+    assert "tolerance 0.01 m" in loose.reason
+    short = Extrapolated(tolerance=1e-2).advance(*scene.build(), 0.0, 1e-5)
+    assert short.binds == "frame"
+    fixed = Leapfrog(1e-4).advance(*scene.build(), 0.0, PERIOD)
+    assert fixed.binds == "step"
+    assert fixed.error is None
+    chain = problem("chain")
+    dynamics, state = chain.build()
+    tight = [Extrapolated(tolerance=1e-8).advance(dynamics, state, k * PERIOD, PERIOD).binds for k in range(3)]
+    assert tight[-1] == "accuracy"
+
+
+def test_the_memory_lies_in_the_state_alone() -> None:
+    """A run that is taken up from a saved state by new objects goes on with the same bits."""
+    whole, whole_state = problem("curtain16").build()
+    cut, cut_state = problem("curtain16").build()
+    integrator = make_integrator("auto", tolerance=1e-6)
+    for frame in range(6):
+        integrator.advance(whole, whole_state, frame * PERIOD, PERIOD)
+        cut_state = State.from_bytes(cut_state.to_bytes())
+        make_integrator("auto", tolerance=1e-6).advance(cut, cut_state, frame * PERIOD, PERIOD)
+    assert cut_state.digest() == whole_state.digest()
+
+
+class _Watcher(Observer):
+    def __init__(self) -> None:
+        self.weight = 0.0
+
+    def restart(self) -> None:
+        self.weight = 0.0
+
+    def observe(self, t: float, x: Array, v: Array, weight: float) -> None:
+        self.weight += weight
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+def test_an_observer_changes_no_bit_and_sees_the_whole_time(name: str) -> None:
+    def run(observer: Observer | None) -> State:
+        sheet = RawSheet(resolution=6)
+        state = State(sheet.flat(hung=False))
+        dynamics, integrator = Dynamics(sheet.model(sheet.index[0])), make_integrator(name, tolerance=1e-6)
+        for frame in range(4):
+            integrator.advance(dynamics, state, frame * PERIOD, PERIOD, observer)
+        return state
+
+    watcher = _Watcher()
+    assert run(watcher).digest() == run(None).digest()
+    assert watcher.weight == pytest.approx(PERIOD, rel=1e-12)
+
+
+def test_a_fixed_step_above_the_limit_is_refused_with_the_limit_named() -> None:
+    sheet = RawSheet(resolution=6)
+    dynamics, state = Dynamics(sheet.model(sheet.index[0])), State(sheet.flat(hung=False))
+    limit = Leapfrog().step_limit(*dynamics.rates(state.x))
+    with pytest.raises(ValueError, match=f"above the stability limit {limit:.6g} s"):
+        Leapfrog(1.01 * limit).advance(dynamics, state, 0.0, PERIOD)
+
+
+def test_steps_follow_a_sheet_that_stiffens() -> None:
+    """Stretched three times, border springs turn stiff sideways: steps must shrink within the run, not blow up."""
+    sheet = RawSheet(resolution=8, k_d0=0.05, gravity=(0.0, 0.0, 0.0))
+    dynamics, state = Dynamics(sheet.model(sheet.index[0])), State(sheet.flat(hung=True))
+    state.v[2] = 30.0 * state.x[2]
+    limits = [make_integrator("auto").advance(dynamics, state, k * PERIOD, PERIOD).limit for k in range(6)]
+    assert min(limits) < 0.9 * limits[0]
+    assert np.isfinite(state.x).all()
+
+
+class _Cliff(Term):
+    """A force that jumps when the particle passes x = 0: no step is small enough for it."""
+
+    name = "cliff"
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        f[0] += np.where(x[0] > 0.0, 1e6, 0.0)
+
+
+def test_errors_below_the_smallest_step_are_accepted_flagged_and_counted() -> None:
+    dynamics = Dynamics(Model([1.0], [_Cliff()]))
+    state = State([[-0.0071, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    done = Extrapolated(tolerance=1e-9).advance(dynamics, state, 0.0, PERIOD)
+    assert done.flagged == 1
+    assert done.error is not None
+    assert done.error > 1e-9
+
+
+def test_a_motion_that_is_not_finite_is_refused_and_leaves_the_state() -> None:
+    dynamics = Dynamics(Model([1.0, 1.0], [PairSprings([[0, 1]], 1.0, 10.0)]))
+    state = State([[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [1e200, 0, 0]])
+    with pytest.raises(UnstableError):
+        Extrapolated(tolerance=1e-3).advance(dynamics, state, 0.0, PERIOD)
+
+
+def test_step_and_tolerance_together_are_refused() -> None:
+    for make in (Leapfrog, Implicit):
+        with pytest.raises(ValueError, match="both set"):
+            make(1e-3, tolerance=1e-3)
+
+
+def test_events_judge_the_step_anew() -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [8, 8], "tolerance": 1e-3}))
+    for _ in range(10):
+        simulation.advance()
+    waits = simulation.state.memory[MEMORY][2]
+    assert waits > 0
+    corner = simulation.positions[-1]
+    simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
+    assert simulation.state.memory[MEMORY][3] == 2  # judged in this frame, so the interval begins anew
+    simulation.advance([SetParameters({"tolerance": 1e-5})])
+    frame = simulation.advance()
+    assert frame.tolerance == 1e-5
+    assert frame.advance is not None
+    assert frame.advance.reason.startswith("auto: explicit steps are affordable")
+
+
+def test_auto_takes_the_implicit_method_where_explicit_steps_cannot_hold_real_time() -> None:
+    sheet = RawSheet(resolution=12, stiffness=1e6, k_d0=0.2)
+    dynamics, state = sheet.dynamics(sheet.index[0]), State(sheet.flat(hung=True))
+    done = make_integrator("auto", tolerance=1e-3).advance(dynamics, state, 0.0, PERIOD)
+    assert done.integrator == "implicit"
+    assert "too stiff for explicit steps" in done.reason
+    assert np.abs(state.positions - sheet.flat(hung=True)).max() < 1e-3
