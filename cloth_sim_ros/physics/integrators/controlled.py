@@ -184,7 +184,7 @@ class ControlledAdvance:
                 )
             if choice.refine >= FINEST:
                 raise UnstableError(
-                    f"{self._options.name}: the motion is not finite even by steps of {self._stretch / self._first:.3g} s"
+                    f"{self._options.name}: not finite even by steps of {self._stretch / self._first:.3g} s"
                 )
             self._retry(choice.columns, 2.0 * choice.refine)
             return None
