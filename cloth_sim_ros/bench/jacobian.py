@@ -26,7 +26,7 @@ class SparseJacobian:
         sheets = [term for term in model.terms if isinstance(term, FusedSprings)]
         if len(sheets) != 1:
             raise ValueError("the sparse Jacobian is written for raw sheets only")
-        springs = sheets[0].pairs
+        springs = sheets[0].parts
         self._pairs = np.concatenate([term.pairs for term in springs])
         self._rest = np.concatenate([term.rest_length for term in springs])
         self._stiffness = np.concatenate([term.stiffness for term in springs])

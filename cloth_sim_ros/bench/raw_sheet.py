@@ -116,35 +116,36 @@ class FusedSprings(Term):
     damped = True
 
     def __init__(self, sheet: RawSheet) -> None:
-        self.pairs = sheet.springs()
+        #: The springs by direction; their bounds are taken in one pass.
+        self.parts = sheet.springs()
         self._forces = GridForces(GridSprings(sheet.resolution, sheet.resolution, sheet.families()))
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         self._forces.add(x, v, f)
 
     def energy(self, t: float, x: Array) -> float:
-        return sum(term.energy(t, x) for term in self.pairs)
+        return sum(term.energy(t, x) for term in self.parts)
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
-        return sum(term.dissipation(t, x, v) for term in self.pairs)
+        return sum(term.dissipation(t, x, v) for term in self.parts)
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
-        for term in self.pairs:
+        for term in self.parts:
             term.add_stiffness(x, blocks)
 
     def add_damping(self, x: Array, blocks: Array) -> None:
-        for term in self.pairs:
+        for term in self.parts:
             term.add_damping(x, blocks)
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
-        for term in self.pairs:
+        for term in self.parts:
             term.add_jacobian_product(t, x, v, dx, dv, out)
 
     def coupled_pairs(self) -> NDArray[np.int64]:
-        return np.concatenate([term.pairs for term in self.pairs])
+        return np.concatenate([term.pairs for term in self.parts])
 
     def pair_blocks(self, x: Array, stiffness_weight: float, damping_weight: float) -> Array:
-        return np.concatenate([term.pair_blocks(x, stiffness_weight, damping_weight) for term in self.pairs])
+        return np.concatenate([term.pair_blocks(x, stiffness_weight, damping_weight) for term in self.parts])
 
 
 class FusedLeapfrog:

@@ -77,7 +77,7 @@ class _Memory:
         return cls() if stored is None else cls(*stored.tolist())
 
     def store(self, state: State) -> None:
-        state.memory[CHOICE] = np.array(attrs.astuple(self), dtype=np.float64)
+        state.memory[CHOICE] = np.array((self.implicit, self.cost, self.wait, self.explicit))
 
 
 class Automatic(Integrator):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.stability import largest_rate
+from cloth_sim_ros.physics.stability import Bounds
 from cloth_sim_ros.physics.terms.base import Array
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Dynamics:
         self.plan = plan
         #: What takes over the forces of some terms, if anything does.
         self.forces: FusedForces | None = None
-        self._blocks = np.empty((6, model.particle_count))
+        self._bounds = Bounds(model)
 
     def acceleration(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the acceleration [m/s^2]; zero for anchored particles."""
@@ -78,10 +78,4 @@ class Dynamics:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
         x.
         """
-        bounds = []
-        for kind in ("add_stiffness", "add_damping"):
-            self._blocks.fill(0.0)
-            for term in self.model.terms:
-                getattr(term, kind)(x, self._blocks)
-            bounds.append(float(largest_rate(self._blocks, self.model.inverse_masses)))
-        return bounds[0], bounds[1]
+        return self._bounds.rates(x)

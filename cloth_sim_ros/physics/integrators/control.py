@@ -58,20 +58,15 @@ class Memory:
     def of(cls, state: State) -> Memory:
         """Read the memory of a state; a fresh one where it has none."""
         stored = state.memory.get(MEMORY)
-        if stored is None or len(stored) != len(attrs.fields(cls)):
+        if stored is None:
             return cls()
-        values = stored.tolist()
-        whole = {"columns", "wait", "interval"}
-        return cls(
-            *(
-                int(value) if field.name in whole else value
-                for field, value in zip(attrs.fields(cls), values, strict=True)
-            )
-        )
+        columns, refine, wait, interval, *rest = stored.tolist()
+        return cls(int(columns), refine, int(wait), int(interval), *rest)
 
     def store(self, state: State) -> None:
         """Write the memory into a state."""
-        state.memory[MEMORY] = np.array(attrs.astuple(self), dtype=np.float64)
+        numbers = (self.columns, self.refine, self.wait, self.interval, self.error, self.ratio)
+        state.memory[MEMORY] = np.array((*numbers, self.activity, self.stretch, self.omega2, self.damping))
 
 
 def cheapest(errors: Sequence[float], refine: float, budget: float, most: int) -> tuple[int, float]:

@@ -93,7 +93,7 @@ class ControlledAdvance:
         if options.step is not None:
             refuse_unstable(options.step, limit, options.name)
         self._limit = limit
-        start, begun = state.copy(), attrs.evolve(memory)
+        start, begun = state.copy(), (memory.omega2, memory.damping)
         rejected = 0
         while True:
             if self._observer is not None:
@@ -107,7 +107,7 @@ class ControlledAdvance:
             if error is not None:
                 break
             state.restore(start)
-            memory.omega2, memory.damping = begun.omega2, begun.damping
+            memory.omega2, memory.damping = begun
             rejected += 1
             if rejected == _ATTEMPTS:
                 raise UnstableError(

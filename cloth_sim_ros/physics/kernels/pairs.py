@@ -131,6 +131,55 @@ def add_pair_stiffness(pairs, rest, stiffness, x, blocks):  # type: ignore[no-un
 
 
 @numba.njit(**_JIT)
+def add_pair_bounds(pairs, rest, stiffness, damping, x, stiff, damped):  # type: ignore[no-untyped-def]
+    """As `add_pair_stiffness` to ``stiff`` and `add_pair_damping` to ``damped``, in one pass."""
+    for e in range(pairs.shape[0]):
+        a = pairs[e, 0]
+        b = pairs[e, 1]
+        l0 = rest[e]
+        k = 2.0 * stiffness[e]
+        c = 2.0 * damping[e]
+        sx = x[0, b] - x[0, a]
+        sy = x[1, b] - x[1, a]
+        sz = x[2, b] - x[2, a]
+        square = sx * sx + sy * sy + sz * sz
+        if l0 == 0.0:
+            k_across = k
+            k_along = 0.0
+            c_across = c
+            c_along = 0.0
+        elif square == 0.0:
+            k_across = _MOST_ACROSS * k
+            k_along = 0.0
+            c_across = c
+            c_along = 0.0
+        else:
+            k_across = k * min(abs(1.0 - l0 / np.sqrt(square)), _MOST_ACROSS)
+            k_along = (k - k_across) / square
+            c_across = 0.0
+            c_along = c / square
+        xx = sx * sx
+        yy = sy * sy
+        zz = sz * sz
+        xy = sx * sy
+        xz = sx * sz
+        yz = sy * sz
+        for p in (a, b):
+            stiff[0, p] += k_across + k_along * xx
+            stiff[1, p] += k_across + k_along * yy
+            stiff[2, p] += k_across + k_along * zz
+            stiff[3, p] += k_along * xy
+            stiff[4, p] += k_along * xz
+            stiff[5, p] += k_along * yz
+            damped[0, p] += c_across + c_along * xx
+            damped[1, p] += c_across + c_along * yy
+            damped[2, p] += c_across + c_along * zz
+            damped[3, p] += c_along * xy
+            damped[4, p] += c_along * xz
+            damped[5, p] += c_along * yz
+
+
+@numba.njit(**_JIT)
 def add_pair_damping(pairs, rest, damping, x, blocks):  # type: ignore[no-untyped-def]
     """Add twice each spring's damping matrix k_d dd' (k_d I at rest length zero) to the blocks of both its ends."""
     for e in range(pairs.shape[0]):
