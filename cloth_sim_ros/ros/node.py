@@ -137,7 +137,10 @@ class ClothNode:
             trial = Simulation(scene)
             name = scene.gripper_names[:1]
             place = tuple(trial.positions[-1].tolist())
+            # Holding nothing, holding, and turning while holding: each has compiled code of its own.
+            trial.advance()
             trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
+            trial.advance([Target(gripper, place, (0.0, 0.0, 0.01, 1.0)) for gripper in name])
             trial.state.digest()
             self._recording.prepare()
 
