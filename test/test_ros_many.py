@@ -99,7 +99,7 @@ def test_everyone_may_die_in_the_middle_of_a_grasp(
     script = tmp_path / "script.yaml"
     steps = [
         {"time": 0.0, "position": list(CORNER)},
-        {"time": 1.0, "close": True},
+        {"time": 1.0, "position": list(CORNER), "close": True},
         {"time": 2.0, "position": [0.4, -0.4, 0.9]},
         {"time": 60.0, "close": False},
     ]
