@@ -91,7 +91,8 @@ def soak(start_process: Callable[..., Any], folder: Path, seconds: float) -> tup
                 watch.look(elapsed)
                 client.clouds.clear()
             client.executor.spin_once(timeout_sec=0.01)
-        assert held_once >= seconds // CYCLE
+        # The last cycle may end before it closes.
+    assert held_once >= seconds // CYCLE - 1
     assert cloth.interrupt() == 0, cloth.output
     return watch, cloth
 
