@@ -155,10 +155,10 @@ def plain_leapfrog(x, v, springs, inverse_mass, steps, dt, *, gravity=None, drag
         a = inverse_mass * f - drag * free * velocity
         return a if gravity is None else a + free * gravity[:, None]
 
-    a = acceleration(0.0, x, v, False)
+    before = a = acceleration(0.0, x, v, False)
     for step in range(steps):
         x += 0.5 * dt * v
-        a = acceleration((step + 0.5) * dt, x, v + 0.5 * dt * a, True)
+        a, before = acceleration((step + 0.5) * dt, x, v + 0.25 * dt * (a + before), True), a
         v += dt * a
         x += 0.5 * dt * v
     return x, v, impulses
@@ -271,12 +271,12 @@ def plain_alternating_leapfrog(x, v, springs, inverse_mass, steps, dt):
         ]
         return inverse_mass * plain_forces(position, velocity, GridSprings(springs.rows, springs.columns, scaled))
 
-    a = acceleration(x, v, 1.0)
+    before = a = acceleration(x, v, 1.0)
     for step in range(steps):
         x += 0.5 * dt * v
         factor = 0.0 if step % 2 else (2.0 if 0 < step < steps - 1 else 1.5)
         factor = 1.0 if steps == 1 else factor
-        a = acceleration(x, v + 0.5 * dt * a, factor)
+        a, before = acceleration(x, v + 0.25 * dt * (a + before), factor), a
         v += dt * a
         x += 0.5 * dt * v
     return x, v

@@ -57,7 +57,8 @@ def test_forces_and_motion_are_those_of_the_terms_to_rounding(values):
     fused.dynamics.acceleration(0.0, x, v, one)
     plain.dynamics.acceleration(0.0, x, v, two)
     assert one == pytest.approx(two, abs=1e-12 * np.abs(two).max())
-    for _ in range(4):
+    # No longer: a crumpled sheet without damping multiplies rounding by five a frame.
+    for _ in range(3):
         steps = [simulation.advance().advance.steps for simulation in (fused, plain)]
         assert steps[0] == steps[1]
     assert fused.positions == pytest.approx(plain.positions, abs=1e-10)

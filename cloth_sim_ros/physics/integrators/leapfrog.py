@@ -10,11 +10,11 @@ from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 class Leapfrog(Extrapolated):
     """Drift, kick, drift; velocity-dependent forces are evaluated at a midpoint velocity, so that the order stays 2.
 
-    The midpoint velocity is predicted with the acceleration of the step before (`march.leapfrog`); each advance starts
-    that with one extra evaluation, so that no history crosses its boundary.
+    The midpoint velocity is predicted with the accelerations of the two steps before (`march.leapfrog`); each advance
+    starts that with one extra evaluation, so that no history crosses its boundary.
 
     Order 2. One force evaluation a step. Time-reversible and symplectic without damping. An oscillator of angular
-    frequency w and damping rate c is stable for h^2 w^2 / 4 + h c <= 1 (characteristic polynomial; without damping
+    frequency w and damping rate c is stable for h^2 w^2 / 4 + h c / 2 <= 1 (characteristic polynomial; without damping
     h w <= 2).
 
     Args:

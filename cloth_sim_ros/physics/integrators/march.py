@@ -24,9 +24,9 @@ def leapfrog(
 ) -> int:
     """Advance x, v (3, n) in place by leapfrog with a predicted midpoint velocity; return the force evaluations.
 
-    With h the step: ``x_m = x + h/2 v``, ``a' = a(t + h/2, x_m, v + h/2 a)``, ``v' = v + h a'``, ``x' = x_m + h/2 v'``.
-    The midpoint velocity is predicted with the acceleration of the step before, the first with one
-    extra evaluation at the start.
+    With h the step: ``x_m = x + h/2 v``, ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``,
+    ``x' = x_m + h/2 v'``. The midpoint velocity is predicted with the accelerations of the two steps before; both are
+    taken from one extra evaluation at the start.
 
     Args:
         dynamics: equations of motion.
@@ -56,12 +56,13 @@ def leapfrog_by_terms(
     weight: float,
 ) -> None:
     """As `leapfrog`, evaluating the terms one by one."""
-    a = np.empty_like(x)
-    predicted = np.empty_like(x)
+    a, before, predicted = (np.empty_like(x) for _ in range(3))
     dynamics.acceleration(t, x, v, a)
+    before[:] = a
     for k in range(steps):
         middle = t + (k + 0.5) * step
-        drift_and_predict(x, v, a, 0.5 * step, predicted)
+        drift_and_predict(x, v, a, before, 0.5 * step, predicted)
+        a, before = before, a
         dynamics.acceleration(middle, x, predicted, a)
         if observer is not None:
             # The velocity that the forces saw: an impulse observed is then the impulse that was given.
@@ -70,7 +71,9 @@ def leapfrog_by_terms(
 
 
 def leapfrog_limit(omega2: float, damping_rate: float) -> float:
-    """Return the largest stable step [s]: the positive root of ``h^2 w^2 / 4 + h c = 1``.
+    """Return the largest stable step [s]: the positive root of ``h^2 w^2 / 4 + h c / 2 = 1``.
+
+    On x'' = -w^2 x - c x' a root of the characteristic polynomial reaches the unit circle at -1 alone, there.
 
     Args:
         omega2: squared highest angular frequency [1/s^2].
@@ -79,4 +82,5 @@ def leapfrog_limit(omega2: float, damping_rate: float) -> float:
     if omega2 == 0.0 and damping_rate == 0.0:
         return float("inf")
     # Written without cancellation.
-    return 2.0 / (damping_rate + float(np.sqrt(damping_rate * damping_rate + omega2)))
+    half = 0.5 * damping_rate
+    return 2.0 / (half + float(np.sqrt(half * half + omega2)))

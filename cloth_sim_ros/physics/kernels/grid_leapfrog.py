@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leapfrog steps of a regular sheet, forces and motion in one sweep over the rows.
 
-Drift, kick, drift with a midpoint velocity: x_h = x + dt/2 v; a = a(x_h, v + dt/2 a_previous); v += dt a; x = x_h +
-dt/2 v. Second order, one force evaluation a step and one more at the start of each call, so that no history crosses a
-call. Between steps the kernel keeps x_h. An undamped mode is stable for dt <= 2/omega; damping in proportion to
-stiffness, of ratio zeta at that mode, lowers this to dt <= (2/omega) (sqrt(1 + 4 zeta^2) - 2 zeta).
+Drift, kick, drift with a midpoint velocity: x_h = x + dt/2 v; a = a(x_h, v + dt/4 (a' + a'')) with the accelerations
+of the two steps before; v += dt a; x = x_h + dt/2 v. Second order, one force evaluation a step and one more at the
+start of each call, where a' = a'', so that no history crosses a call. Between steps the kernel keeps x_h. An undamped
+mode is stable for dt <= 2/omega; damping in proportion to stiffness, of ratio zeta at that mode, lowers this to dt <=
+(2/omega) (sqrt(1 + zeta^2) - zeta).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_sim_ros.physics.kernels.grid_rows import CARRY
 from cloth_sim_ros.physics.kernels.grid_springs import (
     Array,
     Constants,
@@ -105,7 +107,7 @@ class GridLeapfrog:
         """Cut the sheet into bands of about equal height."""
         springs = self.springs
         pitch, table, table_rows = grid_tables(springs, inverse, self._dtype)
-        components = 12 if self._dtype == np.float32 else 9
+        components = CARRY + 3 if self._dtype == np.float32 else CARRY
         stride = components * pitch
         levels = _levels(springs.rows // threads, stride * self._dtype.itemsize, threads)
         halo = REACH * levels

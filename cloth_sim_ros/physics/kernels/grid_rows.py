@@ -47,7 +47,7 @@ INVERSE_MASS_SLOT, FREE_SLOT, FIRST_WEIGHT_SLOT = 0, 1, 2
 TABLE_SLOTS = FIRST_WEIGHT_SLOT + len(FAMILIES)
 """Slots of a table entry."""
 
-POSITION, VELOCITY, PREDICTED, CARRY = 0, 3, 6, 9
+POSITION, VELOCITY, PREDICTED, LAST, CARRY = 0, 3, 6, 9, 12
 """Where a row's components of each kind start."""
 
 
@@ -72,7 +72,7 @@ class Shape(NamedTuple):
     stamp: tuple[int | None, ...]
 
 
-_MOTION = ("step", "half", "drag", "gravity_0", "gravity_1", "gravity_2")
+_MOTION = ("step", "half", "quarter", "drag", "gravity_0", "gravity_1", "gravity_2")
 VALUE_COUNT = 3 * len(FAMILIES) + len(_MOTION)
 """Length of `values`."""
 
@@ -81,7 +81,7 @@ def value_index(name: str, part: str = "") -> int:
     """Place in `values` of a constant.
 
     For a family, `part` "k" is k_s [N], "l" is k_s / rest length [N/m], "d" is k_d [N s/m]. Otherwise `name` is
-    "step" or "half" (dt, dt/2 [s]), "drag" [1/s], "gravity_0", "_1" or "_2" [m/s^2].
+    "step", "half" or "quarter" (dt, dt/2, dt/4 [s]), "drag" [1/s], "gravity_0", "_1" or "_2" [m/s^2].
     """
     if part:
         return 3 * list(FAMILIES).index(name) + "kld".index(part)
@@ -254,22 +254,25 @@ def _drift(row: _Row, duration: Any, v: list[Any], column: Any) -> None:
 
 
 def _start(row: _Row, force: list[Any], column: Any) -> None:
-    """predicted = v + dt/2 a, x += dt/2 v."""
+    """predicted = v + dt/2 a, x += dt/2 v; the acceleration of the step before is taken to have been the same."""
     half, v = row.value("half"), row.load(VELOCITY, column)
     a = row.accelerations(force, column)
+    row.store(a, LAST, column)
     row.store([row.vectors.fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
     _drift(row, half, v, column)
 
 
 def _step(row: _Row, force: list[Any], column: Any) -> None:
-    """v += dt a, predicted = v + dt/2 a, x += dt v."""
+    """v += dt a, predicted = v + dt/4 (a + a of the step before), x += dt v."""
     fma, step, v = row.vectors.fma, row.value("step"), row.load(VELOCITY, column)
     a = row.accelerations(force, column)
     v = [fma(step, a[c], v[c]) for c in _COMPONENTS]
     row.store(v, VELOCITY, column)
     if "predicted" in row.has:
-        half = row.value("half")
-        row.store([fma(half, a[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
+        quarter, last = row.value("quarter"), row.load(LAST, column)
+        both = [row.vectors.add(a[c], last[c]) for c in _COMPONENTS]
+        row.store(a, LAST, column)
+        row.store([fma(quarter, both[c], v[c]) for c in _COMPONENTS], PREDICTED, column)
     _drift(row, step, v, column)
 
 
@@ -304,7 +307,8 @@ def row_forces(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ri
 def row_start(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
     """As `row_forces`, but prepare the row for `row_step`: predicted = v + dt/2 a(x, v), x += dt/2 v.
 
-    A row is 3 components of position, 3 of velocity, 3 of predicted velocity, which must hold v on entry.
+    A row is 3 components of position, 3 of velocity, 3 of predicted velocity, which must hold v on entry, 3 of the
+    last acceleration.
     """
     signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 0, _start)
@@ -312,10 +316,12 @@ def row_start(typing, rows, row0, row1, row2, pitch, table, table_row, ring, rin
 
 @intrinsic
 def row_step(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values):  # type: ignore[no-untyped-def]
-    """As `row_forces`, but move the row by one step: v += dt a(x, predicted), predicted = v + dt/2 a, x += dt v.
+    """As `row_forces`, but move the row by one step: v += dt a(x, predicted), predicted = v + dt/4 (a + last a), x +=
+    dt v.
 
     A row is 3 components of position at the half step, 3 of velocity at the step, 3 of the velocity predicted for the
-    half step (where `shape` has `predicted`), 3 of what rounding took from the positions (where it has `carry`).
+    half step and 3 of the last acceleration (where `shape` has `predicted`), 3 of what rounding took from the
+    positions (where it has `carry`).
     """
     signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
     return signature, _generator(PREDICTED, 0, _step)

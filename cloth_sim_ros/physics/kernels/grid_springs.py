@@ -220,6 +220,7 @@ def constants(
             values[value_index(family.name, "d")] = factor * family.damping
     values[value_index("step")] = step
     values[value_index("half")] = 0.5 * step
+    values[value_index("quarter")] = 0.25 * step
     values[value_index("drag")] = drag
     if gravity is not None:
         values[value_index("gravity_0") : value_index("gravity_2") + 1] = gravity

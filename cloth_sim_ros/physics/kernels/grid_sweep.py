@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.kernels.grid_copy import copy_in
-from cloth_sim_ros.physics.kernels.grid_rows import row_above, row_start, row_step, row_two_above
+from cloth_sim_ros.physics.kernels.grid_rows import CARRY, row_above, row_start, row_step, row_two_above
 from cloth_sim_ros.physics.kernels.grid_sync import claim, load_acquire, pause, store_release, yield_processor
 
 REACH = 2
@@ -129,9 +129,9 @@ def _unload(band, x, v, origin, half):  # type: ignore[no-untyped-def]
                 position, speed = band.state[place + c * pitch + j], band.state[place + (3 + c) * pitch + j]
                 x[start + j] += (position - number(x[start + j] - origin[c])) - half * speed
                 v[start + j] += speed - number(v[start + j])
-            if band.components > 9:
+            if band.components > CARRY:
                 for j in range(columns):
-                    x[start + j] += band.state[place + (9 + c) * pitch + j]
+                    x[start + j] += band.state[place + (CARRY + c) * pitch + j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -186,7 +186,7 @@ def _drift(band, shape, duration):  # type: ignore[no-untyped-def]
             way = duration * state[j + width]
             end = state[j] + way
             if shape.carry is not None:
-                state[j + 3 * width] = way - (end - state[j])
+                state[j + CARRY // 3 * width] = way - (end - state[j])
             state[j] = end
 
 

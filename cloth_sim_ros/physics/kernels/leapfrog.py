@@ -11,12 +11,12 @@ _JIT = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"cont
 
 
 @numba.njit(**_JIT)
-def drift_and_predict(x, v, a, half, predicted):  # type: ignore[no-untyped-def]
-    """x += half v; predicted = v + half a."""
+def drift_and_predict(x, v, a, before, half, predicted):  # type: ignore[no-untyped-def]
+    """x += half v; predicted = v + half/2 (a + before)."""
     for c in range(x.shape[0]):
         for i in range(x.shape[1]):
             x[c, i] += half * v[c, i]
-            predicted[c, i] = v[c, i] + half * a[c, i]
+            predicted[c, i] = v[c, i] + 0.5 * half * (a[c, i] + before[c, i])
 
 
 @numba.njit(**_JIT)
