@@ -13,6 +13,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros import parameter_file, parameters, scene_files
+from cloth_sim_ros.cloth_identity import cloth_of, difference
 from cloth_sim_ros.parameters import ParameterError, parameter, section
 from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.dynamics import Dynamics
@@ -249,7 +250,7 @@ class Scene:
         if isinstance(sheet, RawSprings):
             turn = rotation_matrix(normalised(self.cloth.orientation))
             velocities = np.einsum("ij,nj->ni", turn, sheet.velocities)
-        return State(self.initial_positions(), velocities)
+        return State(self.initial_positions(), velocities, cloth=cloth_of(sheet))
 
     def build_integrator(self) -> Integrator:
         """The integrator that the scene asks for."""
@@ -261,9 +262,11 @@ class Scene:
             state = State.from_bytes(self.files[self.initial_state])
         except ValueError as error:
             raise ParameterError(f"{what} is no state file of ~/save_state: {error}") from error
-        rows, columns = self.shape
-        if state.particle_count != rows * columns:
-            raise ParameterError(f"{what} has {state.particle_count} particles, the cloth {rows * columns}")
+        cloth = cloth_of(self.sheet)
+        other = difference(state, cloth)
+        if other:
+            raise ParameterError(f"{what} {other}")
+        state.cloth = cloth
         # A state that never ran has no gripper memory at all, and fits any number; one that ran without has 0 of them.
         poses = state.memory.get("gripper.pose")
         if poses is not None and len(poses) != len(self.gripper_names):

@@ -205,7 +205,7 @@ def test_a_refused_event_says_why_and_leaves_everything_as_it_was(event, words):
 
 
 def test_a_state_of_another_cloth_is_refused():
-    with pytest.raises(ValueError, match="has 4 particles, the scene 72"):
+    with pytest.raises(ValueError, match="has 4 particles, the cloth 72"):
         Simulation(small(), State(np.eye(4, 3)))
     other = Simulation(small(grippers=["one"]))
     with pytest.raises(ValueError, match="has 1 grippers, the scene 2"):

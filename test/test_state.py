@@ -118,3 +118,75 @@ def test_a_state_with_the_scenes_grippers_is_taken(names):
     assert loaded.frame == 0
     np.testing.assert_array_equal(loaded.positions, state.positions)
     loaded.advance()
+
+
+QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf {} {} {}\nf {} {} {}\n"
+SPRINGS = "positions: [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]\nmasses: 0.1\nsprings: {}\nstiffness: 10.0\n"
+#: Cloths of four particles each, by name: parameters, and the file that they name.
+CLOTHS = {
+    "2 x 2": ({"cloth.resolution": [2, 2]}, {}),
+    "mesh": ({"cloth.mesh": "a.obj"}, {"a.obj": QUAD.format(1, 2, 3, 1, 3, 4)}),
+    "mesh of the other diagonal": ({"cloth.mesh": "b.obj"}, {"b.obj": QUAD.format(1, 2, 4, 2, 3, 4)}),
+    "springs": ({"cloth.springs": "a.yaml"}, {"a.yaml": SPRINGS.format("[[0, 1], [1, 2]]")}),
+    "other springs": ({"cloth.springs": "b.yaml"}, {"b.yaml": SPRINGS.format("[[0, 1], [2, 3]]")}),
+}
+
+
+def scene_of(name, state=None, **values):
+    parameters, files = CLOTHS[name]
+    plain = {"bending.model": "none", "cloth.anchors": ["0"], **parameters, **values}
+    files = {path: text.encode() for path, text in files.items()}
+    if state is not None:
+        plain["initial_state"], files["s.npz"] = "s.npz", state.to_bytes()
+    return Scene.from_parameters(plain, files=files)
+
+
+@pytest.mark.parametrize("had", CLOTHS)
+@pytest.mark.parametrize("has", CLOTHS)
+def test_a_state_of_another_cloth_with_as_many_particles_is_refused(had, has):
+    first = Simulation(scene_of(had))
+    first.advance()
+    if had == has:
+        np.testing.assert_array_equal(Simulation(scene_of(has, first.state)).positions, first.positions)
+        return
+    with pytest.raises(ParameterError, match=r"initial_state 's.npz' is of a (grid|mesh)"):
+        scene_of(has, first.state)
+    with pytest.raises(ValueError, match="a state only continues the cloth that it was saved from"):
+        Simulation(scene_of(has), State.from_bytes(first.state.to_bytes()))
+
+
+def test_a_state_of_a_turned_grid_is_refused_with_the_reason():
+    state = saved()
+    values = {**SMALL, "cloth.resolution": [5, 4], "grippers": ["left", "right"], "initial_state": "s.npz"}
+    with pytest.raises(ParameterError, match=r"'s\.npz' is of a grid of 4 x 5 particles, the cloth has 5 x 4"):
+        Scene.from_parameters(values, files={"s.npz": state.to_bytes()})
+
+
+def test_a_draped_cloth_may_go_on_as_a_stiffer_one_with_other_diagonals():
+    state = saved()
+    values = {**SMALL, "grippers": ["left", "right"], "initial_state": "s.npz"}
+    values |= {"cloth.shear_layout": "left", "material.stretch_modulus": 5000.0, "cloth.size": [1.1, 1.1]}
+    loaded = Simulation(Scene.from_parameters(values, files={"s.npz": state.to_bytes()}))
+    np.testing.assert_array_equal(loaded.positions, state.positions)
+    loaded.advance()
+
+
+def test_a_state_that_does_not_know_its_cloth_is_judged_by_its_particles():
+    state = saved()
+    values = {**SMALL, "cloth.resolution": [5, 4], "grippers": ["left", "right"], "initial_state": "s.npz"}
+    loaded = Simulation(Scene.from_parameters(values, files={"s.npz": archive(state.arrays())}))
+    assert loaded.state.cloth == (5, 4, 0), "from now on it is this one's"
+
+
+@pytest.mark.parametrize(
+    ("cloth", "words"),
+    [
+        (np.array([4, 5, 0], dtype=np.int32), "of type int32"),
+        (np.array([4, 5]), r"shape \(2,\)"),
+        (np.array([4, 6, 0]), "4 rows and 6 columns; there are 20"),
+        (np.array([-4, -5, 0]), "-4 rows"),
+    ],
+)
+def test_a_state_file_with_a_senseless_cloth_is_refused(cloth, words):
+    with pytest.raises(ValueError, match=f"array 'cloth' .*{words}"):
+        State.from_bytes(archive({**saved().arrays(), "cloth": cloth}))

@@ -16,6 +16,8 @@ _FRAME = "frame"
 _POSITION = "position"
 _VELOCITY = "velocity"
 _MEMORY = "memory."
+#: In a state file, not in the digest: it never changes while a cloth lives.
+_CLOTH = "cloth"
 
 
 class State:
@@ -26,6 +28,8 @@ class State:
         velocities: particle velocities [m/s], shape (particle_count, 3); at rest where left out.
         memory: further arrays by name, float64, int64 or bool; each is part of the state and of its digest.
         frame: number of the frame that the state stands at.
+        cloth: of what cloth it is a state: rows, columns (1 and the particle count where it is no grid) and a
+            fingerprint of what connects its particles (0 for a grid); None where that is not known.
 
     Raises:
         ValueError: for shapes that do not fit or values that are not finite.
@@ -38,6 +42,7 @@ class State:
         *,
         memory: dict[str, np.ndarray] | None = None,
         frame: int = 0,
+        cloth: tuple[int, int, int] | None = None,
     ) -> None:
         position = np.asarray(positions, dtype=np.float64)
         if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
@@ -55,6 +60,7 @@ class State:
         self.v: Array = np.array(velocity.T, order="C")
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
+        self.cloth = cloth
 
     @property
     def particle_count(self) -> int:
@@ -84,6 +90,7 @@ class State:
         twin.x = self.x.copy()
         twin.v = self.v.copy()
         twin.frame = self.frame
+        twin.cloth = self.cloth
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
         return twin
 
@@ -107,7 +114,8 @@ class State:
     def to_bytes(self) -> bytes:
         """Return the state as the bytes of an .npz file; the same state gives the same bytes."""
         buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **self.arrays())
+        known = {} if self.cloth is None else {_CLOTH: np.array(self.cloth, dtype=np.int64)}
+        np.savez(buffer, allow_pickle=False, **self.arrays(), **known)
         return buffer.getvalue()
 
     @classmethod
@@ -124,12 +132,13 @@ class State:
                     raise ValueError(f"array '{name}' is missing")
             frame, x, v = arrays.pop(_FRAME), arrays.pop(_POSITION), arrays.pop(_VELOCITY)
             _check_core(frame, x, v)
+            cloth = _cloth(arrays.pop(_CLOTH, None), x.shape[1])
             for name in arrays:
                 if not name.startswith(_MEMORY):
                     raise ValueError(f"array '{name}' is none of a state's")
             memory = {name.removeprefix(_MEMORY): array for name, array in arrays.items()}
             state_memory.check(memory, x.shape[1])
-            return cls(x.T, v.T, memory=memory, frame=int(frame))
+            return cls(x.T, v.T, memory=memory, frame=int(frame), cloth=cloth)
         except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
 
@@ -149,3 +158,16 @@ def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
             raise ValueError(f"array '{name}' has shape {array.shape}; it must be (3, particle_count)")
     if v.shape != x.shape:
         raise ValueError(f"array '{_VELOCITY}' has shape {v.shape}; '{_POSITION}' has {x.shape}")
+
+
+def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int] | None:
+    if array is None:
+        return None
+    if array.dtype != np.int64 or array.shape != (3,):
+        raise ValueError(f"array '{_CLOTH}' is of type {array.dtype} and shape {array.shape}; it must be three int64")
+    rows, columns, connections = (int(number) for number in array)
+    if rows < 1 or columns < 1 or rows * columns != particle_count:
+        raise ValueError(
+            f"array '{_CLOTH}' has {rows} rows and {columns} columns; there are {particle_count} particles"
+        )
+    return rows, columns, connections

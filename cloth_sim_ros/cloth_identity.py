@@ -1,0 +1,57 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Of what cloth a state is a state: so that one of another cloth is refused even where the number of particles fits."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from cloth_sim_ros.physics.grid_sheet import GridSheet
+from cloth_sim_ros.physics.mesh_sheet import MeshSheet
+from cloth_sim_ros.physics.raw_springs import RawSprings
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene_physics import Sheet
+
+#: A fingerprint fits into a signed number of 64 bits.
+_LARGEST = (1 << 63) - 1
+
+
+def cloth_of(sheet: Sheet) -> tuple[int, int, int]:
+    """Return rows, columns (1 and the particle count where it is no grid) and a fingerprint of what connects particles.
+
+    The fingerprint of a grid is 0. Size, material and the layout of a grid's diagonals are no part of it: a draped
+    cloth may go on as a stiffer one.
+    """
+    if isinstance(sheet, GridSheet):
+        return sheet.rows, sheet.columns, 0
+    return 1, len(sheet.positions()), _fingerprint(sheet)
+
+
+def difference(state: State, cloth: tuple[int, int, int]) -> str:
+    """Return how the cloth of a state differs from another one, as the end of a sentence; empty if it does not.
+
+    A state that does not know its cloth fits any one of its number of particles.
+    """
+    rows, columns, connections = cloth
+    if state.particle_count != rows * columns:
+        return f"has {state.particle_count} particles, the cloth {rows * columns}"
+    if state.cloth is None or state.cloth == cloth:
+        return ""
+    if state.cloth[2] == connections:
+        return f"is of a grid of {state.cloth[0]} x {state.cloth[1]} particles, the cloth has {rows} x {columns}"
+    if state.cloth[2] and connections:
+        return "is of a mesh, or of springs, that connect their particles otherwise than the cloth's"
+    return "is of a grid, the cloth is none" if connections else "is of a mesh, or of springs, the cloth is a grid"
+
+
+@lru_cache(maxsize=8)
+def _fingerprint(sheet: MeshSheet | RawSprings) -> int:
+    import xxhash
+
+    hasher = xxhash.xxh3_64(np.ascontiguousarray(sheet.triangles(), dtype="<i8").tobytes())
+    if isinstance(sheet, RawSprings):
+        hasher.update(np.ascontiguousarray(sheet.term.pairs, dtype="<i8").tobytes())
+    # Never 0, which stands for a grid.
+    return 1 + int(hasher.intdigest()) % _LARGEST
