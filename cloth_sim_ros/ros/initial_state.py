@@ -4,19 +4,28 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from cloth_sim_ros import events, parameter_file
 from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.reader import SessionReader
+
 _MARK = ".mcap@"
+#: Frame numbers have 64 bits.
+_MOST_DIGITS = 18
 
 
 def session_state(name: str) -> dict[str, bytes]:
     """Return the state's bytes by the name, or nothing if the name is that of a plain file.
 
-    The session runs again from its snapshot to the frame: only snapshots are recorded whole.
+    Only snapshots are recorded whole: the session runs again from the last one before the frame. Of a split session
+    any file may be named; the others are looked for beside it.
 
     Raises:
         ParameterError: if the session can't be read, has no such frame, or runs differently here.
@@ -24,33 +33,55 @@ def session_state(name: str) -> dict[str, bytes]:
     if _MARK not in name:
         return {}
     path, _, number = name.rpartition("@")
-    if not number.isdecimal():
+    if not (number.isascii() and number.isdecimal() and len(number) <= _MOST_DIGITS):
         raise ParameterError(f"initial_state '{name}': '{number}' is no frame number; write session.mcap@120")
     try:
         from cloth_sim_ros.session.errors import SessionError
-        from cloth_sim_ros.session.reader import SessionReader
+        from cloth_sim_ros.session.reader import SessionReader, session_files
     except ImportError as error:
-        raise ParameterError(f"initial_state '{name}' needs {error.name}: pip install mcap rosbags") from error
+        library = str(error.name).partition(".")[0]
+        raise ParameterError(
+            f"initial_state '{name}' needs {library}, which is not installed: pip install mcap rosbags zstandard lz4"
+        ) from error
     try:
-        with SessionReader(path) as reader:
-            return {name: _run(reader, int(number), name)}
-    except (SessionError, OSError) as error:
+        files = session_files(path)
+        held = []
+        # From the last file on: its snapshot is the nearest.
+        for file in reversed(files):
+            with SessionReader(file) as reader:
+                state = State.from_bytes(reader.state)
+                if state.frame > int(number):
+                    held.append(state.frame)
+                    continue
+                return {name: _run(reader, state, int(number), name)}
+    except (SessionError, UnstableError, ValueError, OSError) as error:
+        if isinstance(error, ParameterError):
+            raise
         raise ParameterError(f"initial_state '{name}': {error}") from error
+    raise ParameterError(f"initial_state '{name}': the session begins at frame {min(held)}")
 
 
-def _run(reader: object, number: int, name: str) -> bytes:
-    scene = Scene.from_parameters(parameter_file.parse(reader.scene_yaml))  # type: ignore[attr-defined]
-    simulation = Simulation(scene, State.from_bytes(reader.state))  # type: ignore[attr-defined]
-    first = simulation.frame
-    for record in reader.frames():  # type: ignore[attr-defined]
+def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:
+    """Run a session's file again from its snapshot to a frame; the bytes of the state there."""
+    values = parameter_file.parse(reader.scene_yaml, node=reader.node, source="scene.yaml")
+    simulation = Simulation(Scene.from_parameters(values, files=reader.files), state)
+    for record in reader.frames():
         if simulation.frame >= number:
             break
-        simulation.advance([events.from_dict(dict(event)) for event in record.events])
-        if simulation.frame == number and simulation.state.digest() != record.digest:
+        if record.frame > simulation.frame + 1:
             raise ParameterError(
-                f"initial_state '{name}': the session does not run here as it was recorded (cloth_verify says why); "
-                "save the state with ~/save_state where it does"
+                f"initial_state '{name}': frames {simulation.frame + 1} to {record.frame - 1} of the session are "
+                f"missing; {reader.missing or 'it was not recorded whole'}"
+            )
+        simulation.advance([events.from_dict(dict(event)) for event in record.events])
+        if simulation.state.digest() != record.digest:
+            raise ParameterError(
+                f"initial_state '{name}': from frame {record.frame} on the session does not run here as it was "
+                "recorded (cloth_verify says why); save the state with ~/save_state where it does"
             )
     if simulation.frame != number:
-        raise ParameterError(f"initial_state '{name}': the session holds frames {first} to {simulation.frame}")
+        raise ParameterError(
+            f"initial_state '{name}': the session ends at frame {simulation.frame}"
+            + (f" ({reader.missing})" if reader.missing else "")
+        )
     return simulation.state.to_bytes()
