@@ -28,13 +28,16 @@ class LeapfrogPlan(Protocol):
 
 
 class FusedForces(Protocol):
-    """One pass that takes over the forces of some terms of a model, equal to their sum to rounding."""
+    """What takes over the forces and the bounds of some terms of a model, equal to their sum to rounding."""
 
     #: Names of the terms that it takes over.
     names: frozenset[str]
 
     def add_forces(self, x: Array, v: Array, f: Array) -> None:
         """Add the forces [N] of those terms to f (3, n)."""
+
+    def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
+        """Add what `Term.add_stiffness` and `Term.add_damping` of those terms would to blocks (6, n) [N/m], [N s/m]."""
 
 
 class Dynamics:
@@ -50,7 +53,7 @@ class Dynamics:
         self.plan = plan
         #: What takes over the forces of some terms, if anything does.
         self.forces: FusedForces | None = None
-        self._bounds = Bounds(model)
+        self._bounds: Bounds | None = None
 
     def acceleration(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the acceleration [m/s^2]; zero for anchored particles."""
@@ -78,4 +81,6 @@ class Dynamics:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
         x.
         """
+        if self._bounds is None:
+            self._bounds = Bounds(self.model, self.forces)
         return self._bounds.rates(x)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
+from cloth_sim_ros.physics.kernels.grid_bounds import GridBounds
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
 from cloth_sim_ros.physics.kernels.grid_leapfrog import GridGrips, GridLeapfrog
 from cloth_sim_ros.physics.kernels.grid_springs import GridSprings
@@ -44,6 +45,7 @@ class GridPlan:
         dynamics.forces = dynamics.plan = self
         model = dynamics.model
         self._forces = GridForces(springs)
+        self._bounds = GridBounds(springs)
         self._loop: GridLeapfrog | None = None
         self._grips: Grips | None = None
         gravity, drag = None, 0.0
@@ -63,6 +65,10 @@ class GridPlan:
     def add_forces(self, x: Array, v: Array, f: Array) -> None:
         """Add the forces [N] of the terms that are taken over to f (3, n)."""
         self._forces.add(x, v, f)
+
+    def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
+        """Add the blocks of the terms that are taken over: stiff [N/m], damped [N s/m], each (6, n)."""
+        self._bounds.add(x, stiff, damped)
 
     def leapfrog(
         self,

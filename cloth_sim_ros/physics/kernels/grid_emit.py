@@ -91,6 +91,14 @@ class Vectors:
         """a * b + c, with one rounding where the machine has the instruction."""
         return self._call("llvm.fmuladd", self.type, a, b, c)
 
+    def size(self, a: Any) -> Any:
+        """|a|."""
+        return self._call("llvm.fabs", self.type, a)
+
+    def least(self, a: Any, b: Any) -> Any:
+        """The smaller of a and b; of a number and a NaN, the number."""
+        return self._call("llvm.minnum", self.type, a, b)
+
     def dot(self, a: list[Any], b: list[Any], start: Any) -> Any:
         """start + a.b for lists of components."""
         for p, q in zip(a, b, strict=True):

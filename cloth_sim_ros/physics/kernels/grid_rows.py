@@ -95,13 +95,16 @@ _ARGUMENTS = (
 )
 
 
-class _Row:
+class Row:
     """Emits the loop over one row.
 
     `velocity` is where the velocities that damping sees start. `first` is the first of the three rows whose force is
     wanted: 0 as a rule, 1 or 2 for a row that others own, of which only the springs that reach below count.
-    `finish(row, force, motion, column)` emits what happens to this row's complete force.
+    `finish(row, force, column)` emits what happens to this row's complete force. Another class may give the ends
+    something else than forces, in `parts` numbers.
     """
+
+    parts = 3
 
     def __init__(self, context: Any, builder: Any, signature: Any, arguments: Any, velocity: int, first: int) -> None:
         self.context, self.builder, self.velocity, self.first = context, builder, velocity, first
@@ -151,7 +154,7 @@ class _Row:
         ends = {end for name in families for end in FAMILIES[name]}
         shifted = sorted(end for end in ends if end[1] > 0 and end[0] >= self.first)
         zero = self.vectors.constant(0.0)
-        before = {end: [cgutils.alloca_once_value(self.builder, zero) for _ in _COMPONENTS] for end in shifted}
+        before = {end: [cgutils.alloca_once_value(self.builder, zero) for _ in range(self.parts)] for end in shifted}
         lanes = self.integer(self.vectors.lanes)
         with cgutils.for_range(self.builder, self.builder.sdiv(self.values["pitch"], lanes)) as loop:
             column = self.builder.mul(loop.index, lanes)
@@ -165,7 +168,7 @@ class _Row:
         vectors, builder = self.vectors, self.builder
         for row in range(self.first, self.deepest + 1):
             total = []
-            for c in _COMPONENTS:
+            for c in range(self.parts):
                 place = self.index(f"ring{row}", c, column)
                 value = vectors.load(self.data["ring"], place) if row < self.deepest else None
                 for end in sorted(end for end in forces if end[0] == row):
@@ -234,13 +237,13 @@ class _Row:
         return accelerations
 
 
-def _keep(row: _Row, force: list[Any], column: Any) -> None:
+def keep(row: Row, force: list[Any], column: Any) -> None:
     """Store the complete force in the ring."""
-    for c in _COMPONENTS:
+    for c in range(row.parts):
         row.vectors.store(force[c], row.data["ring"], row.index("ring0", c, column))
 
 
-def _drift(row: _Row, duration: Any, v: list[Any], column: Any) -> None:
+def _drift(row: Row, duration: Any, v: list[Any], column: Any) -> None:
     """x += duration v; with Kahan's sum where the positions carry what rounding takes from them."""
     vectors, x = row.vectors, row.load(POSITION, column)
     if "carry" not in row.has:
@@ -253,7 +256,7 @@ def _drift(row: _Row, duration: Any, v: list[Any], column: Any) -> None:
     row.store(ends, POSITION, column)
 
 
-def _start(row: _Row, force: list[Any], column: Any) -> None:
+def _start(row: Row, force: list[Any], column: Any) -> None:
     """predicted = v + dt/2 a, x += dt/2 v; the acceleration of the step before is taken to have been the same."""
     half, v = row.value("half"), row.load(VELOCITY, column)
     a = row.accelerations(force, column)
@@ -262,7 +265,7 @@ def _start(row: _Row, force: list[Any], column: Any) -> None:
     _drift(row, half, v, column)
 
 
-def _step(row: _Row, force: list[Any], column: Any) -> None:
+def _step(row: Row, force: list[Any], column: Any) -> None:
     """v += dt a, predicted = v + dt/4 (a + a of the step before), x += dt v."""
     fma, step, v = row.vectors.fma, row.value("step"), row.load(VELOCITY, column)
     a = row.accelerations(force, column)
@@ -276,15 +279,18 @@ def _step(row: _Row, force: list[Any], column: Any) -> None:
     _drift(row, step, v, column)
 
 
-def _generator(velocity: int, first: int, finish: Any) -> Any:
+def generator(velocity: int, first: int, finish: Any, kind: type[Row] = Row) -> Any:
+    """What emits the loop over a row of some kind; see `Row`."""
+
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        _Row(context, builder, signature, arguments, velocity, first).emit(finish)
+        kind(context, builder, signature, arguments, velocity, first).emit(finish)
         return context.get_dummy_value()
 
     return generate
 
 
-def _signature(*kinds: Any) -> Any:
+def row_signature(*kinds: Any) -> Any:
+    """The type of a row's loop."""
     return types.void(*kinds)
 
 
@@ -299,8 +305,8 @@ def row_forces(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ri
     `table` starts at `table_row`. The last of the ring rows that springs reach is overwritten, the others are added
     to.
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
-    return signature, _generator(VELOCITY, 0, _keep)
+    signature = row_signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
+    return signature, generator(VELOCITY, 0, keep)
 
 
 @intrinsic
@@ -310,8 +316,8 @@ def row_start(typing, rows, row0, row1, row2, pitch, table, table_row, ring, rin
     A row is 3 components of position, 3 of velocity, 3 of predicted velocity, which must hold v on entry, 3 of the
     last acceleration.
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
-    return signature, _generator(PREDICTED, 0, _start)
+    signature = row_signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
+    return signature, generator(PREDICTED, 0, _start)
 
 
 @intrinsic
@@ -323,8 +329,8 @@ def row_step(typing, rows, row0, row1, row2, pitch, table, table_row, ring, ring
     half step and 3 of the last acceleration (where `shape` has `predicted`), 3 of what rounding took from the
     positions (where it has `carry`).
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
-    return signature, _generator(PREDICTED, 0, _step)
+    signature = row_signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
+    return signature, generator(PREDICTED, 0, _step)
 
 
 @intrinsic
@@ -332,8 +338,8 @@ def row_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring, rin
     """The part of `row_step` that concerns the next two rows, with the same bits: for the last row above a band of
     rows.
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
-    return signature, _generator(PREDICTED, 1, None)
+    signature = row_signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
+    return signature, generator(PREDICTED, 1, None)
 
 
 @intrinsic
@@ -341,6 +347,6 @@ def row_two_above(typing, rows, row0, row1, row2, pitch, table, table_row, ring,
     """The part of `row_step` that concerns the row after the next, with the same bits: for the last row but one
     above a band.
     """
-    signature = _signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
-    return signature, _generator(PREDICTED, 2, None)
+    signature = row_signature(rows, row0, row1, row2, pitch, table, table_row, ring, ring0, ring1, ring2, shape, values)
+    return signature, generator(PREDICTED, 2, None)
 # fmt: on

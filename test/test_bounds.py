@@ -1,0 +1,59 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bounds of frequencies and damping rates: the vectorised passes against the terms and numpy's eigenvalues."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.stability import block_rates
+from cloth_sim_ros.scene import Scene
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"material.damping": 0.0},
+        {"cloth.shear_layout": "alternating", "bending.model": "none"},
+        {"cloth.shear_layout": "left", "cloth.resolution": [3, 40]},
+        {"material.viscosity": 0.05, "cloth.resolution": [19, 2], "cloth.size": [1.0, 0.1]},
+    ],
+)
+def test_a_grids_blocks_are_the_sum_of_its_terms(values):
+    dynamics = Scene.from_parameters({"cloth.resolution": [9, 11], **values}).dynamics()
+    x = np.ascontiguousarray(Scene.from_parameters({"cloth.resolution": [9, 11], **values}).initial_positions().T)
+    x += 0.03 * np.random.default_rng(1).standard_normal(x.shape)
+    x[:, 5] = x[:, 4]  # a spring without a direction
+    x[:, 20] = x[:, 21] + 1e-9
+    by_terms, fused = np.zeros((2, 6, x.shape[1])), np.zeros((2, 6, x.shape[1]))
+    for term in dynamics.model.terms:
+        if term.name in dynamics.forces.names:
+            term.add_stiffness(x, by_terms[0])
+            term.add_damping(x, by_terms[1])
+    dynamics.forces.add_bounds(x, *fused)
+    assert fused == pytest.approx(by_terms, abs=1e-12 * np.abs(by_terms).max())
+
+
+def test_block_rates_are_the_largest_eigenvalues_from_above():
+    rng = np.random.default_rng(2)
+    roots = rng.standard_normal((400, 3, 3))
+    matrices = roots @ roots.transpose(0, 2, 1)
+    turns = np.linalg.qr(roots)[0]
+    for i, eigenvalues in enumerate([(1, 1, 0), (1, 0, 0), (1, 1, 1), (0, 0, 0), (2, 1, 1), (1e9, 1, 1e-9), (5, 5, 4)]):
+        matrices[i] = turns[i] @ np.diag(eigenvalues) @ turns[i].T
+    blocks = np.stack([matrices[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
+    inverse_masses = rng.uniform(0.5, 2.0, 400)
+    rates = np.empty(400)
+    block_rates(np.ascontiguousarray(blocks).reshape(-1), inverse_masses, rates)
+    exact = np.linalg.eigvalsh(matrices)[:, -1] * inverse_masses
+    assert rates == pytest.approx(exact, rel=3e-8, abs=1e-14)
+    assert (rates >= exact * (1.0 - 1e-12)).all()
+
+
+def test_what_is_not_a_number_stays_none():
+    blocks = np.zeros((6, 2))
+    blocks[3, 1] = np.nan
+    rates = np.empty(2)
+    block_rates(blocks.reshape(-1), np.ones(2), rates)
+    assert rates[0] == 0.0
+    assert np.isnan(rates[1])
