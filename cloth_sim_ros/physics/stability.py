@@ -85,8 +85,9 @@ def block_rates(blocks, inverse_masses, rates):  # type: ignore[no-untyped-def]
 
     A symmetric 3x3 matrix with mean eigenvalue m and B - m I = p C, C of Frobenius norm sqrt(6), has the largest
     eigenvalue m + 2 p cos(acos(h) / 3), h = det(C) / 2 (Smith, Comm. ACM 4(4), 1961). With t = sqrt((1 + h) / 2) that
-    cosine is cos(2 acos(t) / 3), smooth in t: a polynomial of degree 8, never below it, at most 1.4e-8 above.
-    No branch and no function call, so that the loop is vectorised; a NaN stays one.
+    cosine is cos(2 acos(t) / 3), smooth in t: a polynomial of degree 13, never below it, at most 1e-12 above.
+    A double root comes out to the square root of rounding. No branch and no function call, so that the loop is
+    vectorised; a NaN stays one.
     """
     n = len(rates)
     for i in range(n):
@@ -111,9 +112,12 @@ def block_rates(blocks, inverse_masses, rates):  # type: ignore[no-untyped-def]
         f *= scale
         half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e))
         t = np.sqrt(0.5 + 0.5 * min(1.0, max(-1.0, half)))
-        twice = -0.001278628739 * t + 0.007415372971
-        twice = (twice * t - 0.02065098617) * t + 0.03935143644
-        twice = (twice * t - 0.06392259093) * t + 0.106577312
-        twice = (twice * t - 0.2221913666) * t + 1.15469944
-        rate = mean + p * (twice * t + 1.0000000137)
+        twice = 9.1371974490662e-05 * t - 0.00074459295848305
+        twice = (twice * t + 0.0028628194514527) * t - 0.0070378744145726
+        twice = (twice * t + 0.012798556604318) * t - 0.01914712152288
+        twice = (twice * t + 0.025832998977777) * t - 0.033906752945952
+        twice = (twice * t + 0.045694566199183) * t - 0.065838662822131
+        twice = (twice * t + 0.10691636217626) * t - 0.22222220890035
+        twice = (twice * t + 1.1547005381807) * t + 1.000000000001
+        rate = mean + p * twice
         rates[i] = rate * inverse_masses[i]
