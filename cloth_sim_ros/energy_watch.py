@@ -10,6 +10,7 @@ from the real one by rounding alone, and the real one never knows of it.
 from __future__ import annotations
 
 import attrs
+import numpy as np
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
@@ -57,4 +58,16 @@ class EnergyWatch:
             residual=sums.residual + residual,
             turned_over=sums.turned_over + balance.turned_over,
         )
+        return self._sums
+
+    def stop(self, ended: State) -> EnergyReport:
+        """Book what is lost by bringing the cloth to a stop, as dissipated, and report.
+
+        Args:
+            ended: the state that `follow` was given last: it stands at the frame's end.
+        """
+        masses = self._dynamics.model.masses
+        kinetic = 0.5 * float(np.sum(masses * ended.v * ended.v))
+        sums = self._sums
+        self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
         return self._sums

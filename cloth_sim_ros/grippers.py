@@ -76,6 +76,13 @@ class Grippers:
         starts = self._state.memory["grip.starts"]
         return self._state.memory["grip.particles"][starts[index] : starts[index + 1]].copy()
 
+    @property
+    def settled(self) -> bool:
+        """Whether every gripper stands at its target, and stood there for a frame."""
+        memory = self._state.memory
+        still = not memory["gripper.turn"].any() and not memory["gripper.twist"].any()
+        return still and np.array_equal(memory["gripper.pose"], memory["gripper.target"])
+
     def set_target(self, event: Target) -> None:
         """Take note of a target; the first one places the gripper there at once."""
         memory = self._state.memory

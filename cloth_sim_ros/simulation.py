@@ -16,6 +16,7 @@ from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step
 from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance, restart
+from cloth_sim_ros.physics.sleep import Sleep, is_asleep, wake
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
@@ -72,6 +73,8 @@ class Simulation:
         other = difference(state, initial.cloth) if state is not None and initial.cloth is not None else ""
         if other:
             raise ValueError(f"the state {other}: a state only continues the cloth that it was saved from")
+        # It may have been saved asleep, under other parameters.
+        wake(initial)
         self._initial = initial
         self.state = initial.copy() if state is None else state.copy()
         self.state.cloth = initial.cloth
@@ -84,6 +87,10 @@ class Simulation:
             )
         #: Energy balance since it was asked for or parameters changed; None where it is not asked for.
         self.energy_report: EnergyReport | None = None
+        # Derived from the state, whatever it is: whether it sleeps, rightly so under this scene, with the wrenches
+        # noted; and the last frame, if the next one without events can only be the same.
+        self._known_to_rest = False
+        self._slept: Frame | None = None
         self._apply_scene(scene)
 
     @property
@@ -105,6 +112,11 @@ class Simulation:
     def paused(self) -> bool:
         """Whether time stands still."""
         return bool(self.state.memory["paused"][0])
+
+    @property
+    def asleep(self) -> bool:
+        """Whether the cloth is at rest, so that its frames are not computed until something touches it."""
+        return is_asleep(self.state)
 
     @property
     def positions(self) -> Array:
@@ -150,6 +162,9 @@ class Simulation:
             EventError: for an event that can't take effect.
             UnstableError: if the motion does not stay finite.
         """
+        if self._slept is not None and not events:
+            return self._sleep_on(self._slept)
+        self._slept = None
         in_order = ordered(list(events))
         for event in in_order:
             self.check(event)
@@ -163,21 +178,18 @@ class Simulation:
             raise
 
     def _advance(self, events: list[Event]) -> Frame:
-        grasps = []
+        grasps: list[GraspResult] = []
         stepped = False
         for event in events:
             match event:
                 case Target():
                     self.grippers.set_target(event)
-                case Grasp(gripper=name, closed=True):
-                    grasps.append(self.grippers.close(name, self.model, self._scene.gripper.radius))
-                    restart(self.state)
-                case Grasp(gripper=name):
-                    grasps.append(self.grippers.open(name))
-                    restart(self.state)
+                case Grasp():
+                    grasps.append(self._grasp(event))
                 case SetParameters(values=values):
                     self._apply_scene(self._scene.changed(values))
                     restart(self.state)
+                    wake(self.state)
                 case Pause(paused=paused):
                     self.state.memory["paused"][0] = paused
                 case Step():
@@ -186,34 +198,91 @@ class Simulation:
                     self._reset()
         moved = stepped or not self.paused
         done = self._move() if moved else None
-        count = len(self.grippers.names)
-        return Frame(
+        frame = Frame(
             index=self.frame,
             time=self.time,
             events=tuple(events),
             grasps=tuple(grasps),
             moved=moved,
             integrator=done.integrator if done else self._integrator.name,
-            tolerance=(self._scene.tolerance or None) if not self._scene.step else None,
+            tolerance=self._tolerance,
             advance=done,
-            wrenches=self._wrenches.mean_wrenches if moved and self._wrenches else np.zeros((count, 6)),
+            wrenches=self._wrenches.mean_wrenches if moved and self._wrenches else self._no_wrenches.copy(),
         )
+        if done and not done.steps and not self.paused and self.grippers.settled:
+            self._slept = frame
+        return frame
+
+    def _grasp(self, event: Grasp) -> GraspResult:
+        index = self.grippers.names.index(event.gripper)
+        before = self.grippers.held(index).size
+        if event.closed:
+            result = self.grippers.close(event.gripper, self.model, self._scene.gripper.radius)
+        else:
+            result = self.grippers.open(event.gripper)
+        restart(self.state)
+        if result.held != before:
+            wake(self.state)
+        return result
 
     def _move(self) -> Advance:
-        start, period = self.time, self._scene.period
-        if self._grips is not None:
-            gripper = self._scene.gripper
-            before = self.state.memory["gripper.turn"][:, :3].copy()
-            self.grippers.plan_frame(self._grips, self.model, start, period, gripper.stiffness, gripper.damping)
-            jerk = np.abs(self.state.memory["gripper.turn"][:, :3] - before)[self.state.memory["gripper.closed"]]
-            if jerk.max(initial=0.0) > _JUMP * period:
-                restart(self.state)
-        before_frame = self.state.copy() if self._energy is not None else None
-        done = self._integrator.advance(self.dynamics, self.state, start, period, self._wrenches)
-        if self._energy is not None and before_frame is not None:
-            self.energy_report = self._energy.follow(self._integrator, before_frame, start, period)
-        self.state.frame += 1
+        state, start, period = self.state, self.time, self._scene.period
+        done: Advance | None = None
+        if is_asleep(state) and self._known_to_rest and self.grippers.settled:
+            done = self._sleep.frame(self._integrator.name)
+        else:
+            self._plan_grippers(start)
+            if is_asleep(state) and self._sleeps_on(start):
+                done = self._sleep.frame(self._integrator.name)
+        if done is None:
+            self._known_to_rest = False
+            watched = state.copy() if self._energy is not None else None
+            done = self._integrator.advance(self.dynamics, state, start, period, self._wrenches)
+            if self._energy is not None and watched is not None:
+                self.energy_report = self._energy.follow(self._integrator, watched, start, period)
+            if self._sleep.follow(state, start + period) and self._energy is not None and watched is not None:
+                self.energy_report = self._energy.stop(watched)
+        state.frame += 1
         return done
+
+    def _plan_grippers(self, t: float) -> None:
+        if self._grips is None:
+            return
+        state, period, gripper = self.state, self._scene.period, self._scene.gripper
+        before = state.memory["gripper.turn"][:, :3].copy()
+        self.grippers.plan_frame(self._grips, self.model, t, period, gripper.stiffness, gripper.damping)
+        jerk = np.abs(state.memory["gripper.turn"][:, :3] - before)[state.memory["gripper.closed"]]
+        if jerk.max(initial=0.0) > _JUMP * period:
+            restart(state)
+
+    def _sleeps_on(self, t: float) -> bool:
+        """Whether a cloth that sleeps is left in peace; what it pulls on its grippers with is noted then."""
+        # A state that came from elsewhere may have fallen asleep under another scene than this one. One of this scene
+        # passes, whether it is asked or not: the rule is the one by which it fell asleep, at the same place.
+        if not self._known_to_rest and not self._sleep.rests(self.state, t):
+            wake(self.state)
+        if not is_asleep(self.state) or not self._sleep.goes_on(self.state):
+            return False
+        self._known_to_rest = True
+        if self._wrenches is not None:
+            self._wrenches.restart()
+            self._wrenches.observe(t, self.state.x, self.state.v, self._scene.period)
+        return True
+
+    def _sleep_on(self, last: Frame) -> Frame:
+        """Sleep through one more frame of which nothing differs from the last but its number."""
+        self.state.frame += 1
+        return Frame(
+            index=self.frame,
+            time=self.time,
+            events=(),
+            grasps=(),
+            moved=True,
+            integrator=last.integrator,
+            tolerance=last.tolerance,
+            advance=last.advance,
+            wrenches=last.wrenches.copy(),
+        )
 
     def _reset(self) -> None:
         frame, paused = self.state.frame, self.paused
@@ -232,6 +301,11 @@ class Simulation:
         self._wrenches = WrenchObserver(self._grips) if self._grips else None
         self._energy = EnergyWatch(self.dynamics) if scene.diagnostics.energy else None
         self.energy_report = None
+        self._no_wrenches = np.zeros((len(self.grippers.names), 6))
+        #: Tolerance in force [m], None where the step is fixed or none is set.
+        self._tolerance = (scene.tolerance or None) if not scene.step else None
+        self._sleep = Sleep(self.dynamics, tolerance=self._tolerance, period=scene.period)
+        self._known_to_rest, self._slept = False, None
 
 
 def _check_target(event: Target) -> None:

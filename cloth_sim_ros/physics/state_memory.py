@@ -25,7 +25,7 @@ _GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Refuse memory that grippers, grips or the pause can't go on from; names that are not known here pass.
+    """Refuse memory that grippers, grips, the pause or sleep can't go on from; names that are not known here pass.
 
     The arrays of grippers and grips are there together, or none of them.
 
@@ -41,6 +41,8 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             raise ValueError(f"memory '{name}' is of type {array.dtype}; it must be float64, int64 or bool")
     if "paused" in memory:
         _check_one("paused", memory["paused"], _BOOL, (1,))
+    if "sleep" in memory:
+        _check_one("sleep", memory["sleep"], _INT, (2,))
     if not any(name in memory for name in _GRIPPERS):
         return
     for name in _GRIPPERS:

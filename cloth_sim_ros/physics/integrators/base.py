@@ -35,8 +35,8 @@ class UnstableError(RuntimeError):
 
 
 #: What may bind a step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (a frame is one step
-#: already), `step` (the user's fixed step).
-BINDING = ("accuracy", "stability", "frame", "step")
+#: already), `step` (the user's fixed step), `rest` (the sheet sleeps: there is none).
+BINDING = ("accuracy", "stability", "frame", "step", "rest")
 
 
 @attrs.frozen(kw_only=True)

@@ -35,6 +35,10 @@ class Term(ABC):
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         """Add the term's force [N] to ``f``."""
 
+    def steady(self) -> bool:
+        """Whether the force at given positions and velocities stays what it is until the next event."""
+        return True
+
     def energy(self, t: float, x: Array) -> float:
         """Return the potential energy [J] whose negative gradient is the elastic part of the force."""
         return 0.0

@@ -78,6 +78,13 @@ class Grips(Term):
                 self.wrenches,
             )
 
+    def steady(self) -> bool:
+        """Whether no gripper that holds something moves or turns over its path."""
+        if not self.particles.size:
+            return True
+        paths = self.paths[np.diff(self.starts) > 0]
+        return not (paths[:, 4:13].any() or paths[:, 17:26].any())
+
     def energy(self, t: float, x: Array) -> float:
         return self._energy(t, x, x)[0]
 

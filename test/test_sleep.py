@@ -1,0 +1,247 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A sheet at rest sleeps, wakes at once when anything touches it, and runs again from a snapshot to the last bit."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.energy_watch import EnergyWatch
+from cloth_sim_ros.events import Grasp, Pause, Reset, SetParameters, Step, Target
+from cloth_sim_ros.physics import sleep
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+# Heavy air and little weight, so that it comes to rest within seconds.
+CALM = {
+    "cloth.resolution": [5, 6],
+    "material.stretch_modulus": 100.0,
+    "material.shear_modulus": 20.0,
+    "air.drag": 5.0,
+    "tolerance": 1e-3,
+    "rate": 30.0,
+    "grippers": ["left", "right"],
+}
+
+
+def simulation(**values):
+    return Simulation(Scene.from_parameters({**CALM, **{name.replace("__", "."): v for name, v in values.items()}}))
+
+
+def until_asleep(moving, events=(), most=600):
+    """Advance until it sleeps; return the last frame."""
+    frame = moving.advance(events)
+    while not moving.asleep:
+        frame = moving.advance()
+        most -= 1
+        assert most, "it does not come to rest"
+    return frame
+
+
+@pytest.fixture(scope="module")
+def snapshot():
+    """A state that sleeps, as bytes."""
+    sleeping = simulation()
+    until_asleep(sleeping)
+    return sleeping.state.to_bytes()
+
+
+@pytest.fixture
+def sleeping(snapshot):
+    return Simulation(Scene.from_parameters(CALM), State.from_bytes(snapshot))
+
+
+def test_a_sheet_at_rest_sleeps_where_it_is_and_its_frames_go_on(sleeping):
+    before, frame_before = sleeping.positions, sleeping.frame
+    frames = [sleeping.advance() for _ in range(5)]
+    assert [frame.index for frame in frames] == [frame_before + k for k in range(1, 6)]
+    assert frames[-1].time == sleeping.frame / 30.0
+    assert all(frame.moved and frame.advance.steps == 0 for frame in frames)
+    assert "asleep" in frames[-1].advance.reason
+    assert np.array_equal(sleeping.positions, before)
+    assert not sleeping.velocities.any()
+
+
+def test_what_sleep_leaves_out_is_less_than_the_tolerance(snapshot):
+    asleep = State.from_bytes(snapshot)
+    moving = Simulation(Scene.from_parameters({**CALM, "tolerance": 1e-9}), asleep)
+    for _ in range(20 * 30):
+        moving.advance()
+    away = np.linalg.norm(moving.positions - asleep.positions, axis=1).max()
+    assert 1e-12 < away < 0.2 * CALM["tolerance"]
+
+
+def test_falling_asleep_is_no_jump():
+    moving = simulation()
+    while not moving.asleep:
+        before, speeds = moving.positions, np.linalg.norm(moving.velocities, axis=1)
+        moving.advance()
+    step = np.linalg.norm(moving.positions - before, axis=1).max()
+    assert step <= 1.1 * (speeds.max() / 30.0) + 1e-12
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [Target("left", (0.0, 0.0, 0.5)), Grasp("left", True)],
+        [SetParameters({"gravity": [0.0, 1.0, -9.81]})],
+        [SetParameters({"diagnostics.energy": True})],
+        [Reset()],
+    ],
+    ids=["grasp", "gravity", "any parameter", "reset"],
+)
+def test_it_wakes_in_the_very_frame_in_which_it_is_touched(sleeping, events):
+    low = sleeping.positions[-1]
+    events = [Target("left", low) if isinstance(event, Target) else event for event in events]
+    before = sleeping.positions
+    frame = sleeping.advance(events)
+    assert not sleeping.asleep
+    assert frame.advance.steps > 0
+    if not isinstance(events[0], Reset):
+        # It goes on from the very same place.
+        assert np.linalg.norm(sleeping.positions - before, axis=1).max() < 0.5 * 1.1 / 30.0**2
+
+
+def test_what_does_not_touch_it_lets_it_sleep(sleeping):
+    for events in (
+        [Target("left", (5.0, 0.0, 0.0)), Target("right", (0.0, 6.0, 0.0), (0.0, 0.0, 1.0, 1.0))],
+        [Target("left", (4.0, 0.0, 0.0))],
+        [Grasp("right", True)],
+        [Grasp("right", False)],
+        [Pause(True)],
+    ):
+        sleeping.advance(events)
+        assert sleeping.asleep
+    assert sleeping.grippers.poses()[0, 0] == 4.0, "grippers move on meanwhile"
+    frame = sleeping.frame
+    sleeping.advance()
+    assert sleeping.frame == frame, "paused"
+    sleeping.advance([Step()])
+    assert (sleeping.frame, sleeping.asleep) == (frame + 1, True)
+    sleeping.advance([Pause(False)])
+    assert sleeping.advance().index == frame + 3
+
+
+def test_a_held_sheet_pulls_on_while_asleep_and_wakes_when_its_gripper_moves(sleeping):
+    low = sleeping.positions[-1]
+    sleeping.advance([Target("left", low), Grasp("left", True)])
+    for k in range(30):
+        sleeping.advance([Target("left", low + np.array([0.0, 0.0, 0.1]) * (k + 1) / 30)])
+    place = Target("left", low + np.array([0.0, 0.0, 0.1]))
+    last = until_asleep(sleeping, [place])
+    asleep = sleeping.advance()
+    assert asleep.advance.steps == 0
+    assert np.linalg.norm(last.wrenches[0, :3]) > 1e-3
+    assert asleep.wrenches == pytest.approx(last.wrenches, abs=2e-4 * np.abs(last.wrenches).max())
+    assert np.array_equal(sleeping.advance().wrenches, asleep.wrenches)
+    assert np.array_equal(sleeping.advance([place]).wrenches, asleep.wrenches)
+    assert sleeping.asleep, "the same target again moves nothing"
+    sleeping.advance([Target("left", low + np.array([0.0, 0.0, 0.1001]))])
+    assert not sleeping.asleep
+    until_asleep(sleeping)
+    sleeping.advance([Grasp("left", False)])
+    assert not sleeping.asleep, "it was let go"
+
+
+def test_a_run_goes_on_from_any_snapshot_to_the_last_bit(snapshot):
+    # Before it sleeps, while it grows calm, asleep, and awake again.
+    original = Simulation(Scene.from_parameters(CALM), State.from_bytes(snapshot))
+    low = original.positions[-1]
+    script = {3: [Target("left", low), Grasp("left", True)], 4: [Target("left", low + 0.001)]}
+    saved, digests, wrenches = [], [], []
+    for k in range(200):
+        frame = original.advance(script.get(k, ()))
+        digests.append(original.state.digest())
+        wrenches.append(frame.wrenches)
+        saved.append(original.state.to_bytes())
+    assert original.asleep
+    fell = next(k for k in range(199, 0, -1) if sleep.MEMORY not in State.from_bytes(saved[k]).memory)
+    for start in (0, 2, 4, fell + 10, 197):
+        again = Simulation(Scene.from_parameters(CALM), State.from_bytes(saved[start]))
+        for k in range(start + 1, min(start + 60, 200)):
+            frame = again.advance(script.get(k, ()))
+            assert again.state.digest() == digests[k], (start, k)
+            assert np.array_equal(frame.wrenches, wrenches[k]), (start, k)
+
+
+def test_a_state_that_slept_under_another_scene_wakes(snapshot):
+    for change in ({"gravity": [0.0, 2.0, -9.81]}, {"tolerance": 1e-7}, {"tolerance": 0.0}, {"step": 1e-3}):
+        other = Simulation(Scene.from_parameters({**CALM, **change}), State.from_bytes(snapshot))
+        assert other.advance().advance.steps > 0, change
+        assert not other.asleep
+
+
+def test_a_state_loaded_by_the_scene_starts_awake(snapshot):
+    files = {"rest.npz": snapshot}
+    scene = Scene.from_parameters({**CALM, "initial_state": "rest.npz"}, files=files)
+    loaded = Simulation(scene)
+    assert not loaded.asleep
+    assert loaded.advance().advance.steps > 0
+    until_asleep(loaded)
+    loaded.advance([Reset()])
+    assert not loaded.asleep
+
+
+@pytest.mark.parametrize("change", [{"tolerance": 0.0}, {"step": 2e-3}])
+def test_without_a_tolerance_nothing_sleeps(change, snapshot):
+    state = State.from_bytes(snapshot)
+    state.memory.pop(sleep.MEMORY)
+    watched = Simulation(Scene.from_parameters({**CALM, **change}), state)
+    for _ in range(90):
+        watched.advance()
+    assert not watched.asleep
+
+
+def test_a_turning_point_is_no_rest():
+    # Every particle stands still at once, as at the top of a swing, and is pulled.
+    scene = Scene.from_parameters({**CALM, "rate": 1000.0})
+    rule = sleep.Sleep(scene.dynamics(), tolerance=1e-3, period=1e-3)
+    state = scene.starting_state()
+    state.memory[sleep.MEMORY] = np.array([998, 0])
+    assert not rule.follow(state, 0.0)
+    state.memory[sleep.MEMORY] = np.array([999, 0])
+    assert not rule.follow(state, 0.0)
+    assert not sleep.is_asleep(state)
+
+
+def test_motion_that_nothing_stops_does_not_sleep():
+    # A free sheet without weight or air: slow as it is, it goes on for ever.
+    free = {**CALM, "cloth.anchors": [""], "gravity": [0.0, 0.0, 0.0], "grippers": [""]}
+    for drag, falls in ((0.0, False), (5.0, True)):
+        scene = Scene.from_parameters({**free, "air.drag": drag})
+        start = scene.starting_state()
+        start.v[1] = 5e-5
+        drifting = Simulation(scene, start)
+        for _ in range(45):
+            drifting.advance()
+        assert drifting.asleep is falls
+
+
+def test_a_sheet_that_lies_in_nothing_sleeps_after_a_second():
+    still = simulation(gravity=[0.0, 0.0, 0.0], air__drag=0.0)
+    for _ in range(30):
+        assert not still.asleep
+        still.advance()
+    assert still.asleep
+
+
+def test_energy_books_what_the_stop_takes():
+    watched = simulation(**{"diagnostics.energy": True})
+    until_asleep(watched)
+    report = watched.energy_report
+    assert report.total == pytest.approx(watched.energy(), rel=1e-9)
+    watched.advance()
+    assert watched.energy_report == report
+    watch = EnergyWatch(watched.dynamics)
+    moving = watched.state.copy()
+    moving.v[0] = 3.0
+    kinetic = 4.5 * watched.model.masses.sum()
+    stopped = watch.stop(moving)
+    assert (stopped.total, stopped.dissipated, stopped.residual) == (-kinetic, kinetic, 0.0)
+
+
+def test_a_broken_memory_of_sleep_is_refused(snapshot):
+    state = State.from_bytes(snapshot)
+    state.memory[sleep.MEMORY] = np.zeros(3, dtype=np.int64)
+    with pytest.raises(ValueError, match=r"memory 'sleep' has shape \(3,\); it must be \(2,\)"):
+        State.from_bytes(state.to_bytes())
