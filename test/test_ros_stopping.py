@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,53 @@ def test_a_signal_closes_the_recording(
     (path,) = tmp_path.glob("*.mcap")
     with SessionReader(path, strict=True) as reader:
         list(reader.messages())
+        assert reader.complete
+
+
+#: A node whose frames, from the twentieth on, are in compiled code for ever.
+ENDLESS = """
+import sys
+import numba
+from cloth_sim_ros.ros.main import main
+from cloth_sim_ros.simulation import Simulation
+
+@numba.njit(nogil=True)
+def spend(count):
+    value = 1.0
+    for _ in range(count):
+        value = 0.5 * value + 1.0 / value
+    return value
+
+spend(1)
+advance = Simulation.advance
+
+def endless(self, events=()):
+    frame = advance(self, events)
+    if frame.index == 20:
+        print("amid a frame", flush=True)
+        spend(10**15)
+    return frame
+
+Simulation.advance = endless
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_signal_amid_a_compiled_frame(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+
+    parameters = ["cloth.resolution:=[5, 5]", "record.enabled:=true", f"record.folder:={tmp_path / 'sessions'}"]
+    arguments = [argument for parameter in parameters for argument in ("-p", parameter)]
+    process = start_process([sys.executable, "-c", ENDLESS, "--ros-args", *arguments])
+    process.wait_for_output("amid a frame")
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(limit=LIMIT) == 0, process.output
+    assert "Traceback" not in process.output
+    (path,) = (tmp_path / "sessions").glob("*.mcap")
+    with SessionReader(path, strict=True) as reader:
+        assert len([message for message in reader.messages() if message.topic.endswith("/frame")]) == 19
         assert reader.complete
 
 

@@ -12,6 +12,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from cloth_sim_ros.events import Event, Grasp, Target
@@ -61,6 +62,7 @@ class Commands:
         self._log = log
         self._gates = {name: StampGate() for name in grippers}
         self._heard: dict[str, int] = {}
+        self._subscriptions: list[tuple[Subscription, Callable[[bytes], None], int]] = []
         #: Messages that arrived, and of them those that were refused or older than the newest.
         self.received = 0
         self.refused = 0
@@ -76,11 +78,27 @@ class Commands:
                     self._take, gripper, leaf, kind, qos, node.resolve_topic_name(topic, only_expand=True), handle
                 )
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-                node.create_subscription(kind, topic, _single(take), qos, raw=True)
+                subscription = node.create_subscription(kind, topic, _single(take), qos, raw=True)
+                self._subscriptions.append((subscription, take, qos.depth))
 
     def heard(self, gripper: str) -> int | None:
         """When the newest target of a gripper came, ROS time [ns]; None if none has."""
         return self._heard.get(gripper)
+
+    def take_waiting(self) -> None:
+        """Take every command that has arrived; call it when a frame is due.
+
+        An executor takes one message a topic and turn, the oldest, and frames before messages. Where frames take all
+        the time there is, each would otherwise see a target that has waited as long as the middleware keeps any.
+        """
+        for subscription, take, most in self._subscriptions:
+            # No more than the middleware keeps: a flood must not hold up the frame.
+            for _ in range(most):
+                with subscription.handle:
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                if taken is None:
+                    break
+                take(taken[0])
 
     def forget_stamps(self) -> None:
         """Accept any stamp next: the clock was set back, or the cloth was."""

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import sys
 from collections.abc import Sequence
 
@@ -19,6 +20,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros import __version__
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.aside import Aside
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.recording import RecordingUnavailableError
@@ -57,17 +59,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except ArgumentsError as error:
         return _refuse(str(error))
+    aside = Aside(signals.interruptible)
     try:
-        return _run(signals)
+        status = _run(signals, aside)
     finally:
         signals.ignore()
         rclpy.try_shutdown()
+    if aside.left:
+        aside.end_process(status)
+    return status
 
 
-def _run(signals: StopSignals) -> int:
+def _run(signals: StopSignals, aside: Aside) -> int:
     try:
         with signals.interruptible():
-            cloth = ClothNode(interruptible=signals.interruptible)
+            cloth = ClothNode(aside=aside.run)
     except StopRequestedError:
         return 0
     except (ValueError, RuntimeError, *_BAD_NAMES) as error:
@@ -75,6 +81,10 @@ def _run(signals: StopSignals) -> int:
     started = False
     try:
         cloth.warm_up()
+        # What the compiler and other libraries keep for good need not be gone through again: a garbage collection would
+        # hold up a frame by some tens of milliseconds now and then.
+        gc.collect()
+        gc.freeze()
         cloth.start()
         started = True
         _spin(cloth, signals)

@@ -7,17 +7,15 @@ from __future__ import annotations
 import datetime
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from cloth_sim_ros.events import Grasp, Reset, SetParameters, Target
-from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.ros import diagnostics, parameters
+from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import GripperCompanions
@@ -27,10 +25,10 @@ from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
 from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecording
+from cloth_sim_ros.ros.report import Latest, Report
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
-from cloth_sim_ros.ros.strain import StrainGauge
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.simulation import Simulation
 
@@ -52,7 +50,8 @@ class ClothNode:
 
     Args:
         name: node name, before remapping.
-        interruptible: context within which a long computation may be interrupted by StopRequestedError.
+        aside: runs a long computation and returns what it returns; may raise StopRequestedError instead, and leave the
+            computation to itself.
         options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ...
 
     Raises:
@@ -63,18 +62,18 @@ class ClothNode:
         self,
         name: str = "cloth_sim",
         *,
-        interruptible: Callable[[], AbstractContextManager[None]] = nullcontext,
+        aside: Callable[[Callable[[], Any]], Any] = at_once,
         **options: Any,
     ) -> None:
         self.node = Node(name, automatically_declare_parameters_from_overrides=True, **options)
         scene = parameters.declare(self.node)
-        self._interruptible = interruptible
+        self._aside = aside
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
         refuse_endless_frames(scene, self._simulation.state.x)
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
-        self._stepper = Stepper(self._simulation, self._queue, interruptible=interruptible)
+        self._stepper = Stepper(self._simulation, self._queue, aside=aside)
         self._recording = SessionRecording(node_name=self.node.get_fully_qualified_name(), simulation=self._simulation)
         self._outputs = Outputs(self.node, scene, self._recording)
         self._commands = Commands(
@@ -102,17 +101,25 @@ class ClothNode:
             self._change_parameters,
             lambda wanted: refuse_endless_frames(wanted, self._simulation.state.x),
         )
-        self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
-        self._gauge = StrainGauge(scene)
-        self._overheard = Overheard(self.node, self._recording)
         self.tally = diagnostics.Tally()
+        self._latest = Latest()
+        report = Report(
+            self.node,
+            self._simulation,
+            self._latest,
+            tally=self.tally,
+            commands=self._commands,
+            outputs=self._outputs,
+            recording=self._recording,
+        )
+        self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
+        self._overheard = Overheard(self.node, self._recording)
         self._pacer: Pacer | None = None
         self._started = time.monotonic()
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
-        self._failure = ""
-        self._advance: Advance | None = None
-        self._namesakes = False
+        self._follows_clock = False
+        self._cut_off = False
 
     @property
     def simulation(self) -> Simulation:
@@ -132,17 +139,19 @@ class ClothNode:
             StopRequestedError: if a signal came meanwhile.
         """
         self.node.get_logger().info("preparing the kernels; the first start compiles them, which may take a while")
-        with self._interruptible():
-            scene = self._simulation.scene
-            trial = Simulation(scene)
-            name = scene.gripper_names[:1]
-            place = tuple(trial.positions[-1].tolist())
-            # Holding nothing, holding, and turning while holding: each has compiled code of its own.
-            trial.advance()
-            trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
-            trial.advance([Target(gripper, place, (0.0, 0.0, 0.01, 1.0)) for gripper in name])
-            trial.state.digest()
-            self._recording.prepare()
+        self._aside(self._run_trial)
+        self._recording.prepare()
+
+    def _run_trial(self) -> None:
+        scene = self._simulation.scene
+        trial = Simulation(scene)
+        name = scene.gripper_names[:1]
+        place = tuple(trial.positions[-1].tolist())
+        # Holding nothing, holding, and turning while holding: each has compiled code of its own.
+        trial.advance()
+        trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
+        trial.advance([Target(gripper, place, (0.0, 0.0, 0.01, 1.0)) for gripper in name])
+        trial.state.digest()
 
     def start(self) -> None:
         """Begin to record, if asked to, and let time begin.
@@ -158,8 +167,8 @@ class ClothNode:
             path = self._recording.wait_until_open()
             self.node.get_logger().info(f"recording into {path}")
         self._outputs.start(now)
-        follows_clock = self.node.get_parameter("use_sim_time").value
-        if follows_clock:
+        self._follows_clock = bool(self.node.get_parameter("use_sim_time").value)
+        if self._follows_clock:
             self._pacer = ClockPacer(
                 self.node,
                 rate=scene.rate,
@@ -178,7 +187,7 @@ class ClothNode:
         count = self._simulation.state.particle_count
         grippers = ", ".join(scene.gripper_names) or "none"
         self.node.get_logger().info(
-            f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, "
+            f"{count} particles at {scene.rate:g} Hz of {'/clock' if self._follows_clock else 'wall time'}, "
             f"grippers: {grippers}"
             + ("" if scene.poisson_ratio is None else f"; Poisson's ratio comes out as {scene.poisson_ratio:.3f}")
         )
@@ -188,7 +197,8 @@ class ClothNode:
         if self._pacer is not None:
             self._pacer.stop()
         self._queue.clear("the node stops")
-        if self._pacer is not None:
+        # Where a signal came amid a frame, there is nothing to be said of the half of it.
+        if self._pacer is not None and not self._cut_off:
             self._diagnostics.send()
             self._outputs.flush()
             self._diagnostics.flush()
@@ -201,19 +211,23 @@ class ClothNode:
 
     def _on_due(self, due: Due) -> None:
         begun = time.monotonic()
+        self._commands.take_waiting()
         self._recording.before_frame(due.stamp)
+        # A frame that is late takes what came since it was due, too.
+        until = due.stamp if self._follows_clock else max(due.stamp, self.node.get_clock().now().nanoseconds)
         try:
-            frame = self._stepper.step(due.stamp, self._companions.events(due.stamp))
+            frame = self._stepper.step(until, self._companions.events(due.stamp))
         except StopRequestedError:
+            self._cut_off = True
             return
         if self._stepper.refused_parameters:
             self.node.get_logger().error(f"parameters are set back: {self._stepper.refused_parameters}")
             self._parameters.return_to(self._simulation.scene)
-        if self._stepper.trouble and not self._failure:
+        if self._stepper.trouble and not self._latest.failure:
             self.node.get_logger().error(
                 f"time is stopped: {self._stepper.trouble}; set other parameters or call ~/reset, then ~/pause false"
             )
-        self._failure = self._stepper.trouble
+        self._latest.failure = self._stepper.trouble
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
         if frame.moved or frame.events or not shown:
             self._shown = begun
@@ -223,7 +237,7 @@ class ClothNode:
             self._recording.add_frame(frame, due.stamp, self._extras)
             self._extras = {}
             self._outputs.send(self._simulation.state.x, frame.wrenches, due.stamp)
-        self._advance = frame.advance or self._advance
+        self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
         self._count_late(due, taken)
@@ -234,7 +248,7 @@ class ClothNode:
         period = self._pacer.period
         late = due.skipped + (due.lateness + int(taken * 1e9) > period)
         self.tally.late += late
-        if late and not self.node.get_parameter("use_sim_time").value:
+        if late and not self._follows_clock:
             self._log.warn(
                 "late",
                 f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms, "
@@ -313,67 +327,3 @@ class ClothNode:
             silent = time.monotonic() - self._started
             if silent > _CLOCK_PATIENCE:
                 self._log.warn("clock", f"use_sim_time is set, and for {silent:.0f} s nothing has come on /clock")
-
-    def _describe_motion(self) -> dict[str, str]:
-        advance = self._advance
-        strain = self._gauge.largest(self._simulation.state.x)
-        energy = self._simulation.energy_report
-        values = {
-            "largest_strain": "not measured" if strain is None else f"{strain:.6f}",
-            "energy_j": "off" if energy is None else f"{energy.total:.9g}",
-        }
-        if energy is not None:
-            values["energy_work_j"] = f"{energy.work:.6g}"
-            values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
-            values["energy_balance_j"] = f"{energy.residual:.3g}"
-        if advance is not None:
-            values["steps_per_frame"] = str(advance.steps)
-            values["integrator"] = advance.integrator
-            values["integrator_why"] = advance.reason
-            values["error_estimate_m"] = "none" if advance.error is None else f"{advance.error:.3g}"
-        return values
-
-    def _look_for_namesakes(self) -> None:
-        """Warn once when another node has this one's name: services and parameters would reach either of them."""
-        own = (self.node.get_name(), self.node.get_namespace())
-        found = self.node.get_node_names_and_namespaces().count(own) > 1
-        if found and not self._namesakes:
-            self.node.get_logger().warning(
-                f"there are several nodes {self.node.get_fully_qualified_name()}: give each its own name or namespace "
-                "(--ros-args -r __node:=other)"
-            )
-        self._namesakes = found
-
-    def _report(self) -> tuple[bytes, str, dict[str, str]]:
-        scene = self._simulation.scene
-        self._look_for_namesakes()
-        rates = self.tally.report(scene.period)
-        values = {
-            "frame": str(self._simulation.frame),
-            "simulated_time": f"{self._simulation.time:.6f}",
-            "paused": str(self._simulation.paused).lower(),
-            "real_time_factor": f"{rates['real_time_factor']:.4f}",
-            "real_time_factor_overall": f"{self.tally.overall_factor(scene.period):.4f}",
-            "late_frames": str(self.tally.late),
-            "load": f"{rates['load']:.4f}",
-            "longest_frame_ms": f"{rates['longest'] * 1e3:.3f}",
-            **self._describe_motion(),
-            "commands_received": str(self._commands.received),
-            "commands_refused": str(self._commands.refused),
-            "commands_outdated": str(self._commands.outdated),
-            "clouds_published": str(self._outputs.published),
-        }
-        status = self._recording.status()
-        values["recording"] = "off" if status is None else status.state
-        if status is not None:
-            values["recording_file"] = str(status.path)
-            values["recording_dropped"] = str(status.dropped)
-        if self._failure:
-            return DiagnosticStatus.ERROR, f"stopped: {self._failure}", values
-        if status is not None and status.state == "failed":
-            return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
-        if rates["late"]:
-            return DiagnosticStatus.WARN, f"{rates['late']} frames late in the last second", values
-        if self._simulation.paused:
-            return DiagnosticStatus.OK, "paused", values
-        return DiagnosticStatus.OK, "running", values

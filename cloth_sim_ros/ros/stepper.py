@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 
 from cloth_sim_ros.events import Event, Grasp, Pause, SetParameters
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
 from cloth_sim_ros.simulation import Frame, Simulation
 
@@ -19,7 +19,7 @@ class Stepper:
     Args:
         simulation: what is advanced.
         queue: where events wait.
-        interruptible: context within which a long frame may be interrupted; the simulation then stays as it was.
+        aside: runs a frame's computation and returns what it returns; may raise StopRequestedError.
     """
 
     def __init__(
@@ -27,18 +27,18 @@ class Stepper:
         simulation: Simulation,
         queue: EventQueue,
         *,
-        interruptible: Callable[[], AbstractContextManager[None]] = nullcontext,
+        aside: Callable[[Callable[[], Frame]], Frame] = at_once,
     ) -> None:
         self._simulation = simulation
         self._queue = queue
-        self._interruptible = interruptible
+        self._aside = aside
         #: Why the motion was stopped; empty while it goes on.
         self.trouble = ""
         #: Why parameters that were accepted could not take effect, in the newest frame; empty if they did.
         self.refused_parameters = ""
 
     def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
-        """Compute the frame that was due at a ROS time [ns], with events of the node's own before those that wait.
+        """Compute a frame with what waits for a ROS time [ns] or before, after events of the node's own.
 
         Where the motion becomes unstable the commands take effect, time stands still, and `trouble` says why.
         """
@@ -65,8 +65,7 @@ class Stepper:
         return frame
 
     def _advance(self, entries: list[Entry]) -> Frame:
-        with self._interruptible():
-            return self._simulation.advance([entry.event for entry in entries])
+        return self._aside(lambda: self._simulation.advance([entry.event for entry in entries]))
 
 
 def _answer(entries: list[Entry], frame: Frame) -> None:

@@ -1,0 +1,90 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A thread for what may take long, so that a signal is heard meanwhile.
+
+Python handles signals between two instructions of the main thread: while that is inside compiled code, they wait. A
+main thread that waits for another one hears them at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from queue import Empty, SimpleQueue
+from typing import Any, NoReturn, TypeVar
+
+T = TypeVar("T")
+#: How often the waiting thread looks up [s]: a signal that comes just before it falls asleep does not wake it.
+_GLANCE = 0.1
+
+
+def at_once(job: Callable[[], T]) -> T:
+    """Run a job here and now: what a node does whose process nobody stops by a signal."""
+    return job()
+
+
+class Aside:
+    """Runs one job at a time in a thread of its own while the caller, the main thread, waits.
+
+    Args:
+        interruptible: context within which a signal raises `StopRequestedError`.
+    """
+
+    def __init__(self, interruptible: Callable[[], AbstractContextManager[None]]) -> None:
+        self._interruptible = interruptible
+        self._jobs: SimpleQueue[Callable[[], Any]] = SimpleQueue()
+        self._outcomes: SimpleQueue[tuple[Any, BaseException | None]] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._running = False
+
+    @property
+    def left(self) -> bool:
+        """Whether a signal came before a job ended: it goes on alone, and what it works on is not to be read."""
+        return self._running
+
+    def run(self, job: Callable[[], T]) -> T:
+        """Run a job and return what it returns, or raise what it raises.
+
+        Raises:
+            StopRequestedError: if a signal came; a job that had begun is left to itself.
+        """
+        if self._thread is None:
+            # A daemon: it must not hold up the end of the process.
+            self._thread = threading.Thread(target=self._work, name="frames", daemon=True)
+            self._thread.start()
+        with self._interruptible():
+            self._running = True
+            self._jobs.put(job)
+            result, error = self._wait()
+            self._running = False
+        if error is not None:
+            raise error
+        outcome: T = result
+        return outcome
+
+    def _wait(self) -> tuple[Any, BaseException | None]:
+        while True:
+            with contextlib.suppress(Empty):
+                return self._outcomes.get(timeout=_GLANCE)
+
+    def end_process(self, status: int) -> NoReturn:
+        """End the process, although a job that was left may still be inside compiled code.
+
+        The interpreter's own end would take the ground from under it.
+        """
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+
+    def _work(self) -> None:
+        while True:
+            job = self._jobs.get()
+            try:
+                self._outcomes.put((job(), None))
+            except BaseException as error:
+                # The caller's to handle, whatever it is.
+                self._outcomes.put((None, error))

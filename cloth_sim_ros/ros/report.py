@@ -1,0 +1,136 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node has to say of itself: level, summary and values of its diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import attrs
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.ros.commands import Commands
+from cloth_sim_ros.ros.diagnostics import Tally
+from cloth_sim_ros.ros.outputs import Outputs
+from cloth_sim_ros.ros.recording import SessionRecording
+from cloth_sim_ros.ros.strain import StrainGauge
+from cloth_sim_ros.simulation import Simulation
+
+#: Level, summary, values.
+Said = tuple[bytes, str, dict[str, str]]
+
+
+@attrs.define
+class Latest:
+    """How the newest frame went."""
+
+    #: Why time is stopped; empty while it goes on.
+    failure: str = ""
+    #: What the integrator did in the newest frame in which time passed; None before the first.
+    advance: Advance | None = None
+
+
+class Report:
+    """Collects what there is to say.
+
+    Args:
+        node: for its name, and who shares it.
+        simulation: the cloth.
+        latest: how the newest frame went.
+        tally: counts of frames.
+        commands: counts of commands.
+        outputs: counts of clouds.
+        recording: its state.
+        further: values of others, by name.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        simulation: Simulation,
+        latest: Latest,
+        *,
+        tally: Tally,
+        commands: Commands,
+        outputs: Outputs,
+        recording: SessionRecording,
+        further: Callable[[], dict[str, str]] = dict,
+    ) -> None:
+        self._node = node
+        self._simulation = simulation
+        self._latest = latest
+        self._tally = tally
+        self._commands = commands
+        self._outputs = outputs
+        self._recording = recording
+        self._further = further
+        self._gauge = StrainGauge(simulation.scene)
+        self._namesakes = False
+
+    def __call__(self) -> Said:
+        """Return what is so now."""
+        self._look_for_namesakes()
+        period = self._simulation.scene.period
+        rates = self._tally.report(period)
+        values = {
+            "frame": str(self._simulation.frame),
+            "simulated_time": f"{self._simulation.time:.6f}",
+            "paused": str(self._simulation.paused).lower(),
+            "real_time_factor": f"{rates['real_time_factor']:.4f}",
+            "real_time_factor_overall": f"{self._tally.overall_factor(period):.4f}",
+            "late_frames": str(self._tally.late),
+            "load": f"{rates['load']:.4f}",
+            "longest_frame_ms": f"{rates['longest'] * 1e3:.3f}",
+            **self._describe_motion(),
+            **self._further(),
+            "commands_received": str(self._commands.received),
+            "commands_refused": str(self._commands.refused),
+            "commands_outdated": str(self._commands.outdated),
+            "clouds_published": str(self._outputs.published),
+        }
+        status = self._recording.status()
+        values["recording"] = "off" if status is None else status.state
+        if status is not None:
+            values["recording_file"] = str(status.path)
+            values["recording_dropped"] = str(status.dropped)
+        if self._latest.failure:
+            return DiagnosticStatus.ERROR, f"stopped: {self._latest.failure}", values
+        if status is not None and status.state == "failed":
+            return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
+        if rates["late"]:
+            return DiagnosticStatus.WARN, f"{rates['late']} frames late in the last second", values
+        if self._simulation.paused:
+            return DiagnosticStatus.OK, "paused", values
+        return DiagnosticStatus.OK, "running", values
+
+    def _describe_motion(self) -> dict[str, str]:
+        advance = self._latest.advance
+        strain = self._gauge.largest(self._simulation.state.x)
+        energy = self._simulation.energy_report
+        values = {
+            "largest_strain": "not measured" if strain is None else f"{strain:.6f}",
+            "energy_j": "off" if energy is None else f"{energy.total:.9g}",
+        }
+        if energy is not None:
+            values["energy_work_j"] = f"{energy.work:.6g}"
+            values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
+            values["energy_balance_j"] = f"{energy.residual:.3g}"
+        if advance is not None:
+            values["steps_per_frame"] = str(advance.steps)
+            values["integrator"] = advance.integrator
+            values["integrator_why"] = advance.reason
+            values["error_estimate_m"] = "none" if advance.error is None else f"{advance.error:.3g}"
+        return values
+
+    def _look_for_namesakes(self) -> None:
+        """Warn once when another node has this one's name: services and parameters would reach either of them."""
+        own = (self._node.get_name(), self._node.get_namespace())
+        found = self._node.get_node_names_and_namespaces().count(own) > 1
+        if found and not self._namesakes:
+            self._node.get_logger().warning(
+                f"there are several nodes {self._node.get_fully_qualified_name()}: give each its own name or "
+                "namespace (--ros-args -r __node:=other)"
+            )
+        self._namesakes = found
