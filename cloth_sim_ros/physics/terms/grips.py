@@ -147,12 +147,24 @@ class WrenchObserver(Observer):
             duration: length of the run [s], times the weight.
             weight: factor on what was booked.
         """
+        if booked is not None:
+            impulses, work = booked[:, :3], booked[:, 3:]
+            booked = np.concatenate([impulses, np.cross(self._grips.arms(), impulses), work], axis=1)
+        self.add_booked(booked, duration, weight)
+
+    def add_booked(self, booked: Array | None, duration: float, weight: float) -> None:
+        """Take note of a whole run of a compiled loop.
+
+        Args:
+            booked: time integrals of the force [N s] and of the torque [N m s] about its pose that each grip's point
+                exerts on its gripper, and the work done on the cloth by it [J], shape (m, 7); None where nothing is
+                held.
+            duration: length of the run [s], times the weight.
+            weight: factor on what was booked.
+        """
         self._duration += duration
         if booked is not None:
-            grips = self._grips
-            impulses, work = booked[:, :3], booked[:, 3:]
-            row = np.concatenate([impulses, np.cross(grips.arms(), impulses), work], axis=1)
-            np.add.at(self._sum, grips.owners(), weight * row)
+            np.add.at(self._sum, self._grips.owners(), weight * booked)
 
     @property
     def mean_wrenches(self) -> Array:
