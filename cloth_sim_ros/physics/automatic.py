@@ -32,6 +32,8 @@ FUSED_STEP, TERM_STEP, MULTIPLY_ADD = 6.0, 90.0, 0.35
 ITERATIONS = 10.0
 #: Explicit steps are kept while they cost less than this share of real time: they follow what implicit ones damp out.
 AFFORDABLE = 0.5
+#: Sheets of more particles are always stepped explicitly: one implicit frame would take half a minute and gigabytes.
+MOST_IMPLICIT = 50_000
 #: Frames between two comparisons.
 REVIEW = 30
 #: A change has to pay by this factor: the two would else take turns.
@@ -137,7 +139,7 @@ class Automatic(Integrator):
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > _DEAR * memory.explicit):
             return
         memory.explicit = _explicit_frame(dynamics, state, duration)
-        better = memory.explicit > AFFORDABLE * duration * 1e9
+        better = memory.explicit > AFFORDABLE * duration * 1e9 and dynamics.model.particle_count <= MOST_IMPLICIT
         if better:
             implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
             better = implicit <= (_DEAR if memory.implicit else 1.0) * memory.explicit

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads
 from cloth_sim_ros.physics.surface import Layout, Surface, grid_triangles
 from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
 from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
 
 
@@ -125,8 +128,16 @@ class GridSheet:
         return terms
 
     def springs(self, named: dict[str, list[GridFamily]]) -> list[PairSprings]:
-        """The terms of `families` as springs between pairs."""
-        return [self._pairs(name, families) for name, families in named.items()]
+        """The terms of `families` as springs between pairs, whose lists are made when they are asked for."""
+        return [
+            DeferredSprings(
+                partial(self._pairs, name, families),
+                name=name,
+                weak=families[0].weak,
+                damped=any(family.damping > 0.0 for family in families),
+            )
+            for name, families in named.items()
+        ]
 
     def _pairs(self, name: str, families: list[GridFamily]) -> PairSprings:
         index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)

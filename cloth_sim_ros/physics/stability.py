@@ -73,7 +73,9 @@ _SPRING = ("rest_length", "stiffness", "damping")
 
 def _pair_springs(term: Term) -> list[PairSprings]:
     """The pair springs that a term consists of; none for one of another kind."""
-    if type(term) is PairSprings:
+    if isinstance(term, PairSprings) and all(
+        getattr(type(term), what) is getattr(PairSprings, what) for what in ("add_stiffness", "add_damping")
+    ):
         return [term]
     parts = getattr(term, "parts", None)
     return list(parts) if parts is not None else []

@@ -46,15 +46,20 @@ class BandMatrix:
         self._shared = width if self.count >= 4 * width else 0
         self._upper = (self.count - self._shared) // 2 if self._shared else self.count
         self._lower = self.count - self._shared - self._upper
-        last = self.count - 1
+        self._pairs = pairs
+        self._made = False
+
+    def _make(self) -> None:
+        """Make what the first factorisation needs: its cost is known before, from the size alone."""
+        last, places = self.count - 1, self._places
         above = places < self._upper + self._shared
         below = places >= self._upper
         self._maps = (np.where(above, places, -1), np.where(below, last - places, -1))
-        self._chosen = [self._split(ends) for ends in pairs]
-        self._pairs = pairs
-        shape = 3, 3 * (width + 1)
+        self._chosen = [self._split(ends) for ends in self._pairs]
+        shape = 3, 3 * (self.width + 1)
         self._rows = np.zeros((self._upper + self._shared, *shape)), np.zeros((self._lower + self._shared, *shape))
         self._middle = np.zeros((self._shared, 3, 3 * max(self._shared, 1)))
+        self._made = True
 
     def _split(self, pairs: _Index) -> tuple[_Index, _Index]:
         """Which pairs go to the upper and to the lower part."""
@@ -75,6 +80,8 @@ class BandMatrix:
         Raises:
             UnstableError: if the matrix is not positive definite.
         """
+        if not self._made:
+            self._make()
         if self._shared:
             lower = _helper().submit(self._eliminate, 1, blocks, masses, diagonal)
             good = self._eliminate(0, blocks, masses, diagonal)

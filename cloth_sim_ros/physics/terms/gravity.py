@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -23,7 +25,11 @@ class Gravity(Term):
     def __init__(self, masses: ArrayLike, acceleration: ArrayLike) -> None:
         self.acceleration = np.asarray(acceleration, dtype=np.float64).reshape(3)
         self.masses = np.asarray(masses, dtype=np.float64)
-        self._weight = self.acceleration[:, None] * self.masses
+
+    @cached_property
+    def _weight(self) -> Array:
+        """Weights [N], shape (3, particle_count); a fused plan needs none."""
+        return self.acceleration[:, None] * self.masses
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         f += self._weight
