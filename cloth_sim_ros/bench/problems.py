@@ -171,7 +171,7 @@ def carried(resolution: int = 16) -> Problem:
         k = np.full(corner.size, 300.0)
         damping = np.asarray(lecture_damping(0.5, k, sheet.mass))
         grips.hold(np.array([0, corner.size]), corner.astype(np.int64), positions[corner] - place, k, damping)
-        return Dynamics(sheet.model(sheet.index[0], [grips])), State(positions)
+        return sheet.dynamics(sheet.index[0], [grips]), State(positions)
 
     return Problem(
         name=f"carried{resolution}",

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Observer
-from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
+from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
-from cloth_sim_ros.physics.kernels.grid_leapfrog import GridLeapfrog
 from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.terms.base import Array, Term
@@ -94,10 +92,11 @@ class RawSheet:
             terms.append(Drag(masses, self.drag))
         return Model(masses, [*terms, *extra], anchors=anchors)
 
-    def dynamics(self, anchors: Iterable[int]) -> Dynamics:
-        """The sheet as it is shipped: with the fused leapfrog."""
-        dynamics = Dynamics(self.model(anchors))
-        dynamics.plan = FusedLeapfrog(self, dynamics)
+    def dynamics(self, anchors: Iterable[int], extra: Iterable[Term] = ()) -> Dynamics:
+        """The sheet as it is shipped: with the fused plan."""
+        dynamics = Dynamics(self.model(anchors, extra))
+        springs = GridSprings(self.resolution, self.resolution, self.families())
+        GridPlan(dynamics, springs, frozenset({FusedSprings.name}))
         return dynamics
 
     def flat(self, *, hung: bool) -> Array:
@@ -146,22 +145,3 @@ class FusedSprings(Term):
 
     def pair_blocks(self, x: Array, stiffness_weight: float, damping_weight: float) -> Array:
         return np.concatenate([term.pair_blocks(x, stiffness_weight, damping_weight) for term in self.parts])
-
-
-class FusedLeapfrog:
-    """The compiled leapfrog of a raw sheet as a plan of its dynamics; runs that are observed go term by term."""
-
-    def __init__(self, sheet: RawSheet, dynamics: Dynamics) -> None:
-        springs = GridSprings(sheet.resolution, sheet.resolution, sheet.families())
-        inverse = dynamics.model.inverse_masses
-        self._loop = GridLeapfrog(springs, inverse, gravity=sheet.gravity, drag=sheet.drag)
-        self._dynamics = dynamics
-
-    def leapfrog(
-        self, t: float, x: Array, v: Array, step: float, steps: int, observer: Observer | None, weight: float
-    ) -> None:
-        """See `dynamics.LeapfrogPlan`."""
-        if observer is None:
-            self._loop.advance(x, v, steps, step)
-        else:
-            leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight)

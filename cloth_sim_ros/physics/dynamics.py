@@ -20,11 +20,23 @@ class LeapfrogPlan(Protocol):
     """A fused loop that takes over the leapfrog of one model, equal to the sum of its terms to rounding."""
 
     def leapfrog(
-        self, t: float, x: Array, v: Array, step: float, steps: int, observer: Observer | None, weight: float
+        self,
+        t: float,
+        x: Array,
+        v: Array,
+        step: float,
+        steps: int,
+        observer: Observer | None,
+        weight: float,
+        *,
+        narrow: bool,
     ) -> None:
         """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
-        weight.
+        weight. `narrow` asks for single precision inside, where that is faster.
         """
+
+    def narrows(self) -> bool:
+        """Whether `narrow` would make a difference to the next run."""
 
 
 class FusedForces(Protocol):

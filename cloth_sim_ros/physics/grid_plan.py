@@ -6,7 +6,10 @@ loop.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,7 +49,7 @@ class GridPlan:
         model = dynamics.model
         self._forces = GridForces(springs)
         self._bounds = GridBounds(springs)
-        self._loop: GridLeapfrog | None = None
+        self._loop: Callable[[Any], GridLeapfrog] | None = None
         self._grips: Grips | None = None
         gravity, drag = None, 0.0
         for term in model.terms:
@@ -60,7 +63,14 @@ class GridPlan:
                 self._grips = term
             else:
                 return
-        self._loop = GridLeapfrog(springs, model.inverse_masses, gravity=gravity, drag=drag)
+        threads = _threads(springs)
+
+        # Each precision has a loop of its own, made when it is first asked for.
+        @cache
+        def loop(dtype: Any) -> GridLeapfrog:
+            return GridLeapfrog(springs, model.inverse_masses, gravity=gravity, drag=drag, dtype=dtype, threads=threads)
+
+        self._loop = loop
 
     def add_forces(self, x: Array, v: Array, f: Array) -> None:
         """Add the forces [N] of the terms that are taken over to f (3, n)."""
@@ -79,9 +89,11 @@ class GridPlan:
         steps: int,
         observer: Observer | None,
         weight: float,
+        *,
+        narrow: bool = False,
     ) -> None:
         """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
-        weight.
+        weight. `narrow` computes in single precision about the first particle; what changes is added in double.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
         if self._loop is None or self._turns():
@@ -90,11 +102,15 @@ class GridPlan:
         if observer is not None and wrenches is None:
             leapfrog_by_terms(self._dynamics, t, x.copy(), v.copy(), step, steps, observer, weight)
         grips, order = self._held(t)
-        self._loop.advance(x, v, steps, step, grips=grips)
+        self._loop(np.float32 if narrow else np.float64).advance(x, v, steps, step, grips=grips)
         if wrenches is not None:
             back = np.argsort(order)
             booked = None if grips is None else np.column_stack([grips.impulses, grips.work])[back]
             wrenches.add_run(booked, weight * step * steps, weight)
+
+    def narrows(self) -> bool:
+        """Whether single precision would make a difference to the next run."""
+        return self._loop is not None and not self._turns()
 
     def _turns(self) -> bool:
         grips = self._grips
@@ -126,3 +142,13 @@ class GridPlan:
             np.zeros((count, 3)),
             np.zeros(count),
         ), order
+
+
+#: Particles from which a second thread gains more than meeting it costs. The bits do not depend on it.
+_WORTH_A_THREAD = 6000
+
+
+def _threads(springs: GridSprings) -> int:
+    """How many threads take the steps of a sheet."""
+    cores = len(os.sched_getaffinity(0))
+    return 2 if cores > 1 and springs.rows * springs.columns >= _WORTH_A_THREAD and springs.rows >= 16 else 1

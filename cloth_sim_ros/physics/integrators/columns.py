@@ -58,6 +58,7 @@ class Columns:
         observer: sees the first ``observed`` columns with the weights of their combination: its integrals are
             extrapolated as the state is.
         observed: number of columns of the combination that will be taken.
+        narrow: take single precision, where the dynamics have it.
     """
 
     def __init__(
@@ -70,11 +71,13 @@ class Columns:
         *,
         observer: Observer | None = None,
         observed: int = 0,
+        narrow: bool = False,
     ) -> None:
         self._dynamics, self._start, self._t, self._duration = dynamics, start, t, duration
         self._observer = observer
         self._observed = weights(tuple(counts[:observed])) if observer is not None else ()
         self.counts = tuple(counts)
+        self.narrow = narrow
         self.evaluations = 0
         self._runs: list[tuple[Array, Array]] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
@@ -93,15 +96,23 @@ class Columns:
         """
         return float(largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0]))
 
+    def rounding(self) -> float:
+        """Return what single precision would change [m]: the largest distance of a particle in the first run."""
+        single, _ = self._march(0, None, 1.0, narrow=True)
+        return float(largest_distance(single, self.combine(1)[0]))
+
     def _run(self) -> None:
         column = len(self._runs)
-        steps = self.counts[column]
-        x, v = self._start.x.copy(), self._start.v.copy()
         seen = column < len(self._observed)
         observer, weight = (self._observer, self._observed[column]) if seen else (None, 1.0)
+        self._runs.append(self._march(column, observer, weight, narrow=self.narrow))
+
+    def _march(self, column: int, observer: Observer | None, weight: float, *, narrow: bool) -> tuple[Array, Array]:
+        steps = self.counts[column]
+        x, v = self._start.x.copy(), self._start.v.copy()
         step = self._duration / steps
-        self.evaluations += leapfrog(self._dynamics, self._t, x, v, step, steps, observer, weight)
-        self._runs.append((x, v))
+        self.evaluations += leapfrog(self._dynamics, self._t, x, v, step, steps, observer, weight, narrow=narrow)
+        return x, v
 
     def _weighted(self, columns: int) -> tuple[Array, Array]:
         if columns == 1:

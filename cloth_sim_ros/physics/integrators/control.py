@@ -26,6 +26,11 @@ AIM = 0.5
 LONGEST_WAIT = 16
 #: The smallest step is the stability limit divided by this: below it errors are accepted, flagged and counted.
 FINEST = 32.0
+#: Share of the budget that rounding in single precision may take. Small, because rounding shares no symmetry with the
+#: motion: it feeds whatever grows, which the error of the steps as a rule does not.
+NARROW_SHARE = 0.02
+#: A stretch of single precision changes no less than this part of the distances within the sheet.
+NARROW_LEAST = 4e-8
 #: Below this rounding rules [m]: a difference of combinations says nothing.
 ROUNDING = 2e-14
 
@@ -50,6 +55,8 @@ class Memory:
     activity: float = 0.0
     #: Length of the stretches [s]; another length is judged anew.
     stretch: float = 0.0
+    #: What single precision changes over a stretch [m], when last measured; negative when unknown.
+    rounding: float = -1.0
     #: Squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance; negative when unknown.
     omega2: float = -1.0
     damping: float = -1.0
@@ -66,7 +73,9 @@ class Memory:
     def store(self, state: State) -> None:
         """Write the memory into a state."""
         numbers = (self.columns, self.refine, self.wait, self.interval, self.error, self.ratio)
-        state.memory[MEMORY] = np.array((*numbers, self.activity, self.stretch, self.omega2, self.damping))
+        state.memory[MEMORY] = np.array(
+            (*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping)
+        )
 
 
 def cheapest(errors: Sequence[float], refine: float, budget: float, most: int) -> tuple[int, float]:

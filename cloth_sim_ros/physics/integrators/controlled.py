@@ -17,6 +17,8 @@ from cloth_sim_ros.physics.integrators.control import (
     FINEST,
     LONGEST_WAIT,
     MOST_COLUMNS,
+    NARROW_LEAST,
+    NARROW_SHARE,
     SHARE_PER_SECOND,
     Memory,
     cheapest,
@@ -77,7 +79,7 @@ class ControlledAdvance:
         self._budget = SHARE_PER_SECOND * self._stretch * options.tolerance if options.tolerance else math.inf
         memory = Memory.of(state)
         if abs(memory.stretch - self._stretch) > 1e-6 * self._stretch:
-            memory.stretch, memory.wait = self._stretch, 0
+            memory.stretch, memory.wait, memory.rounding = self._stretch, 0, -1.0
         self._memory = memory
         columns = min(memory.columns, options.columns) if controlled else options.columns
         self._choice = _Choice(columns, memory.refine if controlled else 1.0, controlled and memory.wait <= 0)
@@ -211,8 +213,10 @@ class ControlledAdvance:
         on.
         """
         counts = step_counts(self._first, MOST_COLUMNS + 1)
-        if part == 0 and self._kept is not None and self._kept.counts == tuple(counts):
-            return self._kept
+        narrow = self._narrows()
+        kept = self._kept
+        if part == 0 and kept is not None and kept.counts == tuple(counts) and kept.narrow == narrow:
+            return kept
         start = self._state.copy() if part == 0 else self._state
         columns = Columns(
             self._dynamics,
@@ -222,10 +226,28 @@ class ControlledAdvance:
             counts,
             observer=self._observer,
             observed=self._choice.columns,
+            narrow=narrow,
         )
         if part == 0 and self._observer is None:
             self._kept = columns
         return columns
+
+    def _narrows(self) -> bool:
+        """Whether this attempt takes single precision: one run, not judged, of which it was measured what rounding
+        does.
+        """
+        rounding, choice = self._memory.rounding, self._choice
+        return 0.0 <= rounding <= NARROW_SHARE * self._budget and choice.columns == 1 and not choice.judge
+
+    def _rounding(self, columns: Columns) -> float:
+        """What single precision changes over the stretch [m]; negative where it does not come into question."""
+        plan = self._dynamics.plan
+        x = self._state.x
+        # Only one run at a time of the coarse combinations is made in it, and only where it can fit the budget.
+        least = NARROW_LEAST * float((x.max(axis=1) - x.min(axis=1)).max())
+        if plan is None or self._memory.columns > 1 or least > NARROW_SHARE * self._budget or not plan.narrows():
+            return -1.0
+        return columns.rounding()
 
     def _retry(self, columns: int, refine: float) -> None:
         self._choice = _Choice(columns, refine, self._choice.judge)
@@ -237,12 +259,17 @@ class ControlledAdvance:
         if not choice.judge:
             if choice.columns == 1:
                 estimate = memory.error * max(1.0, activity / memory.activity if memory.activity else 1.0)
+                estimate += memory.rounding if columns.narrow else 0.0
                 livelier = activity > LIVELIER * memory.activity
             else:
                 estimate = columns.difference(choice.columns - 1) * memory.ratio
                 livelier = False
             if estimate <= self._budget and not livelier:
                 return estimate
+            if columns.narrow:
+                # A judgement compares runs in double precision.
+                self._choice = attrs.evolve(choice, judge=True)
+                return None
         errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
         error = errors[-1]
         accepted = error <= self._budget
@@ -262,6 +289,7 @@ class ControlledAdvance:
         refine = max(refine, 0.5 * choice.refine)
         self._remember(errors, wanted, refine, activity, error)
         if accepted:
+            memory.rounding = self._rounding(columns)
             return error
         self._choice = _Choice(wanted, refine, False)
         return None

@@ -21,6 +21,8 @@ def leapfrog(
     steps: int,
     observer: Observer | None = None,
     weight: float = 1.0,
+    *,
+    narrow: bool = False,
 ) -> int:
     """Advance x, v (3, n) in place by leapfrog with a predicted midpoint velocity; return the force evaluations.
 
@@ -37,9 +39,10 @@ def leapfrog(
         steps: number of steps.
         observer: called at each midpoint.
         weight: factor on the observer's weights.
+        narrow: take the fused plan's single precision, where it has one.
     """
     if dynamics.plan is not None:
-        dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight)
+        dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight, narrow=narrow)
     else:
         leapfrog_by_terms(dynamics, t, x, v, step, steps, observer, weight)
     return steps + 1

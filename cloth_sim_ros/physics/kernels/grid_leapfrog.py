@@ -32,6 +32,9 @@ from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, REACH, She
 _SECOND_CACHE = 1 << 20
 """Bytes; that of the machines at hand. A wrong guess costs a few per cent."""
 
+_KEPT_PLANS = 16
+"""Step lengths whose constants are kept: those of an extrapolation's runs, of a few frames."""
+
 
 class GridGrips(NamedTuple):
     """Zero-length springs from particles to points on cubic paths (S4 of the model).
@@ -99,7 +102,7 @@ class GridLeapfrog:
         self._drag = float(drag)
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
-        self._plan: tuple[tuple[float, bool], tuple[Any, ...]] | None = None
+        self._plans: dict[tuple[float, bool], tuple[Any, ...]] = {}
         self._sheet = self._cut(inverse, threads)
         self._workers = ThreadPoolExecutor(threads - 1, thread_name_prefix="grid") if threads > 1 else None
 
@@ -125,8 +128,9 @@ class GridLeapfrog:
 
     def _step_plan(self, dt: float, grips: bool) -> tuple[Any, ...]:
         """Shapes and values of the steps, as `advance_sheet` takes them. The last ones are kept."""
-        if self._plan is not None and self._plan[0] == (dt, grips):
-            return self._plan[1]
+        known = self._plans.get((dt, grips))
+        if known is not None:
+            return known
 
         def count_weak(factors: dict[bool, float]) -> Constants:
             dtype, drag, gravity, predicted = self._dtype, self._drag, self._gravity, self._predicts or grips
@@ -140,7 +144,9 @@ class GridLeapfrog:
             plan = (once.shape, fast, once.values, ends, full)
         else:
             plan = (once.shape, None, once.values, once.values, once.values)
-        self._plan = ((dt, grips), plan)
+        if len(self._plans) == _KEPT_PLANS:
+            self._plans.pop(next(iter(self._plans)))
+        self._plans[dt, grips] = plan
         return plan
 
     def compile(self, *, grips: bool = False) -> None:
