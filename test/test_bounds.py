@@ -5,8 +5,11 @@
 import numpy as np
 import pytest
 
+from cloth_sim_ros.events import Grasp, Target
+from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.stability import block_rates
 from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
 
 
 @pytest.mark.parametrize(
@@ -32,6 +35,22 @@ def test_a_grids_blocks_are_the_sum_of_its_terms(values):
             term.add_damping(x, by_terms[1])
     dynamics.forces.add_bounds(x, *fused)
     assert fused == pytest.approx(by_terms, abs=1e-12 * np.abs(by_terms).max())
+
+
+@pytest.mark.parametrize("stretch", [11, 33, 44])
+def test_rates_of_stretches_of_rows_are_those_of_all(stretch, monkeypatch):
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [9, 11], "grippers": ["a", "b"]}))
+    low = simulation.positions[-1]
+    held = [Target("a", low), Target("b", low), Grasp("a", True), Grasp("b", True)]
+    simulation.advance(held)
+    x = simulation.state.x
+    x += 0.03 * np.random.default_rng(1).standard_normal(x.shape)
+    dynamics = simulation.dynamics
+    at_once = dynamics.rates(x)
+    monkeypatch.setattr(GridPlan, "stretch", stretch)
+    assert dynamics.rates(x) == at_once
+    x[1, 40] = np.nan
+    assert np.isnan(dynamics.rates(x)).all()
 
 
 def test_block_rates_are_the_largest_eigenvalues():

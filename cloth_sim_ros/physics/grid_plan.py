@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.terms.base import Array
 
 
+#: Particles whose blocks, a hundred bytes each, fit into a second cache.
+_STRETCH = 8192
+
+
 class GridPlan:
     """Takes over the spring terms of a grid; equal to their sum to rounding.
 
@@ -76,9 +80,18 @@ class GridPlan:
         """Add the forces [N] of the terms that are taken over to f (3, n)."""
         self._forces.add(x, v, f)
 
-    def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
-        """Add the blocks of the terms that are taken over: stiff [N/m], damped [N s/m], each (6, n)."""
-        self._bounds.add(x, stiff, damped)
+    def add_bounds(self, x: Array, stiff: Array, damped: Array, first: int = 0) -> None:
+        """Add the blocks of the terms that are taken over: stiff [N/m], damped [N s/m], each (6, m), of the particles
+        from the first on; they are whole rows.
+        """
+        columns = self._bounds.springs.columns
+        self._bounds.add(x, stiff, damped, rows=(first // columns, (first + stiff.shape[1]) // columns))
+
+    @property
+    def stretch(self) -> int:
+        """Number of particles whose bounds are best asked for at once: rows that fit a cache."""
+        columns = self._bounds.springs.columns
+        return columns * max(1, _STRETCH // columns)
 
     def leapfrog(
         self,

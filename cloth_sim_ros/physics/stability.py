@@ -45,13 +45,39 @@ class Bounds:
                 np.concatenate([term.pairs for term in springs]),
                 *(np.concatenate([getattr(term, what) for term in springs]) for what in _SPRING),
             )
-        self._stiff = np.empty((6, model.particle_count))
-        self._damped = np.empty((6, model.particle_count))
-        self._rates = np.empty(model.particle_count)
+        self._kept: tuple[Array, Array] | None = None
 
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at x."""
-        stiff, damped = self._stiff, self._damped
+        count = self._model.particle_count
+        multiples = [found for found in (term.multiples() for term in self._others) if found is not None]
+        stretch = getattr(self._fused, "stretch", count)
+        simple = self._fused is not None and self._pairs is None and len(multiples) == len(self._others)
+        if self._fused is None or not simple or stretch >= count:
+            return self._of_all(x)
+        # Stretch by stretch: the blocks of all would take more room than the state.
+        omega2, damping = 0.0, 0.0
+        blocks = np.empty((2, 6, stretch))
+        rates = np.empty(stretch)
+        for first in range(0, count, stretch):
+            here = slice(first, min(first + stretch, count))
+            stiff, damped = blocks if here.stop - first == stretch else np.empty((2, 6, here.stop - first))
+            stiff.fill(0.0)
+            damped.fill(0.0)
+            self._fused.add_bounds(x, stiff, damped, first)  # type: ignore[call-arg]
+            for particles, k, c in multiples:
+                _add_multiples(stiff, particles, k, here)
+                _add_multiples(damped, particles, c, here)
+            # Not max(): that loses a NaN.
+            omega2 = float(np.maximum(omega2, self._largest(stiff, here, rates)))
+            damping = float(np.maximum(damping, self._largest(damped, here, rates)))
+        return omega2, damping
+
+    def _of_all(self, x: Array) -> tuple[float, float]:
+        count = self._model.particle_count
+        if self._kept is None:
+            self._kept = np.empty((2, 6, count)), np.empty(count)
+        (stiff, damped), rates = self._kept
         stiff.fill(0.0)
         damped.fill(0.0)
         if self._fused is not None:
@@ -61,11 +87,24 @@ class Bounds:
         for term in self._others:
             term.add_stiffness(x, stiff)
             term.add_damping(x, damped)
-        return self._largest(stiff), self._largest(damped)
+        everybody = slice(0, count)
+        return self._largest(stiff, everybody, rates), self._largest(damped, everybody, rates)
 
-    def _largest(self, blocks: Array) -> float:
-        block_rates(blocks.reshape(-1), self._model.inverse_masses, self._rates)
-        return float(self._rates.max())
+    def _largest(self, blocks: Array, here: slice, rates: Array) -> float:
+        rates = rates[: here.stop - here.start]
+        block_rates(blocks.reshape(-1), self._model.inverse_masses[here], rates)
+        return float(rates.max())
+
+
+def _add_multiples(blocks: Array, particles: NDArray[np.int64] | None, k: Array | float, here: slice) -> None:
+    """Add k I to the blocks of a stretch of particles."""
+    if particles is None:
+        blocks[:3] += k if isinstance(k, float) else k[here]
+    elif particles.size:
+        near = (particles >= here.start) & (particles < here.stop)
+        for part in blocks[:3]:
+            # Several grippers may hold one particle: plain indexing would not add up.
+            np.add.at(part, particles[near] - here.start, np.broadcast_to(k, particles.shape)[near])
 
 
 _SPRING = ("rest_length", "stiffness", "damping")

@@ -53,6 +53,14 @@ class Term(ABC):
     def add_damping(self, x: Array, blocks: Array) -> None:  # noqa: B027
         """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
 
+    def multiples(self) -> tuple[NDArray[np.int64] | None, Array | float, Array | float] | None:
+        """Return particles (None for all), k [N/m] and c [N s/m] of a term whose blocks are k I and c I, wherever the
+        particles are; None for any other term.
+        """
+        if type(self).add_stiffness is Term.add_stiffness and type(self).add_damping is Term.add_damping:
+            return np.empty(0, dtype=np.int64), 0.0, 0.0
+        return None
+
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:  # noqa: B027
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
 

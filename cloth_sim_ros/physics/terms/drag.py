@@ -36,5 +36,8 @@ class Drag(Term):
     def add_damping(self, x: Array, blocks: Array) -> None:
         blocks[:3] += self._coefficient
 
+    def multiples(self) -> tuple[None, float, Array]:
+        return None, 0.0, self._coefficient
+
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         out -= self._coefficient * dv

@@ -107,6 +107,9 @@ class Grips(Term):
         for i in range(3):
             np.add.at(blocks[i], self.particles, self.damping)
 
+    def multiples(self) -> tuple[np.ndarray, Array, Array]:
+        return self.particles, self.stiffness, self.damping
+
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         p = self.particles
         for i in range(3):
