@@ -8,7 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.events import Grasp, Pause, Reset, SetParameters, Step, Target
+    from cloth_sim_ros.events import Grasp, Pause, Relax, Reset, SetParameters, Step, Target
     from cloth_sim_ros.physics.dynamics import Dynamics
     from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
     from cloth_sim_ros.physics.model import Model
@@ -31,6 +31,7 @@ _PLACES = {
     "Model": "physics.model",
     "PairSprings": "physics.terms.pair_springs",
     "Pause": "events",
+    "Relax": "events",
     "Reset": "events",
     "Scene": "scene",
     "SetParameters": "events",
@@ -50,6 +51,7 @@ __all__ = [
     "Model",
     "PairSprings",
     "Pause",
+    "Relax",
     "Reset",
     "Scene",
     "SetParameters",

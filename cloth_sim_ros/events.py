@@ -61,7 +61,15 @@ class Reset:
     """Cloth and grippers return to their initial state; the frame number goes on."""
 
 
-Event = Target | Grasp | SetParameters | Pause | Step | Reset
+@attrs.frozen
+class Relax:
+    """The tolerance in force becomes so many times the scene's, until the next such event; 1 takes it back."""
+
+    #: From 1 to `relaxation.MOST_FACTOR`.
+    factor: float = attrs.field(converter=float)
+
+
+Event = Target | Grasp | SetParameters | Pause | Step | Reset | Relax
 
 _KINDS: dict[str, type] = {
     "target": Target,
@@ -70,6 +78,7 @@ _KINDS: dict[str, type] = {
     "pause": Pause,
     "step": Step,
     "reset": Reset,
+    "relax": Relax,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 

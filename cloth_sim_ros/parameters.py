@@ -50,6 +50,8 @@ class Parameter:
     choices: tuple[str, ...] = ()
     #: May change while the cloth runs; takes effect at the next frame.
     live: bool = False
+    #: A change shows or reports something else, and leaves the motion as it is, to the last bit.
+    observes: bool = False
 
     @property
     def element(self) -> str:

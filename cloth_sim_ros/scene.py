@@ -12,7 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros import parameter_file, parameters, scene_files
+from cloth_sim_ros import parameter_file, parameters, relaxation, scene_files
 from cloth_sim_ros.cloth_identity import cloth_of, difference
 from cloth_sim_ros.parameters import ParameterError, parameter, section
 from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
@@ -34,7 +34,7 @@ from cloth_sim_ros.scene_physics import (
     build_sheet,
     grid_threads_of,
 )
-from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Record
+from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record
 
 MOST_PARTICLES = 4_000_000
 #: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
@@ -98,6 +98,16 @@ class Scene:
         most=1.0,
         live=True,
     )
+    overload: str = parameter(
+        "string",
+        "slow",
+        "What gives way where the machine is too slow for real time: slow lets frames come late; relax relaxes the "
+        "tolerance, ten times at most and never beyond 0.01 m, and tightens it again where there is room",
+        choices=("slow", "relax"),
+        live=True,
+        observes=True,
+    )
+    points: Points = section(Points)
     record: Record = section(Record)
     diagnostics: Diagnostics = section(Diagnostics)
     #: Content of the files that parameters name, by that name; what a recording must hold to run again.
@@ -252,9 +262,10 @@ class Scene:
             velocities = np.einsum("ij,nj->ni", turn, sheet.velocities)
         return State(self.initial_positions(), velocities, cloth=cloth_of(sheet))
 
-    def build_integrator(self) -> Integrator:
-        """The integrator that the scene asks for."""
-        return make_integrator(self.integrator, step=self.step or None, tolerance=self.tolerance or None)
+    def build_integrator(self, *, factor: float = 1.0) -> Integrator:
+        """The integrator that the scene asks for, its tolerance relaxed by a factor."""
+        tolerance = relaxation.relaxed(self.tolerance, factor) or None
+        return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance)
 
     def _loaded_state(self) -> State:
         what = f"initial_state '{self.initial_state}'"
@@ -273,6 +284,7 @@ class Scene:
             raise ParameterError(f"{what} has {len(poses)} grippers, the cloth {len(self.gripper_names)}")
         state.frame = 0
         state.memory.pop("paused", None)
+        relaxation.set_factor(state, 1.0)
         return state
 
     def _check_sheet(self) -> None:

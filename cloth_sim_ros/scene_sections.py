@@ -175,6 +175,15 @@ class Gripper:
 
 
 @attrs.frozen(kw_only=True)
+class Points:
+    """What ~/points tells of each particle beside its position."""
+
+    velocity: bool = parameter(
+        "bool", False, "Fields vx, vy, vz [m/s] behind x, y, z; the cloud is twice as large", live=True, observes=True
+    )
+
+
+@attrs.frozen(kw_only=True)
 class Record:
     """Recording of sessions."""
 

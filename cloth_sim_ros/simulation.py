@@ -10,9 +10,10 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
+from cloth_sim_ros import relaxation
 from cloth_sim_ros.cloth_identity import difference
 from cloth_sim_ros.energy_watch import EnergyReport, EnergyWatch
-from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target, ordered
+from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance, restart
@@ -26,6 +27,8 @@ from cloth_sim_ros.scene import Scene
 REACH = 1e4
 #: Change of a closed gripper's mean velocity from one frame to the next [m/s] from which its target counts as jumping.
 _JUMP = 0.5
+#: Parameters whose change leaves the motion as it is.
+_OBSERVING = frozenset(entry.name for entry in Scene.declared() if entry.observes)
 
 
 class EventError(ValueError):
@@ -152,6 +155,10 @@ class Simulation:
                 self._scene.changed(event.values)
             except ValueError as error:
                 raise EventError(str(error)) from error
+        elif isinstance(event, Relax) and not 1.0 <= event.factor <= relaxation.MOST_FACTOR:
+            raise EventError(
+                f"a tolerance is relaxed {event.factor} times; it must be from 1 to {relaxation.MOST_FACTOR:g}"
+            )
 
     def advance(self, events: Sequence[Event] = ()) -> Frame:
         """Apply events at the frame's boundary, then let one frame of time pass, unless paused.
@@ -175,6 +182,8 @@ class Simulation:
             self.state.restore(before)
             if self._scene is not scene:
                 self._apply_scene(scene)
+            else:
+                self._hold_tolerance()
             raise
 
     def _advance(self, events: list[Event]) -> Frame:
@@ -188,7 +197,12 @@ class Simulation:
                     grasps.append(self._grasp(event))
                 case SetParameters(values=values):
                     self._apply_scene(self._scene.changed(values))
-                    restart(self.state)
+                    if not values.keys() <= _OBSERVING:
+                        restart(self.state)
+                        wake(self.state)
+                case Relax(factor=factor):
+                    relaxation.set_factor(self.state, factor)
+                    self._hold_tolerance()
                     wake(self.state)
                 case Pause(paused=paused):
                     self.state.memory["paused"][0] = paused
@@ -285,8 +299,9 @@ class Simulation:
         )
 
     def _reset(self) -> None:
-        frame, paused = self.state.frame, self.paused
+        frame, paused, factor = self.state.frame, self.paused, relaxation.factor_of(self.state)
         self.state.restore(self._initial)
+        relaxation.set_factor(self.state, factor)
         self.state.frame = frame
         self.state.memory["paused"] = np.array([paused])
         self.grippers = Grippers(self._scene.gripper_names, self.state)
@@ -295,15 +310,20 @@ class Simulation:
         self._scene = scene
         self.dynamics = scene.dynamics()
         self.model = self.dynamics.model
-        self._integrator = scene.build_integrator()
         grips = [term for term in self.model.terms if isinstance(term, Grips)]
         self._grips = grips[0] if grips else None
         self._wrenches = WrenchObserver(self._grips) if self._grips else None
         self._energy = EnergyWatch(self.dynamics) if scene.diagnostics.energy else None
         self.energy_report = None
         self._no_wrenches = np.zeros((len(self.grippers.names), 6))
+        self._hold_tolerance()
+
+    def _hold_tolerance(self) -> None:
+        """Let integrator and sleep follow the tolerance in force: the scene's, relaxed by what the state says."""
+        scene, factor = self._scene, relaxation.factor_of(self.state)
+        self._integrator = scene.build_integrator(factor=factor)
         #: Tolerance in force [m], None where the step is fixed or none is set.
-        self._tolerance = (scene.tolerance or None) if not scene.step else None
+        self._tolerance = (relaxation.relaxed(scene.tolerance, factor) or None) if not scene.step else None
         self._sleep = Sleep(self.dynamics, tolerance=self._tolerance, period=scene.period)
         self._known_to_rest, self._slept = False, None
 

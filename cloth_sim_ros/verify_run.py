@@ -184,6 +184,7 @@ class _Run:
             ("its time", record.time, frame.time),
             ("the digest of its state", record.digest, simulation.state.digest()),
             ("its steps", record.steps, steps),
+            ("its tolerance", record.tolerance, frame.tolerance),
             ("its integrator", record.integrator, frame.integrator),
             ("whether it is paused", record.paused, simulation.paused),
         ):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from session_maker import SessionMaker
 
-from cloth_sim_ros.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target
+from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target
 from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.session.writer import WriterOptions
@@ -76,6 +76,8 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
         events.append(Pause(not simulation.paused))
     if simulation.paused and random.random() < 0.4:
         events.append(Step() if random.random() < 0.5 else Pause(False))
+    if random.random() < 0.05:
+        events.append(Relax(float(random.choice([1.0, 2.0, 10.0]))))
     if random.random() < 0.02:
         events.append(Reset())
     # The order of arrival is any.
@@ -105,6 +107,7 @@ def _change(random: np.random.Generator) -> dict[str, Any]:
         {"gravity": random.uniform(-5.0, 5.0, 3).tolist()},
         {"air.drag": float(random.uniform(0.0, 2.0))},
         {"gripper.radius": float(random.uniform(0.05, 0.3)), "gripper.stiffness": float(random.uniform(10.0, 1000.0))},
+        {"points.velocity": bool(random.random() < 0.5), "overload": "relax"},
         {"step": float(random.choice([0.0, 1e-4]))},
     ]
     return changes[random.integers(len(changes))]

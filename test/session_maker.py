@@ -182,7 +182,7 @@ class SessionMaker:
             time=frame.time,
             events=tuple(to_dict(event) for event in frame.events),
             integrator=frame.integrator,
-            tolerance=None,
+            tolerance=frame.tolerance,
             steps=frame.advance.steps if frame.advance else 0,
             digest=self.simulation.state.digest(),
             paused=self.simulation.paused,

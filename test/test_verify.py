@@ -133,9 +133,9 @@ def test_one_flipped_bit_in_a_wrench_is_found(tmp_path: Path) -> None:
     assert (verdict.first_frame, verdict.first_reason) == (20, "the wrench on gripper")
 
 
-@pytest.mark.parametrize("key", ["digest", "steps", "time", "paused", "integrator"])
+@pytest.mark.parametrize("key", ["digest", "steps", "time", "paused", "integrator", "tolerance"])
 def test_a_changed_record_of_a_frame_is_found(tmp_path: Path, key: str) -> None:
-    changed = {"digest": "0" * 32, "steps": 1, "time": 0.7, "paused": True, "integrator": "other"}
+    changed = {"digest": "0" * 32, "steps": 1, "time": 0.7, "paused": True, "integrator": "other", "tolerance": 1.0}
 
     def spoil(data: bytes) -> bytes:
         return encode_string(json.dumps({**json.loads(decode_string(data)), key: changed[key]}))

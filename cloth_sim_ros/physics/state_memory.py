@@ -41,6 +41,10 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             raise ValueError(f"memory '{name}' is of type {array.dtype}; it must be float64, int64 or bool")
     if "paused" in memory:
         _check_one("paused", memory["paused"], _BOOL, (1,))
+    if "relaxed" in memory:
+        _check_one("relaxed", memory["relaxed"], _FLOAT, (1,))
+        if not memory["relaxed"][0] >= 1.0:
+            raise ValueError(f"memory 'relaxed' is {memory['relaxed'][0]}; it must be at least 1")
     if "sleep" in memory:
         _check_one("sleep", memory["sleep"], _INT, (2,))
     if not any(name in memory for name in _GRIPPERS):

@@ -238,6 +238,8 @@ def _story(event: Any, grippers: GripperTracks) -> str:
         return f"{name} closes, holds {held} particles" if event["closed"] else f"{name} opens"
     if kind == "set_parameters":
         return ", ".join(f"{name} = {value}" for name, value in event["values"].items())
+    if kind == "relax":
+        return f"tolerance times {event['factor']:g}"
     if kind == "pause":
         return "paused" if event["paused"] else "goes on"
     return {"step": "one step", "reset": "reset"}.get(str(kind), "")
