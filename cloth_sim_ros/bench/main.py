@@ -19,6 +19,7 @@ COMMANDS = {
         "stability",
         "thousands of attacks: stiffness, step, damping and events; the limits found and predicted",
     ),
+    "speed": ("speed", "ns per spring against C, simulated seconds per wall second, two threads against one"),
 }
 
 

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+
 import attrs
 import numba
 import numpy as np
@@ -101,15 +104,32 @@ def _finish(speeds, slopes, a, v, inverse_masses, gravity, rate):  # type: ignor
             a[c, i] = a[c, i] * inverse_masses[i] + moves * (gravity[c] - rate * v[c, i])
 
 
-def reference(problem: Problem) -> Reference:
-    """Compute a problem's reference at the end of every frame."""
+def reference(problem: Problem, *, tolerance: float = TOLERANCE, check: float = CHECK) -> Reference:
+    """Compute a problem's reference at the end of every frame.
+
+    Args:
+        problem: the scene.
+        tolerance: relative and absolute tolerance of the solver.
+        check: that of the run that it is compared with; what they differ by is the reference's own error.
+    """
     times: Array = np.arange(1, problem.frames + 1, dtype=np.float64) * PERIOD
     if problem.exact is not None:
         return Reference(times, np.stack([problem.exact(t) for t in times]), 0.0)
-    fine = _solve(problem, times, TOLERANCE)
-    rough = _solve(problem, times, CHECK)
+    with _one_blas_thread():
+        fine = _solve(problem, times, tolerance)
+        rough = _solve(problem, times, check)
     error = max(float(largest_distance(a, b)) for a, b in zip(fine, rough, strict=True))
     return Reference(times, fine, error)
+
+
+def _one_blas_thread() -> contextlib.AbstractContextManager[object]:
+    """Threads of a product of a matrix with a handful of rows wait more than they work."""
+    if importlib.util.find_spec("threadpoolctl") is None:
+        return contextlib.nullcontext()
+    from threadpoolctl import threadpool_limits
+
+    limits: contextlib.AbstractContextManager[object] = threadpool_limits(1, "blas")
+    return limits
 
 
 def _solve(problem: Problem, times: Array, tolerance: float) -> Array:

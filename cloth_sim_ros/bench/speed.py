@@ -1,0 +1,139 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How fast: ns per spring against hand-vectorised C, real-time factor of scene C, two threads against one."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+
+import numpy as np
+
+from cloth_sim_ros.bench import speed_curtain
+from cloth_sim_ros.bench.problems import curtain
+from cloth_sim_ros.bench.reference_kernel import find_compiler
+from cloth_sim_ros.bench.report import Plot, Report, Table
+from cloth_sim_ros.bench.speed_kernels import kernel_time, thread_gain
+
+#: A force evaluation takes at most so many times the C kernel's time.
+KERNEL_PROMISE = 1.5
+#: Simulated seconds per wall second that scene C reaches at least, by N, with an error of at most a millimetre.
+CURTAIN_PROMISES = {32: 25.0, 64: 8.0, 128: 1.5}
+#: Two threads are at least so many times as fast as one, from so many particles a side.
+THREAD_PROMISE, THREADS_FROM = 1.7, 96
+#: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The second is the default.
+TOLERANCES = (1e-3, 1e-4)
+PARTS = ("kernels", "curtain", "threads")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parts = ", ".join(PARTS)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {parts}")
+    for name, sizes, text in (
+        ("--kernels", [32, 64, 96, 128, 256, 512], "sheets for the kernels, particles a side"),
+        ("--curtains", [*speed_curtain.SCORED_FRAMES], "sheets of scene C"),
+        ("--threads", [64, 96, 128, 256], "sheets for two threads against one"),
+    ):
+        parser.add_argument(name, type=int, nargs="+", metavar="N", default=sizes, help=text)
+    parser.add_argument("--seconds", type=float, default=3.0, help="of timing for each row of a table")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure what was asked for."""
+    report = Report("Speed", "cloth_bench speed")
+    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
+        "kernels": _kernels,
+        "curtain": _curtains,
+        "threads": _threads,
+    }
+    for part in PARTS:
+        if part in options.only:
+            parts[part](options, report)
+    report.notes.append(
+        "medians of candidates that take turns; ratios are medians over the rounds; kernels on one core by their "
+        "processor time, all else by the wall clock"
+    )
+    return report
+
+
+def _kernels(options: argparse.Namespace, report: Report) -> None:
+    compiler = find_compiler()
+    if compiler is None:
+        report.notes.append("no C compiler here ($CC, cc, gcc, clang): our kernels alone, nothing to compare them with")
+    columns = [
+        "N",
+        "precision",
+        "C forces",
+        "forces",
+        "to C",
+        "whole step",
+        "weak springs every second step: faster by",
+    ]
+    table = Table("Nanoseconds per spring, one core", columns)
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for dtype in (np.float32, np.float64):
+        for resolution in options.kernels:
+            row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
+            known = ["-", row.forces, "-"] if row.c is None else [row.c, row.forces, row.ratio]
+            table.rows.append([resolution, row.precision, *known, row.step, row.step / row.alternate])
+            for name, value in (("C forces", row.c), ("forces", row.forces), ("whole step", row.step)):
+                if value is not None:
+                    lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))
+            if row.ratio is not None and row.ratio > KERNEL_PROMISE:
+                report.failures.append(
+                    f"forces at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; promised {KERNEL_PROMISE:g}"
+                )
+    report.tables.append(table)
+    report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
+
+
+def _curtains(options: argparse.Namespace, report: Report) -> None:
+    columns = ["N", "tolerance m", "cores", "x real time", "least", "most", "evaluations a frame", "error m", "at s"]
+    table = Table("Scene C as shipped", columns)
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for resolution in options.curtains:
+        scene = speed_curtain.scored(curtain, resolution)
+        known = speed_curtain.trusted(scene)
+        speeds = speed_curtain.curtain_speeds(scene, known, tolerances=TOLERANCES, seconds=options.seconds)
+        for speed in speeds:
+            row = [resolution, speed.tolerance, "one" if speed.one_core else "all", speed.factor]
+            row += [min(speed.factors), max(speed.factors), speed.evaluations, speed.error, scene.duration]
+            table.rows.append(row)
+            lines.setdefault(f"tolerance {row[1]:g}, cores: {row[2]}", []).append((float(resolution), speed.factor))
+        report.notes.append(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
+        best = speed_curtain.loosest_accurate(speeds)
+        promise = CURTAIN_PROMISES.get(resolution, 0.0)
+        if best is None:
+            report.failures.append(f"curtain N = {resolution}: no tolerance held {speed_curtain.ACCURATE:g} m")
+            continue
+        report.notes.append(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
+        if best.factor < promise:
+            report.failures.append(f"curtain N = {resolution}: {best.factor:.3g} x real time; promised {promise:g}")
+    report.tables.append(table)
+    report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
+
+
+def _threads(options: argparse.Namespace, report: Report) -> None:
+    if len(os.sched_getaffinity(0)) < 2:
+        report.notes.append("one core alone is allowed here: two threads are not timed")
+        return
+    columns = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "same bits"]
+    table = Table("A frame of 1/60 s on two threads against one", columns)
+    for dtype in (np.float32, np.float64):
+        for resolution in options.threads:
+            row = thread_gain(resolution, dtype, seconds=options.seconds)
+            table.rows.append(
+                [resolution, row.precision, row.steps, 1e3 * row.one, 1e3 * row.two, row.gain, _yes(row.same)]
+            )
+            where = f"two threads at N = {resolution}, {row.precision}"
+            if not row.same:
+                report.failures.append(f"{where}: other bits than one thread")
+            if resolution >= THREADS_FROM and row.gain < THREAD_PROMISE:
+                report.failures.append(f"{where}: {row.gain:.2f} times one; promised {THREAD_PROMISE:g}")
+    report.tables.append(table)
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
