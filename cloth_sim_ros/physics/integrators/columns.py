@@ -10,8 +10,9 @@ h^4, ...; docs/time_stepping.md). K columns with step counts n_1 < ... < n_K are
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,15 +28,16 @@ from cloth_sim_ros.physics.terms.base import Array
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
 
 
-def step_counts(first: int, columns: int) -> list[int]:
+@lru_cache(maxsize=256)
+def step_counts(first: int, columns: int) -> tuple[int, ...]:
     """Return the columns' step counts for a first column of so many steps; each is larger than the one before."""
     counts = [first]
     for ratio in RATIOS[1:columns]:
-        counts.append(max(counts[-1] + 1, int(np.ceil(first * ratio - 1e-9))))
-    return counts
+        counts.append(max(counts[-1] + 1, math.ceil(first * ratio - 1e-9)))
+    return tuple(counts)
 
 
-@cache
+@lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
     """Return the weights of T_K for K columns of these step counts."""
     # Scaled by the first count: the powers stay near 1.

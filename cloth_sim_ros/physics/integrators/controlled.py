@@ -158,23 +158,23 @@ class ControlledAdvance:
         """
         total = 0.0
         for part in range(self._parts):
-            error = self._part(part)
+            error = self._part(part, start)
             if error is None:
                 return None
             total += error
         if self._choice.judge:
-            self._choice = attrs.evolve(self._choice, judge=False)
+            self._choice = _Choice(self._choice.columns, self._choice.refine, False)
         elif self._options.tolerance is not None:
             self._memory.wait -= 1
         return total
 
-    def _part(self, part: int) -> float | None:
+    def _part(self, part: int, start: State) -> float | None:
         state, choice = self._state, self._choice
         t = self._t + part * self._stretch
         # A stretch that stability would take in one step is refined from there.
         longest = self._options.step or min(SAFETY * self._limit, self._stretch)
         self._first = steps_for(self._stretch, longest / choice.refine)
-        columns = self._columns(part, t)
+        columns = self._columns(part, t, start)
         before = columns.evaluations
         x, v = columns.combine(choice.columns)
         if not all_finite(x, v):
@@ -208,19 +208,18 @@ class ControlledAdvance:
         state.x[:], state.v[:] = x, v
         return error
 
-    def _columns(self, part: int, t: float) -> Columns:
+    def _columns(self, part: int, t: float, start: State) -> Columns:
         """The runs of a stretch; those of the first are kept over attempts with the same steps, unless somebody looks
         on.
         """
         counts = step_counts(self._first, MOST_COLUMNS + 1)
         narrow = self._narrows()
         kept = self._kept
-        if part == 0 and kept is not None and kept.counts == tuple(counts) and kept.narrow == narrow:
+        if part == 0 and kept is not None and kept.counts == counts and kept.narrow == narrow:
             return kept
-        start = self._state.copy() if part == 0 else self._state
         columns = Columns(
             self._dynamics,
-            start,
+            start if part == 0 else self._state,
             t,
             self._stretch,
             counts,
@@ -245,9 +244,11 @@ class ControlledAdvance:
         x = self._state.x
         # Only one run at a time of the coarse combinations is made in it, and only where it can fit the budget.
         least = NARROW_LEAST * float((x.max(axis=1) - x.min(axis=1)).max())
-        if plan is None or self._memory.columns > 1 or least > NARROW_SHARE * self._budget or not plan.narrows():
+        most = NARROW_SHARE * self._budget
+        if plan is None or self._memory.columns > 1 or least > most or not plan.narrows():
             return -1.0
-        return columns.rounding()
+        # What was far too much will not become little.
+        return self._memory.rounding if self._memory.rounding > 1.5 * most else columns.rounding()
 
     def _retry(self, columns: int, refine: float) -> None:
         self._choice = _Choice(columns, refine, self._choice.judge)
@@ -268,7 +269,7 @@ class ControlledAdvance:
                 return estimate
             if columns.narrow:
                 # A judgement compares runs in double precision.
-                self._choice = attrs.evolve(choice, judge=True)
+                self._choice = _Choice(choice.columns, choice.refine, True)
                 return None
         errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
         error = errors[-1]

@@ -1,0 +1,80 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Single precision: taken where the tolerance leaves room for its rounding, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.bench.raw_sheet import RawSheet
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.integrators.base import restart
+from cloth_sim_ros.physics.integrators.control import NARROW_SHARE, SHARE_PER_SECOND, Memory
+from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.state import State
+
+PERIOD = 1 / 60
+
+
+def build() -> tuple[Dynamics, State]:
+    sheet = RawSheet(resolution=20)
+    return sheet.dynamics(sheet.index[0]), State(sheet.flat(hung=False))
+
+
+def precisions(dynamics: Dynamics) -> list[bool]:
+    """The precision of each run from now on: True for single."""
+    seen: list[bool] = []
+    plan = dynamics.plan
+    assert plan is not None
+    run = plan.leapfrog
+
+    def watched(*arguments, narrow, **others):  # type: ignore[no-untyped-def]
+        seen.append(narrow)
+        run(*arguments, narrow=narrow, **others)
+
+    plan.leapfrog = watched  # type: ignore[method-assign]
+    return seen
+
+
+def frames(tolerance: float, count: int) -> tuple[list[list[bool]], State]:
+    """The precision of the runs of each frame, and the end."""
+    dynamics, state = build()
+    seen, each = precisions(dynamics), []
+    for frame in range(count):
+        seen.clear()
+        Extrapolated(tolerance=tolerance).advance(dynamics, state, frame * PERIOD, PERIOD)
+        each.append(list(seen))
+    return each, state
+
+
+def test_a_loose_tolerance_takes_it_between_judgements() -> None:
+    each, state = frames(1e-2, 24)
+    # The first frame is judged: two runs in double, and one that measures what single precision would have changed.
+    assert each[0] == [False, False, True]
+    assert each[1] == [True]
+    assert sum(runs == [True] for runs in each) > 12
+    rounding = Memory.of(state).rounding
+    assert 1e-9 < rounding < NARROW_SHARE * SHARE_PER_SECOND * PERIOD * 1e-2
+
+
+def test_a_tight_tolerance_never_does() -> None:
+    each, state = frames(1e-6, 24)
+    assert not any(any(runs) for runs in each)
+    assert Memory.of(state).rounding < 0.0
+
+
+def test_it_stays_well_within_the_tolerance() -> None:
+    _, loose = frames(1e-2, 30)
+    _, tight = frames(1e-7, 30)
+    assert 0.0 < np.abs(loose.x - tight.x).max() < 1e-4
+
+
+def test_an_event_asks_anew() -> None:
+    dynamics, state = build()
+    for frame in range(3):
+        Extrapolated(tolerance=1e-2).advance(dynamics, state, frame * PERIOD, PERIOD)
+    assert Memory.of(state).rounding > 0.0
+    restart(state)
+    seen = precisions(dynamics)
+    Extrapolated(tolerance=1e-2).advance(dynamics, state, 3 * PERIOD, PERIOD)
+    assert seen[0] is False
