@@ -6,8 +6,8 @@
 #   make test    the tests
 # Both make the environment when it is missing, and start at once when it is there.
 #
-# For those who work on it: make check (what CI runs: format, lint, types, tests), format, soak, bench, screenshots,
-# colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), ARGS (more arguments), as in
+# For those who work on it: make check (what CI runs: format, lint, types, tests), format, soak, bench, benchmarks,
+# screenshots, colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
 
@@ -33,7 +33,7 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run test check format soak bench screenshots colcon clean
+.PHONY: help run test check format soak bench benchmarks screenshots colcon clean
 .DEFAULT_GOAL := help
 
 help:
@@ -64,6 +64,10 @@ soak: $(DEV)
 
 bench: $(DEV)
 	@$(BIN)/cloth_bench $(ARGS)
+
+# docs/benchmarks.md anew: an hour or two; ARGS names sections, as in make benchmarks ARGS="speed skip".
+benchmarks: $(DEV)
+	@$(BIN)/python scripts/benchmarks.py $(ARGS)
 
 # The pictures of the README and docs, anew, from real sessions.
 screenshots: $(DEV)

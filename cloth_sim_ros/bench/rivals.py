@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import time
 from collections.abc import Callable
 
@@ -41,6 +42,8 @@ class Solver:
     #: ours, library, or beside: shown, but in no comparison.
     kind: str
     solve: Callable[[Problem, float], Run]
+    #: What was asked for [m]; infinite for a fixed step.
+    tolerance: float = math.inf
 
 
 def library_solvers(*, slow: bool) -> list[Solver]:
@@ -75,7 +78,7 @@ def _ours(name: str, tolerance: float) -> Solver:
             evaluations += integrator.advance(dynamics, state, frame * PERIOD, PERIOD).evaluations
         return Run(state.x, time.perf_counter() - begin, evaluations)
 
-    return Solver(f"ours, {name}", f"tolerance {tolerance:g}", "ours", solve)
+    return Solver(f"ours, {name}", f"tolerance {tolerance:g}", "ours", solve, tolerance)
 
 
 def _plain(share: float) -> Solver:

@@ -1,0 +1,91 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Makes docs/benchmarks.md from what `cloth_bench` prints, a section for each of its commands.
+
+scripts/benchmarks.py            all of them, one after the other: an hour or two on an idle machine
+scripts/benchmarks.py speed skip these alone; the other sections stay as they are
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "benchmarks.md"
+PICTURES = ROOT / "docs" / "images"
+#: What is run for each section, in the order of the page.
+SECTIONS = {
+    "conditioning": "conditioning",
+    "tolerance": "tolerance --energy",
+    "work-precision-16": "work-precision --scene curtain16 --slow",
+    "work-precision-32": "work-precision --scene curtain32",
+    "stability": "stability",
+    "speed": "speed",
+    "skip": "skip",
+    "scale": "scale",
+    "peers": "peers",
+}
+HEAD = """# Benchmarks
+
+Made by `make benchmarks`, which runs the commands below; nothing here is written by hand. Each section names the
+machine, the versions and the commit that it was measured with. NOT MET marks what was demanded and missed. What the
+figures mean: docs/time_stepping.md, docs/kernels.md.
+"""
+
+
+def main() -> int:
+    """Run the sections that are asked for and write the page; 1 if a command could not do its work."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sections", nargs="*", metavar="section", help=f"of {', '.join(SECTIONS)}; all if left out")
+    wanted = parser.parse_args().sections or list(SECTIONS)
+    if unknown := [name for name in wanted if name not in SECTIONS]:
+        parser.error(f"no section {', '.join(unknown)}; there are {', '.join(SECTIONS)}")
+    lost = 0
+    for name in wanted:
+        print(f"{name}: cloth_bench {SECTIONS[name]}", flush=True)
+        text = measured(SECTIONS[name].split())
+        if text is None:
+            lost += 1
+            continue
+        # After each: what was measured stays if the next one is interrupted.
+        write(known() | {name: text})
+    return 1 if lost else 0
+
+
+def measured(command: list[str]) -> str | None:
+    """Run a command; its section with its pictures, or None if it broke down."""
+    with tempfile.TemporaryDirectory() as folder:
+        page, plots = Path(folder) / "section.md", Path(folder) / "plots"
+        tool = [sys.executable, "-m", "cloth_sim_ros.bench.main", *command]
+        done = subprocess.run([*tool, "--markdown", page, "--plots", plots], cwd=ROOT, check=False)
+        if not page.exists():
+            print(f"cloth_bench {' '.join(command)} ended with {done.returncode} and without figures", file=sys.stderr)
+            return None
+        text = page.read_text().rstrip()
+        for plot in sorted(plots.glob("*.png")) if plots.exists() else []:
+            plot.rename(PICTURES / f"bench_{plot.name}")
+            text += f"\n\n![{plot.stem}](images/bench_{plot.name})"
+        return text + "\n"
+
+
+def known() -> dict[str, str]:
+    """The page's sections by name."""
+    if not PAGE.exists():
+        return {}
+    parts = re.split(r"^<!-- (\S+) -->\n", PAGE.read_text(), flags=re.MULTILINE)
+    return {name: text.strip() + "\n" for name, text in zip(parts[1::2], parts[2::2], strict=True)}
+
+
+def write(sections: dict[str, str]) -> None:
+    """Write the page."""
+    body = [f"<!-- {name} -->\n{sections[name]}" for name in SECTIONS if name in sections]
+    PAGE.write_text("\n".join([HEAD, *body]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
