@@ -20,7 +20,7 @@ def simulation(**values: Any) -> Simulation:
     return Simulation(Scene.from_parameters(parameters | values))
 
 
-def test_the_tolerance_in_force_is_a_multiple_of_the_scenes():
+def test_the_tolerance_in_force_is_a_multiple_of_the_scenes() -> None:
     cloth = simulation()
     evaluations = [cloth.advance().advance.evaluations for _ in range(20)][-1]
     frame = cloth.advance([Relax(10.0)])
@@ -44,18 +44,18 @@ def test_the_tolerance_in_force_is_a_multiple_of_the_scenes():
     ],
     ids=["centimetre", "beyond it by itself", "none", "fixed step"],
 )
-def test_how_far_a_tolerance_can_be_relaxed(values, in_force):
+def test_how_far_a_tolerance_can_be_relaxed(values: dict[str, Any], in_force: float | None) -> None:
     assert simulation(**values).advance([Relax(10.0)]).tolerance == in_force
 
 
-def test_it_outlives_a_reset_and_a_change_of_the_tolerance():
+def test_it_outlives_a_reset_and_a_change_of_the_tolerance() -> None:
     cloth = simulation()
     cloth.advance([Relax(4.0)])
     assert cloth.advance([Reset()]).tolerance == pytest.approx(4e-6)
     assert cloth.advance([SetParameters({"tolerance": 1e-5})]).tolerance == pytest.approx(4e-5)
 
 
-def test_a_run_goes_on_from_a_snapshot_bit_for_bit():
+def test_a_run_goes_on_from_a_snapshot_bit_for_bit() -> None:
     cloth = simulation()
     for events in ([], [Relax(8.0)], [], []):
         cloth.advance(events)
@@ -67,7 +67,7 @@ def test_a_run_goes_on_from_a_snapshot_bit_for_bit():
         assert cloth.state.digest() == twin.state.digest()
 
 
-def test_a_saved_state_starts_with_the_scenes_own_tolerance():
+def test_a_saved_state_starts_with_the_scenes_own_tolerance() -> None:
     cloth = simulation()
     cloth.advance([Relax(8.0)])
     values = {**cloth.scene.parameters(), "initial_state": "saved.npz"}
@@ -75,7 +75,7 @@ def test_a_saved_state_starts_with_the_scenes_own_tolerance():
     assert started.advance().tolerance == 1e-6
 
 
-def test_what_fails_leaves_the_tolerance_as_it_was(monkeypatch):
+def test_what_fails_leaves_the_tolerance_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = simulation()
 
     def fail(*_: Any) -> None:
@@ -91,19 +91,19 @@ def test_what_fails_leaves_the_tolerance_as_it_was(monkeypatch):
 
 
 @pytest.mark.parametrize("factor", [0.5, 10.1, float("nan"), float("inf"), -1.0])
-def test_other_factors_are_refused(factor):
+def test_other_factors_are_refused(factor: float) -> None:
     with pytest.raises(EventError, match=r"relaxed .* times; it must be from 1 to 10"):
         simulation().advance([Relax(factor)])
 
 
-def test_a_state_file_with_another_factor_is_refused():
+def test_a_state_file_with_another_factor_is_refused() -> None:
     cloth = simulation()
     cloth.state.memory["relaxed"] = np.array([0.5])
     with pytest.raises(ValueError, match=r"'relaxed' is 0\.5; it must be at least 1"):
         State.from_bytes(cloth.state.to_bytes())
 
 
-def test_parameters_that_only_show_something_change_no_bit():
+def test_parameters_that_only_show_something_change_no_bit() -> None:
     plain, watched = simulation(), simulation()
     for number in range(6):
         plain.advance()

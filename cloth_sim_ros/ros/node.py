@@ -25,6 +25,7 @@ from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
 from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecording
+from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
@@ -102,6 +103,7 @@ class ClothNode:
             lambda wanted: refuse_endless_frames(wanted, self._simulation.state.x),
         )
         self.tally = diagnostics.Tally()
+        self._relief = Relief(self._simulation, self._log)
         self._latest = Latest()
         report = Report(
             self.node,
@@ -111,6 +113,7 @@ class ClothNode:
             commands=self._commands,
             outputs=self._outputs,
             recording=self._recording,
+            further=self._relief.describe,
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
         self._overheard = Overheard(self.node, self._recording)
@@ -168,6 +171,7 @@ class ClothNode:
             self.node.get_logger().info(f"recording into {path}")
         self._outputs.start(now)
         self._follows_clock = bool(self.node.get_parameter("use_sim_time").value)
+        self._relief.live = not self._follows_clock
         if self._follows_clock:
             self._pacer = ClockPacer(
                 self.node,
@@ -216,7 +220,7 @@ class ClothNode:
         # A frame that is late takes what came since it was due, too.
         until = due.stamp if self._follows_clock else max(due.stamp, self.node.get_clock().now().nanoseconds)
         try:
-            frame = self._stepper.step(until, self._companions.events(due.stamp))
+            frame = self._stepper.step(until, [*self._companions.events(due.stamp), *self._relief.events()])
         except StopRequestedError:
             self._cut_off = True
             return
@@ -240,6 +244,7 @@ class ClothNode:
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
+        self._relief.add(frame, taken)
         self._count_late(due, taken)
 
     def _count_late(self, due: Due, taken: float) -> None:
