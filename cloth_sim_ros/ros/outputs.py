@@ -15,6 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
+from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
 from cloth_sim_ros.scene import Scene
@@ -23,6 +24,8 @@ from cloth_sim_ros.scene import Scene
 STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: For what is said once: those who come later hear it too.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: What rclpy raises for overrides of the wrong kind, or that no middleware has.
+_BAD_PROFILE = (RuntimeError, AssertionError, AttributeError, TypeError, ValueError)
 #: How long the node waits at its end for subscribers to receive the last messages.
 _FLUSH = Duration(seconds=0.2)
 
@@ -39,7 +42,11 @@ class Tape(Protocol):
 
 
 class Output:
-    """One topic."""
+    """One topic.
+
+    Raises:
+        ParameterError: for overrides of its quality of service that make no profile.
+    """
 
     def __init__(
         self, node: Node, kind: Any, topic: str, tape: Tape, *, qos: QoSProfile = STREAM, droppable: bool = False
@@ -47,9 +54,18 @@ class Output:
         self._kind = kind
         self._tape = tape
         self._droppable = droppable
-        self._publisher = node.create_publisher(
-            kind, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies()
-        )
+        # A profile of its own: rclpy writes the overrides of a topic into the very object that it is given.
+        own = QoSProfile(depth=qos.depth, reliability=qos.reliability, durability=qos.durability)
+        try:
+            self._publisher = node.create_publisher(
+                kind, topic, own, qos_overriding_options=QoSOverridingOptions.with_default_policies()
+            )
+        except _BAD_PROFILE as error:
+            name, reason = node.resolve_topic_name(topic), str(error) or type(error).__name__
+            raise ParameterError(
+                f"qos_overrides.{name}.publisher: {reason}; reliability is reliable or best_effort, "
+                "history keep_last or keep_all, depth a whole number"
+            ) from error
         #: Under the node's own name, whatever the topic is remapped to: a session looks the same everywhere.
         self.topic = node.resolve_topic_name(topic, only_expand=True)
 
