@@ -7,6 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from cloth_sim_ros import ros_yaml
 from cloth_sim_ros.parameters import ParameterError
 
 _KEY = "ros__parameters"
@@ -30,7 +31,7 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text") -> dict[s
     import yaml
 
     try:
-        tree = yaml.safe_load(text)
+        tree = ros_yaml.load(text)
     except yaml.YAMLError as error:
         raise ParameterError(f"'{source}' is not YAML: {error}") from error
     if not isinstance(tree, dict):
@@ -52,8 +53,6 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text") -> dict[s
 
 def dump(values: dict[str, Any], *, node: str = "/**") -> str:
     """Return a parameter file that sets the given parameters; floats keep every bit."""
-    import yaml
-
     tree: dict[str, Any] = {}
     for name, value in values.items():
         branch = tree
@@ -61,7 +60,7 @@ def dump(values: dict[str, Any], *, node: str = "/**") -> str:
         for part in sections:
             branch = branch.setdefault(part, {})
         branch[last] = list(value) if isinstance(value, tuple) else value
-    return str(yaml.safe_dump({node: {_KEY: tree}}, sort_keys=False, default_flow_style=None, width=120))
+    return ros_yaml.dump({node: {_KEY: tree}})
 
 
 def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:

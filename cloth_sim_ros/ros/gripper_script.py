@@ -14,6 +14,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from cloth_sim_ros import ros_yaml
 from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_vector
 
 Vector = tuple[float, ...]
@@ -65,7 +66,7 @@ class GripperScript:
         import yaml
 
         try:
-            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+            content = ros_yaml.load(Path(path).read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
             raise ScriptError(f"cannot read the script '{path}': {error}") from error
         try:

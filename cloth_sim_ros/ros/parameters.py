@@ -27,9 +27,12 @@ _TYPES = {
     "double[]": RosParameter.Type.DOUBLE_ARRAY,
     "string[]": RosParameter.Type.STRING_ARRAY,
 }
+_SIM_TIME = "use_sim_time"
 #: What rclpy declares by itself.
-_FOREIGN = ("use_sim_time", "start_type_description_service")
-_FOREIGN_PREFIX = "qos_overrides."
+_FOREIGN = (_SIM_TIME, "start_type_description_service")
+#: Quality of service of a topic that the node publishes, and what of it may be overridden.
+_PROFILE = "qos_overrides.{topic}.publisher.{policy}"
+_POLICIES = ("reliability", "history", "depth")
 
 
 def declare(node: Node) -> Scene:
@@ -51,7 +54,7 @@ def declare(node: Node) -> Scene:
         node.declare_parameter(
             entry.name, RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value, describe(entry), True
         )
-    _warn_of_unknown(node, known)
+    _warn_of_unknown(node, [*(entry.name for entry in known), *_FOREIGN, *_profiles(node, scene)])
     return scene
 
 
@@ -127,6 +130,10 @@ class LiveParameters:
             self._returning = False
 
     def _set(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        for change in changes:
+            if change.name == _SIM_TIME and change.value != self._node.get_parameter(_SIM_TIME).value:
+                reason = f"{_SIM_TIME} can't change while the cloth runs; set it at start"
+                return SetParametersResult(successful=False, reason=reason)
         values = {change.name: _plain(change.value) for change in changes if change.name in self._names}
         if not values or self._returning:
             return SetParametersResult(successful=True)
@@ -140,14 +147,21 @@ class LiveParameters:
         return SetParametersResult(successful=True)
 
 
-def _warn_of_unknown(node: Node, known: Sequence[Parameter]) -> None:
-    """Warn of overrides that nothing has declared: a typing error in a parameter file is easily overlooked."""
-    names = [entry.name for entry in known]
+def _profiles(node: Node, scene: Scene) -> list[str]:
+    """Return the names of the overrides that the node's publishers look at; those of the topics after remapping."""
+    topics = ["~/points", "~/topology", "~/mesh", "/diagnostics", *(f"~/{name}/wrench" for name in scene.gripper_names)]
+    return [
+        _PROFILE.format(topic=node.resolve_topic_name(topic), policy=policy) for topic in topics for policy in _POLICIES
+    ]
+
+
+def _warn_of_unknown(node: Node, known: Sequence[str]) -> None:
+    """Warn of overrides that nothing looks at: a typing error in a parameter file is easily overlooked."""
     for name in node.list_parameters([], 0).names:
-        if name in names or name in _FOREIGN or name.startswith(_FOREIGN_PREFIX):
+        if name in known:
             continue
         node.undeclare_parameter(name)
-        close = difflib.get_close_matches(name, names, n=1)
+        close = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean '{close[0]}'?" if close else ""
         node.get_logger().warning(f"there is no parameter '{name}', what sets it has no effect{hint}")
 

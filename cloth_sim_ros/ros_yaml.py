@@ -1,0 +1,76 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""YAML as ROS reads it: a plain `1e-5` is a number, a plain `1_000`, `12:30` or date is a text.
+
+PyYAML follows YAML 1.1; ROS's own parser (rcl_yaml_param_parser) asks the functions strtoll and strtod of C. A file
+must mean the same with and without ROS.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from typing import Any
+
+_BOOL = re.compile(r"^(?:y|Y|yes|Yes|YES|true|True|TRUE|on|On|ON|n|N|no|No|NO|false|False|FALSE|off|Off|OFF)$")
+_TRUE = ("y", "yes", "true", "on")
+_INT = re.compile(r"^[-+]?(?:0[0-7]*|[1-9][0-9]*|0[xX][0-9a-fA-F]+)$")
+_FLOAT = re.compile(
+    r"^(?:[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
+    # A leading 0 means octal; where it can't, C's strtod makes a floating point number of it.
+    r"|[-+]?0[0-9]*[89][0-9]*"
+    r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+)
+_RESOLVED = {
+    "tag:yaml.org,2002:bool": (_BOOL, "yYnNtTfFoO"),
+    "tag:yaml.org,2002:int": (_INT, "-+0123456789"),
+    "tag:yaml.org,2002:float": (_FLOAT, "-+0123456789."),
+}
+
+
+def load(text: str) -> Any:
+    """Return what a text holds, in plain Python values.
+
+    Raises:
+        yaml.YAMLError: if it is no YAML.
+    """
+    import yaml
+
+    return yaml.load(text, Loader=_loader())
+
+
+def dump(content: Any) -> str:
+    """Return a text that holds plain Python values, read alike by ROS, by `load` and by any reader of YAML 1.1."""
+    import yaml
+
+    return str(yaml.dump(content, Dumper=_dumper(), sort_keys=False, default_flow_style=None, width=120))
+
+
+@functools.cache
+def _loader() -> Any:
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """A SafeLoader with other plain scalars."""
+
+    others = {*_RESOLVED, "tag:yaml.org,2002:timestamp"}
+    Loader.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in others]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    for tag, (pattern, first) in _RESOLVED.items():
+        Loader.add_implicit_resolver(tag, pattern, list(first))
+    Loader.add_constructor("tag:yaml.org,2002:bool", lambda _, node: str(node.value).lower() in _TRUE)
+    return Loader
+
+
+@functools.cache
+def _dumper() -> Any:
+    import yaml
+
+    class Dumper(yaml.SafeDumper):
+        """A SafeDumper that quotes every text that some reader would take for something else."""
+
+    for tag, (pattern, first) in _RESOLVED.items():
+        Dumper.add_implicit_resolver(tag, pattern, list(first))
+    return Dumper
