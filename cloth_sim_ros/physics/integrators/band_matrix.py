@@ -9,8 +9,10 @@ threads give the same bits.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,20 @@ _Index = NDArray[np.int64]
 def _helper() -> ThreadPoolExecutor:
     """The second thread."""
     return ThreadPoolExecutor(1, thread_name_prefix="band")
+
+
+class _Here(Executor):
+    """Runs what it is given at once, where waking a thread would take longer."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        done: Future[Any] = Future()
+        done.set_result(fn(*args, **kwargs))
+        return done
+
+
+_HERE = _Here()
+#: Multiplications from which a factorisation is worth two threads.
+_WORTH_A_THREAD = 2_000_000
 
 
 class BandMatrix:
@@ -46,6 +62,7 @@ class BandMatrix:
         self._shared = width if self.count >= 4 * width else 0
         self._upper = (self.count - self._shared) // 2 if self._shared else self.count
         self._lower = self.count - self._shared - self._upper
+        self._threaded = 4.5 * self.count * (width + 1) ** 2 >= _WORTH_A_THREAD
         self._pairs = pairs
         self._made = False
 
@@ -69,6 +86,10 @@ class BandMatrix:
         lower = (ends >= self._upper + self._shared).any(axis=1)
         return np.flatnonzero(near & ~lower), np.flatnonzero(near & lower)
 
+    def _side(self) -> Executor:
+        """What runs the lower part: the second thread where there is enough to do for both."""
+        return _helper() if self._threaded else _HERE
+
     def update(self, blocks: list[Array], masses: Array, diagonal: Array) -> None:
         """Assemble and factorise.
 
@@ -83,7 +104,7 @@ class BandMatrix:
         if not self._made:
             self._make()
         if self._shared:
-            lower = _helper().submit(self._eliminate, 1, blocks, masses, diagonal)
+            lower = self._side().submit(self._eliminate, 1, blocks, masses, diagonal)
             good = self._eliminate(0, blocks, masses, diagonal)
             good = lower.result() and good
             band.join(*self._rows, self._upper, self._lower, self._middle)
@@ -113,14 +134,14 @@ class BandMatrix:
         if self._shared:
             lower = y[self._upper :][::-1].copy()
             lower[self._lower :] = 0.0
-            below = _helper().submit(band.forward, self._rows[1], self._lower, lower)
+            below = self._side().submit(band.forward, self._rows[1], self._lower, lower)
             band.forward(self._rows[0], self._upper, upper)
             below.result()
             middle = upper[self._upper :] + lower[self._lower :][::-1]
             band.forward(self._middle, self._shared, middle)
             band.backward(self._middle, self._shared, middle)
             upper[self._upper :], lower[self._lower :] = middle, middle[::-1]
-            below = _helper().submit(band.backward, self._rows[1], self._lower, lower)
+            below = self._side().submit(band.backward, self._rows[1], self._lower, lower)
             band.backward(self._rows[0], self._upper, upper)
             below.result()
             y[self._upper :] = lower[::-1]

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.dynamics import Dynamics
@@ -17,6 +18,7 @@ from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.grips import Grips
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
@@ -35,8 +37,30 @@ _ATTEMPTS = 12
 CONVERGED_DISTANCE = 1e-9
 #: A stage that takes more iterations is given up, and the step made smaller.
 MOST_ITERATIONS = 30
-#: Steps of a frame beyond which errors, and stages that do not converge, are accepted, flagged and counted.
-MOST_STEPS = 32
+#: So is one whose corrections shrink by less than this factor from this iteration on: compression's negative stiffness,
+#: which the matrix leaves out, makes the iteration converge linearly at best.
+_SLOW, _SLOW_FROM = 0.5, 6
+#: Iterations of a last resort: eight of them take all but a few thousandths of what can be lowered.
+_LAST_ITERATIONS = 8
+#: Energy that a step may make, relative to what it moves: the error of a good one is of either sign.
+_GAIN = 1e-4
+#: Rounding of a sum of energies, relative to it.
+_ROUNDING = 1e-12
+#: Steps of a frame from which errors are accepted, flagged and counted; from fewer on, so are stages that do not
+#: converge: what has no solution within reach has none for smaller steps either, down to those of an explicit method.
+MOST_STEPS, LAST_STEPS = 32, 8
+
+
+@attrs.frozen
+class _Step:
+    """One step: positions and velocities at its end, its last acceleration, and its estimated error [m]."""
+
+    x: Array
+    v: Array
+    a: Array
+    error: float
+    #: Times, weights, positions and velocities of its quadrature points.
+    stages: tuple[tuple[float, float, Array, Array], ...]
 
 
 class ImplicitAdvance:
@@ -62,20 +86,15 @@ class ImplicitAdvance:
     def run(self) -> Advance:
         """Do it."""
         state, memory, integrator = self._state, self._memory, self._integrator
-        if integrator.step is not None:
-            steps = steps_for(self._duration, integrator.step)
-        elif integrator.tolerance is not None and memory.stretch > 0.0:
-            steps = steps_for(self._duration, memory.stretch)
-        else:
-            steps = 1
-        least = steps if integrator.step is not None else 1
+        least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
+        steps = max(least, steps_for(self._duration, memory.stretch)) if memory.stretch > 0.0 else least
         start, rejected = state.copy(), 0
         while True:
             if self._observer is not None:
                 self._observer.restart()
-            self._last_resort = steps >= MOST_STEPS
+            self._last_resort = steps >= LAST_STEPS
             error = self._steps(steps)
-            if error is not None and (error <= self._budget or steps >= MOST_STEPS):
+            if error is not None and (error <= self._budget or steps >= MOST_STEPS or self._unsolved):
                 break
             state.restore(start)
             rejected += 1
@@ -83,14 +102,11 @@ class ImplicitAdvance:
                 raise UnstableError(f"implicit: steps of {self._duration / steps:.3g} s did not stay finite")
             grow = 2.0 if error is None else math.sqrt(error / (AIM * self._budget))
             finer = max(steps + 1, math.ceil(steps * min(grow, 8.0)))
-            steps = min(finer, MOST_STEPS) if error is not None or steps < MOST_STEPS else 2 * steps
+            steps = min(finer, MOST_STEPS) if steps < MOST_STEPS else 2 * steps
         flagged = int(error > self._budget) + self._unsolved
         h = self._duration / steps
-        if integrator.tolerance is not None:
-            wanted = steps * math.sqrt(max(error, 1e-30) / (AIM * self._budget))
-            fewer = max(1, min(steps, math.ceil(max(wanted, 0.5 * steps))))
-            memory.stretch = self._duration / (fewer if wanted < steps else math.ceil(wanted))
-            memory.store(state)
+        memory.stretch = self._duration / self._steps_next(steps, least, error)
+        memory.store(state)
         return Advance(
             steps=steps,
             evaluations=self._evaluations,
@@ -104,6 +120,16 @@ class ImplicitAdvance:
             reason=self._reason(h, steps),
         )
 
+    def _steps_next(self, steps: int, least: int, error: float) -> int:
+        """Steps for the next advance, after one with so many: at most half as many, at most `MOST_STEPS`."""
+        if self._integrator.tolerance is None:
+            return max(least, steps // 2)
+        if self._unsolved:
+            return steps
+        wanted = math.ceil(min(2.0 * MOST_STEPS, steps * math.sqrt(max(error, 1e-30) / (AIM * self._budget))))
+        # What no step can hold is not remembered: the motion may be calm again in the next frame.
+        return max(1, steps // 2, min(wanted, max(steps, MOST_STEPS)))
+
     def _reason(self, h: float, steps: int) -> str:
         tolerance = self._integrator.tolerance
         if self._integrator.step is not None or tolerance is None:
@@ -114,57 +140,95 @@ class ImplicitAdvance:
 
     def _steps(self, steps: int) -> float | None:
         """Take equal steps; return the sum of their errors, or None if a stage did not converge."""
-        from cloth_sim_ros.physics.integrators.implicit import GAMMA, error_constant
-
-        state, h = self._state, self._duration / steps
-        d = GAMMA * h
+        h = self._duration / steps
         self._close = CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._unsolved = math.inf, 0
-        total = 0.0
-        x, v = state.x, state.v
-        a = np.empty_like(x)
-        self._dynamics.acceleration(self._t, x, v, a)
-        guess = a.copy()
+        state, total = self._state, 0.0
+        guess = np.empty_like(state.x)
+        self._dynamics.acceleration(self._t, state.x, state.v, guess)
         for k in range(steps):
             t = self._t + k * h
-            first = self._stage(t + d, x, v, d, guess)
-            if first is None:
+            done = self._step(t, h, guess)
+            if self._last_resort and (done is None or self._makes_energy(t, h, done)):
+                # Better unsolved than unstable.
+                self._unsolved += 1
+                done = self._safe_step(t, h, guess)
+            if done is None:
                 return None
-            k1x, k1v = first
-            # The second stage starts from where the first one's slopes lead.
-            base_x, base_v = x + (h - d) * k1x, v + (h - d) * k1v
-            second = self._stage(t + h, base_x, base_v, d, k1v)
-            if second is None:
-                return None
-            k2x, k2v = second
             if self._observer is not None:
-                self._observer.observe(t + d, x + d * k1x, k1x, h - d)
-                self._observer.observe(t + h, base_x + d * k2x, k2x, d)
-            x += (h - d) * k1x + d * k2x
-            v += (h - d) * k1v + d * k2v
-            guess = k2v
-            total += error_constant() * h * h / (1.0 - GAMMA) * float(largest_distance(k1v, k2v))
-        return total if all_finite(x, v) else None
+                for moment, weight, x, v in done.stages:
+                    self._observer.observe(moment, x, v, weight)
+            state.x[:], state.v[:], guess = done.x, done.v, done.a
+            total += done.error
+        return total if all_finite(state.x, state.v) else None
+
+    def _step(self, t: float, h: float, guess: Array) -> _Step | None:
+        """Take one step of the method; None if a stage does not converge."""
+        from cloth_sim_ros.physics.integrators.implicit import GAMMA, error_constant
+
+        x, v, d = self._state.x, self._state.v, GAMMA * h
+        first = self._stage(t + d, x, v, d, guess)
+        if first is None:
+            return None
+        k1x, k1v = first
+        # The second stage starts from where the first one's slopes lead.
+        base_x, base_v = x + (h - d) * k1x, v + (h - d) * k1v
+        second = self._stage(t + h, base_x, base_v, d, k1v)
+        if second is None:
+            return None
+        k2x, k2v = second
+        error = error_constant() * h * h / (1.0 - GAMMA) * float(largest_distance(k1v, k2v))
+        end = base_x + d * k2x
+        stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
+        return _Step(end, base_v + d * k2v, k2v, error, stages)
+
+    def _safe_step(self, t: float, h: float, guess: Array) -> _Step:
+        """Take a step by the implicit Euler method that lowers what it minimises, and makes no energy."""
+        x, v = self._state.x, self._state.v
+        u = self._descend(t + h, x, v, h, guess)
+        end = x + h * u
+        error = 0.5 * h * float(largest_distance(u, v + h * guess))
+        moved = _Step(end, u, (u - v) / h, error, ((t + h, h, end, u),))
+        gain, kinetic = self._gain(t, h, moved)
+        if gain > 0.0:
+            # What was minimised leaves no more potential energy than there was energy: slower is enough.
+            slower = math.sqrt(max(0.0, 1.0 - gain / kinetic)) if kinetic > 0.0 else 0.0
+            moved = attrs.evolve(moved, v=slower * u, a=(slower * u - v) / h)
+        return moved
+
+    def _makes_energy(self, t: float, h: float, done: _Step) -> bool:
+        gain, kinetic = self._gain(t, h, done)
+        return not gain <= _GAIN * (kinetic + abs(self._work(done)))
+
+    def _gain(self, t: float, h: float, done: _Step) -> tuple[float, float]:
+        """Energy after a step less what there was and what grippers put in [J], and the kinetic energy after it [J]."""
+        before = self._dynamics.energy(t, self._state.x, self._state.v)
+        after = self._dynamics.energy(t + h, done.x, done.v)
+        kinetic = 0.5 * float(np.sum(self._dynamics.model.masses * done.v * done.v))
+        return after - before - self._work(done) - _ROUNDING * abs(before), kinetic
+
+    def _work(self, done: _Step) -> float:
+        """Work of the grippers over a step [J], as an observer sees it."""
+        work, nothing = 0.0, np.zeros_like(done.x)
+        for term in self._dynamics.model.terms:
+            if isinstance(term, Grips) and term.particles.size:
+                for moment, weight, x, v in done.stages:
+                    term.add_force(moment, x, v, nothing)
+                    work += weight * float(term.wrenches[:, 6].sum())
+        return work
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
         """Solve a = a(t, x + d u, u), u = v + d a; return u and a, or None if it does not converge."""
-        masses = self._dynamics.model.masses
         moving = self._dynamics.model.inverse_masses > 0.0
         u = v + d * guess * moving
-        a = np.empty_like(x)
         last = math.inf
         for iteration in range(MOST_ITERATIONS):
-            place = x + d * u
-            self._dynamics.acceleration(t, place, u, a)
-            self._evaluations += 1
-            correction = masses * (v + d * a - u) * moving
-            self._matrix.update(place, d)
-            self._matrix.solve(correction)
+            correction = self._correction(t, x, v, d, u)
             if iteration >= _PATIENCE:
                 correction *= self._share(t, x, v, d, u, correction)
             u += correction
             size = d * float(np.sqrt((correction * correction).sum(axis=0).max()))
-            if not math.isfinite(size):
+            if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > _SLOW * last):
                 return None
             if last < math.inf:
                 self._curvature = max(0.5 * self._curvature if self._curvature < math.inf else 0.0, size / last**2)
@@ -172,13 +236,32 @@ class ImplicitAdvance:
             if size <= self._close or self._curvature * size * size <= _MARGIN * self._close:
                 return u, (u - v) / d
             last = size
-        if not self._last_resort:
-            return None
-        # Better unsolved than unstable: no more energy than there is, if need be by stopping.
-        self._unsolved += 1
-        if not self._merit(t, x, v, d, u) <= self._merit(t, x, v, d, np.zeros_like(u)):
-            u = np.zeros_like(u)
-        return u, (u - v) / d
+        return None
+
+    def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
+        """Return velocities u of a stage that lower what it minimises, from the best of some starts; one is rest."""
+        starts = [v + d * guess * (self._dynamics.model.inverse_masses > 0.0), v.copy(), np.zeros_like(v)]
+        merits = [self._merit(t, x, v, d, start) for start in starts]
+        best = min(range(len(starts)), key=lambda i: merits[i] if math.isfinite(merits[i]) else math.inf)
+        u = starts[best]
+        for _ in range(_LAST_ITERATIONS):
+            correction = self._correction(t, x, v, d, u)
+            share = self._share(t, x, v, d, u, correction)
+            if share <= _LEAST_SHARE:
+                break
+            u += share * correction
+        return u
+
+    def _correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
+        """Newton's correction of a stage's velocities."""
+        masses = self._dynamics.model.masses
+        place, a = x + d * u, np.empty_like(x)
+        self._dynamics.acceleration(t, place, u, a)
+        self._evaluations += 1
+        correction = masses * (v + d * a - u) * (self._dynamics.model.inverse_masses > 0.0)
+        self._matrix.update(place, d)
+        self._matrix.solve(correction)
+        return correction
 
     def _share(self, t: float, x: Array, v: Array, d: float, u: Array, correction: Array) -> float:
         """Return how much of a correction to take: the largest power of 1/2 that lowers what the stage minimises.
@@ -186,6 +269,7 @@ class ImplicitAdvance:
         That is ``1/2 |u - v|^2_M + E(x + d u) + d/2 u'D u`` while the damping matrix D is nearly constant.
         """
         share, before = 1.0, self._merit(t, x, v, d, u)
+        before += _ROUNDING * abs(before)
         while share > _LEAST_SHARE and not self._merit(t, x, v, d, u + share * correction) <= before:
             share *= 0.5
         return share
