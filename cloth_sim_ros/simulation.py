@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
 from cloth_sim_ros import relaxation
 from cloth_sim_ros.cloth_identity import difference
-from cloth_sim_ros.energy_watch import EnergyReport, EnergyWatch
 from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
@@ -22,6 +22,9 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
 from cloth_sim_ros.scene import Scene
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.energy_watch import EnergyReport, EnergyWatch
 
 #: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
 REACH = 1e4
@@ -313,7 +316,11 @@ class Simulation:
         grips = [term for term in self.model.terms if isinstance(term, Grips)]
         self._grips = grips[0] if grips else None
         self._wrenches = WrenchObserver(self._grips) if self._grips else None
-        self._energy = EnergyWatch(self.dynamics) if scene.diagnostics.energy else None
+        self._energy: EnergyWatch | None = None
+        if scene.diagnostics.energy:
+            from cloth_sim_ros.energy_watch import EnergyWatch
+
+            self._energy = EnergyWatch(self.dynamics)
         self.energy_report = None
         self._no_wrenches = np.zeros((len(self.grippers.names), 6))
         self._hold_tolerance()

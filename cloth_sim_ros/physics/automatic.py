@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import attrs
 import numpy as np
@@ -14,11 +15,8 @@ from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, 
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
-from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.march import leapfrog_limit
-from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
-from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
 from cloth_sim_ros.physics.state import State
 
 #: Integrators by the name that a scene gives.
@@ -54,8 +52,12 @@ def make_integrator(name: str, *, step: float | None = None, tolerance: float | 
     if name == "extrapolated":
         return Extrapolated(step=step, tolerance=held)
     if name == "implicit":
+        from cloth_sim_ros.physics.integrators.implicit import Implicit
+
         return Implicit(step, tolerance=held)
     if name == "symplectic_euler":
+        from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
+
         return SymplecticEuler(step)
     raise ValueError(f"no integrator '{name}'; there are {', '.join(INTEGRATORS)}")
 
@@ -101,7 +103,11 @@ class Automatic(Integrator):
     def __init__(self, *, tolerance: float | None = None) -> None:
         self.tolerance = tolerance
         self._explicit = Leapfrog() if tolerance is None else Extrapolated(tolerance=tolerance)
-        self._implicit = Implicit(tolerance=tolerance)
+
+    @cached_property
+    def _implicit(self) -> Integrator:
+        """The implicit method, which most scenes never come to."""
+        return make_integrator("implicit", tolerance=self.tolerance)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
@@ -166,5 +172,7 @@ def _explicit_frame(dynamics: Dynamics, state: State, duration: float) -> float:
 
 def _implicit_iteration(dynamics: Dynamics) -> float:
     """Estimated cost of one iteration of the implicit method [ns]."""
+    from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
+
     rows, width = stage_matrix(dynamics).size
     return MULTIPLY_ADD * 4.5 * rows * width * width + TERM_STEP * dynamics.model.particle_count

@@ -1,0 +1,120 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start of a live cloth: from the start of its process to the first cloud at a subscriber that waits for it.
+
+`python -m cloth_sim_ros.ros.measure_start` starts `cloth_sim` so often, each time in a namespace of its own. The first
+start, which may compile kernels, is told apart: the others find them in the cache. Beside the wall time stands the
+processor time that the process had taken by then: where the machine is busy, the wall time is above it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+#: Longest wait for a first cloud [s]: a first start compiles.
+_PATIENCE = 300.0
+#: What is asked of a start with a warm cache [s].
+GOAL = 2.0
+
+
+def measure_start(index: int, arguments: Sequence[str] = ()) -> tuple[float, float]:
+    """Start a cloth, wait for its first cloud, stop it; return the wall time from one to the other and its processor
+    time then [s].
+
+    Args:
+        index: tells its namespace.
+        arguments: further ROS arguments, e.g. ``-p cloth.resolution:=[64,64]``.
+
+    Raises:
+        RuntimeError: if it ends, or sends nothing.
+    """
+    namespace = f"start_{os.getpid()}_{index}"
+    node = Node("start_probe", namespace=namespace)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    arrivals: list[float] = []
+    node.create_subscription(
+        PointCloud2,
+        "cloth_sim/points",
+        lambda _: arrivals.append(time.monotonic()),
+        QoSProfile(depth=10),
+        raw=True,
+    )
+    command = [sys.executable, "-m", "cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments]
+    begun = time.monotonic()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        while not arrivals:
+            executor.spin_once(timeout_sec=0.05)
+            if process.poll() is not None:
+                _, said = process.communicate()
+                raise RuntimeError(f"the cloth ended with status {process.returncode}: {said[-2000:]}")
+            if time.monotonic() - begun > _PATIENCE:
+                raise RuntimeError(f"no cloud came in {_PATIENCE:g} s")
+        busy = _processor_time(process.pid)
+    finally:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=10.0)
+        process.kill()
+        executor.shutdown()
+        node.destroy_node()
+    return arrivals[0] - begun, busy
+
+
+def _processor_time(pid: int) -> float:
+    """Processor time that a process has taken so far [s]."""
+    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the times as JSON.
+
+    Returns:
+        Exit status: 0, or 1 where the median of the warm starts is above the goal.
+    """
+    parser = argparse.ArgumentParser(prog="python -m cloth_sim_ros.ros.measure_start", description=__doc__)
+    parser.add_argument("--starts", type=int, default=5, help="starts with a warm cache (default: 5)")
+    parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
+    options = parser.parse_args(arguments)
+    if options.starts < 1:
+        parser.error(f"--starts is {options.starts}; at least 1 is needed")
+    rclpy.init()
+    try:
+        first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
+    finally:
+        rclpy.try_shutdown()
+    median = float(np.median([wall for wall, _ in warm]))
+    told: dict[str, Any] = {
+        "first_s": round(first[0], 3),
+        "warm_s": [round(wall, 3) for wall, _ in warm],
+        "warm_median_s": round(median, 3),
+        "warm_processor_median_s": round(float(np.median([busy for _, busy in warm])), 3),
+        "goal_s": GOAL,
+        "met": median < GOAL,
+    }
+    sys.stdout.write(json.dumps(told, indent=1) + "\n")
+    return 0 if told["met"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
