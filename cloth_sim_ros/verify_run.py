@@ -195,8 +195,8 @@ class _Run:
     def _compare_cloud(self, message: Message) -> None:
         if message.publish_time != self._frame_stamp:
             return
-        recorded = decode_cloud(message.data).xyz
-        again = self.simulation.state.x.T.astype(np.float32)
+        cloud = decode_cloud(message.data)
+        recorded, again = cloud.xyz, self.simulation.state.x.T.astype(np.float32)
         self._verdict.clouds += 1
         if recorded.shape != again.shape:
             self._note_difference(f"its cloud has {len(recorded)} points, the cloth {len(again)}")
@@ -206,6 +206,11 @@ class _Run:
             deviation = float(away[worst]) if math.isfinite(away[worst]) else math.inf
             self._verdict.largest_deviation = max(self._verdict.largest_deviation, deviation)
             self._note_difference(f"its cloud, by {deviation:.3g} m at particle {worst}")
+        elif cloud.velocity is not None:
+            again = self.simulation.state.v.T.astype(np.float32)
+            wrong = np.flatnonzero((cloud.velocity.view(np.uint32) != again.view(np.uint32)).any(axis=1))
+            if wrong.size:
+                self._note_difference(f"its cloud, by the velocity of particle {wrong[0]}")
 
     def _compare_wrench(self, message: Message) -> None:
         if message.publish_time != self._frame_stamp or self._frame is None:

@@ -45,8 +45,10 @@ def _header(log_time: int, frame_id: str = "world") -> Any:
     return message_class("std_msgs/msg/Header")(stamp=_time(log_time), frame_id=frame_id)
 
 
-def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int]) -> bytes:
-    """CDR bytes of a cloud: positions (n, 3) [m] as float32, rows x columns."""
+def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int], velocity: np.ndarray | None = None) -> bytes:
+    """CDR bytes of a cloud: positions (n, 3) [m] as float32, rows x columns; velocities [m/s] where given."""
+    names = ("x", "y", "z") if velocity is None else ("x", "y", "z", "vx", "vy", "vz")
+    values = xyz if velocity is None else np.concatenate([xyz, velocity], axis=1)
     rows, columns = resolution
     field = message_class("sensor_msgs/msg/PointField")
     return encode(
@@ -54,11 +56,11 @@ def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int]) -> by
             header=_header(log_time),
             height=rows,
             width=columns,
-            fields=[field(name=name, offset=4 * k, datatype=7, count=1) for k, name in enumerate("xyz")],
+            fields=[field(name=name, offset=4 * k, datatype=7, count=1) for k, name in enumerate(names)],
             is_bigendian=False,
-            point_step=12,
-            row_step=12 * columns,
-            data=np.frombuffer(np.ascontiguousarray(xyz, dtype="<f4").tobytes(), np.uint8),
+            point_step=4 * len(names),
+            row_step=4 * len(names) * columns,
+            data=np.frombuffer(np.ascontiguousarray(values, dtype="<f4").tobytes(), np.uint8),
             is_dense=True,
         ),
         _CLOUD,
@@ -189,7 +191,9 @@ class SessionMaker:
             extras=dict(extras or {}),
         )
         self._write(f"{NODE}/frame", _STRING, change, encode_string(record.to_json()))
-        cloud = cloud_bytes(self.simulation.positions, now, self.simulation.scene.shape)
+        scene = self.simulation.scene
+        velocity = self.simulation.velocities if scene.points.velocity else None
+        cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
         for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))

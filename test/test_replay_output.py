@@ -41,8 +41,9 @@ def _rows(path: Path, entity: str, component: str) -> tuple[np.ndarray, list[Any
     return np.array(times)[order], [values[k] for k in order]
 
 
-def test_a_recording_holds_every_cloud_as_it_was(tmp_path: Path) -> None:
-    session = make_grasp(tmp_path, seconds=0.5, cloth__resolution=[8, 9])
+@pytest.mark.parametrize("velocity", [False, True], ids=["positions", "velocities too"])
+def test_a_recording_holds_every_cloud_as_it_was(tmp_path: Path, velocity: bool) -> None:
+    session = make_grasp(tmp_path, seconds=0.5, cloth__resolution=[8, 9], points__velocity=velocity)
     out = tmp_path / "out.rrd"
     assert main([str(session), "--save", str(out)]) == 0
     times, positions = _rows(out, "/world/cloth", "Mesh3D:vertex_positions")

@@ -38,6 +38,17 @@ def test_cloud(frame_id: str) -> None:
     np.testing.assert_array_equal(points, X.T.astype(np.float32))
 
 
+def test_cloud_with_velocities() -> None:
+    cloud = CloudMessage(frame_id="world", height=2, width=3, velocity=True)
+    message = deserialize_message(cloud.serialized(X, STAMP, X - 1.0), PointCloud2)
+    assert (message.point_step, message.row_step) == (24, 72)
+    assert [(field.name, field.offset, field.datatype) for field in message.fields[3:]] == [
+        ("vx", 12, 7), ("vy", 16, 7), ("vz", 20, 7),
+    ]  # fmt: skip
+    points = np.frombuffer(bytes(message.data), "<f4").reshape(-1, 6)
+    np.testing.assert_array_equal(points, np.concatenate([X.T, X.T - 1.0], axis=1).astype(np.float32))
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
 def test_topology(count: int) -> None:
     message = deserialize_message(mesh_bytes(TRIANGLES[:count], X.T), Mesh)

@@ -28,6 +28,11 @@ def test_cloud_is_what_was_encoded(frame_id: str, names: tuple[str, ...]) -> Non
     generic = cdr.decode(data, "sensor_msgs/msg/PointCloud2")
     first = names.index("x")
     assert np.array_equal(cloud.xyz, values[:, first : first + 3])
+    if "vx" in names:
+        assert cloud.velocity is not None
+        assert np.array_equal(cloud.velocity, values[:, 3:])
+    else:
+        assert cloud.velocity is None
     assert (cloud.stamp, cloud.frame_id, cloud.height, cloud.width) == (samples.START + 7, frame_id, 1, 17)
     assert generic.header.frame_id == frame_id
     assert bytes(generic.data) == values.tobytes()

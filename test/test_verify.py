@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from random_sessions import make_random_session
@@ -34,9 +35,10 @@ def _make(
     split_at: int = -1,
     options: WriterOptions | None = None,
     metadata: dict[str, str] | None = None,
+    shown: dict[str, Any] | None = None,
 ) -> SessionMaker:
     """A grasp of FRAMES frames; `change` gives for a frame's number what spoils its messages."""
-    scene = Scene.from_parameters(SMALL)
+    scene = Scene.from_parameters(SMALL | (shown or {}))
     maker = SessionMaker(folder, scene, options=options, metadata=metadata)
     for k, events in enumerate(carried_corner(scene, FRAMES / 60.0), start=1):
         spoil = change(k)
@@ -125,6 +127,15 @@ def test_one_flipped_bit_in_a_received_grasp_is_found(tmp_path: Path) -> None:
     verdict = _verify(_make(tmp_path, change=spoil))
     assert verdict.first_frame == 9
     assert "commanded to open" in verdict.first_reason
+
+
+def test_velocities_in_the_cloud_are_compared(tmp_path: Path) -> None:
+    shown = {"points.velocity": True}
+    assert _verify(_make(tmp_path / "plain", shown=shown)).same
+    spoil = _spoil_at(20, f"{NODE}/points", lambda data: _flip(data, len(data) - 8))
+    verdict = _verify(_make(tmp_path / "spoilt", shown=shown, change=spoil))
+    assert (verdict.first_frame, verdict.different) == (20, 1)
+    assert "by the velocity of particle" in verdict.first_reason
 
 
 def test_one_flipped_bit_in_a_wrench_is_found(tmp_path: Path) -> None:

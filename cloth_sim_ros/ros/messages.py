@@ -30,32 +30,37 @@ class CloudMessage:
         frame_id: coordinate frame.
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
+        velocity: whether each point has its velocity too: fields vx, vy, vz [m/s].
     """
 
-    def __init__(self, *, frame_id: str, height: int, width: int) -> None:
+    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False) -> None:
+        names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
+        size = 4 * len(names)
         message = PointCloud2(
             height=height,
             width=width,
             fields=[
                 PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
-                for index, name in enumerate("xyz")
+                for index, name in enumerate(names)
             ],
             is_bigendian=False,
-            point_step=12,
-            row_step=12 * width,
+            point_step=size,
+            row_step=size * width,
             is_dense=True,
         )
         message.header.frame_id = frame_id
-        self._points = np.empty((height * width, 3), dtype="<f4")
+        self._points = np.empty((height * width, len(names)), dtype="<f4")
         # Behind the row step come the number of bytes, the bytes, and is_dense; before it all stays but the stamp.
         start = bytes(serialize_message(message))[len(_CDR) + 8 : -5]
         self._middle = start + struct.pack("<I", self._points.nbytes)
         # To a multiple of four, as it travels: what is recorded is what subscribers receive, to the last byte.
         self._end = _aligned(b"\x01", 4)
 
-    def serialized(self, x: Array, stamp: int) -> bytes:
-        """Return the CDR bytes for positions x [m], shape (3, n), at a ROS time [ns]."""
-        self._points[:] = x.T
+    def serialized(self, x: Array, stamp: int, v: Array | None = None) -> bytes:
+        """Return the CDR bytes for positions x [m] at a ROS time [ns]; velocities v [m/s] where it has them; (3, n)."""
+        self._points[:, :3] = x.T
+        if v is not None:
+            self._points[:, 3:] = v.T
         head = _CDR + struct.pack("<iI", *divmod(stamp, _SECOND))
         return b"".join((head, self._middle, self._points.data, self._end))
 

@@ -240,7 +240,8 @@ class ClothNode:
                 self._extras |= {"energy": energy.total, "energy balance": energy.residual}
             self._recording.add_frame(frame, due.stamp, self._extras)
             self._extras = {}
-            self._outputs.send(self._simulation.state.x, frame.wrenches, due.stamp)
+            state, told = self._simulation.state, self._simulation.scene.points.velocity
+            self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=state.v if told else None)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)

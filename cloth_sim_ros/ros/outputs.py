@@ -104,11 +104,12 @@ class Outputs:
     """Points, topology, mesh and wrenches of one cloth."""
 
     def __init__(self, node: Node, scene: Scene, tape: Tape) -> None:
-        height, width = scene.shape
+        self._shape = scene.shape
         sheet = scene.sheet
         triangles = sheet.triangles()
         self._frame_id = scene.frame_id
-        self._cloud = CloudMessage(frame_id=scene.frame_id, height=height, width=width)
+        # With velocities or without, made when first asked for.
+        self._clouds: dict[bool, CloudMessage] = {}
         self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
         self._points = Output(node, PointCloud2, "~/points", tape, droppable=True)
         self._mesh = Output(node, Marker, "~/mesh", tape, droppable=True)
@@ -127,16 +128,18 @@ class Outputs:
         """Record what was said once, at the beginning of a recording."""
         self._topology.record(self._topology_bytes, stamp)
 
-    def send(self, x: Array, wrenches: Array, stamp: int) -> None:
+    def send(self, x: Array, wrenches: Array, stamp: int, *, velocities: Array | None = None) -> None:
         """Publish and record one frame.
 
         Args:
             x: positions [m], shape (3, n).
             wrenches: force [N] and torque [N m] on each gripper, shape (gripper_count, 6).
             stamp: ROS time at which the frame was due [ns].
+            velocities: [m/s], shape (3, n), where the cloud is to tell them.
         """
         if self._points.wanted:
-            self._points.send(self._cloud.serialized(x, stamp), stamp)
+            cloud = self._cloud(velocity=velocities is not None)
+            self._points.send(cloud.serialized(x, stamp, velocities), stamp)
             self.published += 1
         # For pictures alone, and large: not recorded, the points and the topology say the same.
         if self._mesh.heard:
@@ -144,6 +147,14 @@ class Outputs:
         for output, wrench in zip(self._wrenches, wrenches, strict=True):
             if output.wanted:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)
+
+    def _cloud(self, *, velocity: bool) -> CloudMessage:
+        if velocity not in self._clouds:
+            height, width = self._shape
+            self._clouds[velocity] = CloudMessage(
+                frame_id=self._frame_id, height=height, width=width, velocity=velocity
+            )
+        return self._clouds[velocity]
 
     def flush(self) -> None:
         """Wait shortly until the last points have arrived."""

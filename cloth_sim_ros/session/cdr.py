@@ -10,6 +10,7 @@ through rosbags' generic reader.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _LITTLE = b"\x00\x01\x00\x00"
 _FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+_POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +38,8 @@ class Cloud:
     width: int
     xyz: NDArray[np.float32]
     """Positions [m], shape (height * width, 3), read-only; other fields may lie between, then it is not contiguous."""
+    velocity: NDArray[np.float32] | None = None
+    """Velocities [m/s] likewise, where the cloud has fields vx, vy, vz."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +88,10 @@ def decode_string(data: bytes | memoryview) -> str:
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
-    """A PointCloud2 with its positions as a view of `data`; x, y, z must be float32. Raises SessionError otherwise."""
+    """A PointCloud2 with its positions, and velocities if it has them, as views of `data`; x, y, z must be float32.
+
+    Raises SessionError otherwise.
+    """
     reader = _Reader(data, "sensor_msgs/msg/PointCloud2")
     seconds, nanoseconds = reader.numbers("iI")
     frame_id = reader.string()
@@ -101,25 +108,37 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
     point_step, row_step = reader.numbers("II")
     (size,) = reader.numbers("I")
     start = reader.skip(size)
-    if not {"x", "y", "z"} <= offsets.keys() or offsets["y"] - offsets["x"] != offsets["z"] - offsets["y"]:
+    if not _evenly_spaced(offsets, _POSITION):
         raise SessionError("a cloud has no evenly spaced float32 fields x, y, z")
     if height * row_step > size or width * point_step > row_step or max(offsets.values()) + 4 > point_step:
         raise SessionError(f"a cloud of {height} x {width} points of {point_step} bytes does not fit its {size} bytes")
-    points = np.ndarray(
-        (height, width, 3),
-        dtype=">f4" if big_endian else "<f4",
-        buffer=data,
-        offset=start + offsets["x"],
-        strides=(row_step, point_step, offsets["y"] - offsets["x"]),
-    )
-    points.flags.writeable = False
+
+    def view(names: tuple[str, str, str]) -> NDArray[np.float32]:
+        points = np.ndarray(
+            (height, width, 3),
+            dtype=">f4" if big_endian else "<f4",
+            buffer=data,
+            offset=start + offsets[names[0]],
+            strides=(row_step, point_step, offsets[names[1]] - offsets[names[0]]),
+        )
+        points.flags.writeable = False
+        return points.reshape(height * width, 3)
+
     return Cloud(
         stamp=seconds * 1_000_000_000 + nanoseconds,
         frame_id=frame_id,
         height=height,
         width=width,
-        xyz=points.reshape(height * width, 3),
+        xyz=view(_POSITION),
+        velocity=view(_VELOCITY) if _evenly_spaced(offsets, _VELOCITY) else None,
     )
+
+
+def _evenly_spaced(offsets: Mapping[str, int], names: tuple[str, str, str]) -> bool:
+    if not offsets.keys() >= set(names):
+        return False
+    first, second, third = (offsets[name] for name in names)
+    return second - first == third - second
 
 
 def decode_surface(data: bytes | memoryview) -> Surface:
