@@ -36,29 +36,33 @@ def session_state(name: str) -> dict[str, bytes]:
     if not (number.isascii() and number.isdecimal() and len(number) <= _MOST_DIGITS):
         raise ParameterError(f"initial_state '{name}': '{number}' is no frame number; write session.mcap@120")
     try:
-        from cloth_sim_ros.session.errors import SessionError
-        from cloth_sim_ros.session.reader import SessionReader, session_files
+        return {name: _state_at(path, int(number), name)}
     except ImportError as error:
         library = str(error.name).partition(".")[0]
         raise ParameterError(
             f"initial_state '{name}' needs {library}, which is not installed: pip install mcap rosbags zstandard lz4"
         ) from error
+
+
+def _state_at(path: str, number: int, name: str) -> bytes:
+    """Return the bytes of the state at a frame of the session that a file belongs to."""
+    from cloth_sim_ros.session.errors import SessionError
+    from cloth_sim_ros.session.reader import SessionReader, session_files
+
+    begins = None
     try:
-        files = session_files(path)
-        held = []
         # From the last file on: its snapshot is the nearest.
-        for file in reversed(files):
+        for file in reversed(session_files(path)):
             with SessionReader(file) as reader:
                 state = State.from_bytes(reader.state)
-                if state.frame > int(number):
-                    held.append(state.frame)
-                    continue
-                return {name: _run(reader, state, int(number), name)}
+                if state.frame <= number:
+                    return _run(reader, state, number, name)
+                begins = state.frame
+    except ParameterError:
+        raise
     except (SessionError, UnstableError, ValueError, OSError) as error:
-        if isinstance(error, ParameterError):
-            raise
         raise ParameterError(f"initial_state '{name}': {error}") from error
-    raise ParameterError(f"initial_state '{name}': the session begins at frame {min(held)}")
+    raise ParameterError(f"initial_state '{name}': the session begins at frame {begins}")
 
 
 def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:

@@ -24,7 +24,7 @@ from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
-from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecording
+from cloth_sim_ros.ros.recording import RecordingNotInstalledError, RecordingUnavailableError, SessionRecording
 from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report
 from cloth_sim_ros.ros.services import Services
@@ -160,15 +160,12 @@ class ClothNode:
         """Begin to record, if asked to, and let time begin.
 
         Raises:
-            RecordingUnavailableError: if the recording can't begin.
+            RecordingUnavailableError: if the recording can't begin, though its libraries are there.
         """
         scene = self._simulation.scene
         now = self.node.get_clock().now().nanoseconds
         if scene.record.enabled:
-            self._recording.begin(now)
-            self._overheard.listen()
-            path = self._recording.wait_until_open()
-            self.node.get_logger().info(f"recording into {path}")
+            self._record_from_the_start(now)
         self._outputs.start(now)
         self._follows_clock = bool(self.node.get_parameter("use_sim_time").value)
         self._relief.live = not self._follows_clock
@@ -281,6 +278,17 @@ class ClothNode:
         self._queue.put(SetParameters(values))
 
     # Recording and state
+
+    def _record_from_the_start(self, now: int) -> None:
+        try:
+            self._recording.begin(now)
+        except RecordingNotInstalledError as error:
+            # A robot that lacks the libraries has its cloth all the same.
+            self.node.get_logger().error(f"nothing is recorded: {error}")
+            return
+        self._overheard.listen()
+        path = self._recording.wait_until_open()
+        self.node.get_logger().info(f"recording into {path}")
 
     def _record(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
         try:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import datetime
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,10 +21,16 @@ if TYPE_CHECKING:
     from cloth_sim_ros.session.writer import Snapshot
 
 _FRAME_TYPE = "std_msgs/msg/String"
+#: Libraries that a recording's compression takes.
+_COMPRESSION = {"none": (), "lz4": ("lz4.frame",), "zstd": ("zstandard",)}
 
 
 class RecordingUnavailableError(RuntimeError):
     """Nothing can be recorded; the message says why."""
+
+
+class RecordingNotInstalledError(RecordingUnavailableError):
+    """The libraries that recording needs are not there."""
 
 
 class SessionRecording:
@@ -41,6 +48,8 @@ class SessionRecording:
         self._closing: Recorder | None = None
         self._last: RecorderStatus | None = None
         self._told: list[Callable[[RecorderStatus], None]] = []
+        #: Why nothing can be recorded at all, once that was tried; else empty.
+        self.missing = ""
 
     @property
     def running(self) -> bool:
@@ -50,27 +59,27 @@ class SessionRecording:
     def prepare(self) -> None:
         """Load what recording needs, so that no frame is late because of it; nothing where it is not installed."""
         try:
-            from cloth_sim_ros.session import cdr, frame_record, layouts, recorder, writer  # noqa: F401
-        except ImportError:
+            self._check_libraries()
+        except RecordingNotInstalledError:
             return
+        from cloth_sim_ros.session import cdr, frame_record, layouts, recorder, writer  # noqa: F401
+
         layouts.describe(_FRAME_TYPE)
 
     def begin(self, stamp: int) -> None:
         """Begin a recording with a snapshot, at a ROS time [ns]; its file is made in the background, see `status`.
 
         Raises:
-            RecordingUnavailableError: if one runs already, or the libraries for it are missing.
+            RecordingNotInstalledError: if the libraries for it are missing.
+            RecordingUnavailableError: if one runs already.
         """
         if self._recorder is not None:
             raise RecordingUnavailableError(f"recording already, into {self._recorder.status().path}")
         if self._closing is not None:
             raise RecordingUnavailableError("the recording before is still being closed; ask again")
-        try:
-            from cloth_sim_ros.session.recorder import Recorder, session_stem
-        except ImportError as error:
-            raise RecordingUnavailableError(
-                f"recording needs {error.name}, which is not installed: pip install mcap rosbags zstandard lz4"
-            ) from error
+        self._check_libraries()
+        from cloth_sim_ros.session.recorder import Recorder, session_stem
+
         name = self._node_name.strip("/").replace("/", "_")
         self._recorder = Recorder(
             Path(self._simulation.scene.record.folder).expanduser(),
@@ -79,6 +88,22 @@ class SessionRecording:
             stem=session_stem(name, datetime.datetime.now(datetime.UTC)),
             options=self._options(),
         )
+
+    def _check_libraries(self) -> None:
+        """Import what recording needs: the session's modules do so only when they come to it, in another thread.
+
+        Raises:
+            RecordingNotInstalledError: if one of them is missing.
+        """
+        libraries = ["mcap.records", "rosbags.typesys", *_COMPRESSION[self._simulation.scene.record.compression]]
+        for library in libraries:
+            try:
+                importlib.import_module(library)
+            except ImportError as error:
+                name = library.partition(".")[0]
+                self.missing = f"recording needs {name}, which is not installed: pip install mcap rosbags zstandard lz4"
+                raise RecordingNotInstalledError(self.missing) from error
+        self.missing = ""
 
     def wait_until_open(self) -> Path:
         """Wait until the file exists, and return its path.

@@ -91,7 +91,7 @@ class Report:
             "clouds_published": str(self._outputs.published),
         }
         status = self._recording.status()
-        values["recording"] = "off" if status is None else status.state
+        values["recording"] = (self._recording.missing or "off") if status is None else status.state
         if status is not None:
             values["recording_file"] = str(status.path)
             values["recording_dropped"] = str(status.dropped)

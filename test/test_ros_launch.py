@@ -1,0 +1,182 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The launch file, run as `ros2 launch` runs it, and several cloths by name, namespace, remaps and parameter files.
+
+`launch` is no package of pip: where it is missing, stand-ins for the few classes that the file uses build the command
+line that launch_ros builds (its Node action: name, namespace, parameters, each in its place).
+"""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import yaml
+from geometry_msgs.msg import PoseStamped
+from ros_client import Client, pose, positions
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
+
+ROOT = Path(__file__).resolve().parent.parent
+LAUNCH = ROOT / "launch" / "cloth_sim.launch.py"
+#: A mark for what only a substitution knows, until the arguments are there.
+Substitution = Callable[[dict[str, str]], str]
+
+
+def text_of(value: Any, given: dict[str, str]) -> str:
+    """A text, a substitution, or a list of them, as launch resolves them."""
+    if callable(value):
+        return str(value(given))
+    return "".join(text_of(item, given) for item in value) if isinstance(value, list) else str(value)
+
+
+def stand_ins(declared: dict[str, Any], nodes: list[dict[str, Any]]) -> dict[str, ModuleType]:
+    """Modules with the classes that launch files use, which note what is declared and started."""
+
+    def module(name: str, **members: Any) -> ModuleType:
+        made = ModuleType(name)
+        vars(made).update(members)
+        return made
+
+    def configuration(name: str) -> Substitution:
+        return lambda given: given.get(name) or text_of(declared[name]["default_value"], given)
+
+    def path_join(parts: list[Any]) -> Substitution:
+        return lambda given: str(Path(*(text_of(part, given) for part in parts)))
+
+    return {
+        "launch": module("launch", LaunchDescription=lambda entities: entities),
+        "launch.actions": module(
+            "launch.actions", DeclareLaunchArgument=lambda name, **options: declared.__setitem__(name, options)
+        ),
+        "launch.substitutions": module(
+            "launch.substitutions", LaunchConfiguration=configuration, PathJoinSubstitution=path_join
+        ),
+        "launch_ros": module("launch_ros"),
+        "launch_ros.actions": module("launch_ros.actions", Node=lambda **options: nodes.append(options)),
+        "launch_ros.substitutions": module(
+            "launch_ros.substitutions", FindPackageShare=lambda package: lambda given: str(ROOT)
+        ),
+    }
+
+
+def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
+    """The node's command line for launch arguments `name:=value`, as launch_ros builds it."""
+    declared: dict[str, Any] = {}
+    nodes: list[dict[str, Any]] = []
+    with monkeypatch.context() as patch:
+        for name, module in stand_ins(declared, nodes).items():
+            patch.setitem(sys.modules, name, module)
+        runpy.run_path(str(LAUNCH))["generate_launch_description"]()
+    assert given.keys() <= declared.keys()
+    assert all(options["description"] for options in declared.values())
+    (node,) = nodes
+    assert (node["package"], node["executable"]) == ("cloth_sim_ros", "cloth_sim")
+    arguments = ["--ros-args", "-r", f"__node:={text_of(node['name'], given)}"]
+    namespace = text_of(node["namespace"], given)
+    if namespace:
+        arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
+    for file in node["parameters"]:
+        arguments += ["--params-file", text_of(file, given)]
+    return ["-m", "cloth_sim_ros.ros.main", *arguments]
+
+
+def write_parameters(path: Path, **nodes: dict[str, Any]) -> Path:
+    """A parameter file of several nodes."""
+    path.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
+    return path
+
+
+def test_without_arguments_the_default_cloth_is_launched(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = start_process(command_line(monkeypatch))
+    process.wait_for_output("900 particles at 60 Hz of wall time, grippers: gripper")
+    with Client() as client:
+        client.watch("/cloth_sim")
+    # As on Ctrl-C: one signal from the terminal, one from ros2 launch.
+    process.send_signal(2)
+    process.send_signal(2)
+    assert process.wait() == 0
+    assert "Traceback" not in process.output
+
+
+def test_two_cloths_are_launched_from_one_parameter_file(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = {"/left_arm/towel": {"cloth": {"resolution": [5, 6]}}, "/right_arm/sheet": {"cloth": {"resolution": [7, 4]}}}
+    everyone = {"/**": {"rate": 50.0, "grippers": ["finger"], "gripper": {"radius": 0.3}}}
+    file = str(write_parameters(tmp_path / "cloths.yaml", **{**everyone, **own}))
+    cloths = {
+        name: start_process(command_line(monkeypatch, params_file=file, namespace=name[0], name=name[1]))
+        for name in (("left_arm", "towel"), ("right_arm", "sheet"))
+    }
+    for (_, name), process in cloths.items():
+        process.wait_for_output("30 particles" if name == "towel" else "28 particles")
+        assert "at 50 Hz" in process.output
+    with Client() as client:
+        clouds: dict[str, PointCloud2] = {}
+        for namespace, name in cloths:
+            client.node.create_subscription(
+                PointCloud2, f"/{namespace}/{name}/points", lambda cloud, name=name: clouds.__setitem__(name, cloud), 10
+            )
+        client.spin_until(lambda: len(clouds) == 2, what="both clouds")
+        assert {name: (cloud.height, cloud.width) for name, cloud in clouds.items()} == {
+            "towel": (5, 6), "sheet": (7, 4),
+        }  # fmt: skip
+        # What one is told the other does not hear.
+        target = client.publisher(PoseStamped, "/left_arm/towel/finger/target")
+        grasp = client.publisher(Bool, "/left_arm/towel/finger/grasp")
+
+        def is_grasped() -> bool:
+            return "is closed and holds" in cloths["left_arm", "towel"].output
+
+        target.publish(pose(0.5, 0.0, 0.5))
+        grasp.publish(Bool(data=False))
+        client.spin_until(lambda: is_grasped() or close(client, target, grasp), what="the grasp")
+        target.publish(pose(0.5, -0.4, 0.8))
+        client.spin_until(lambda: positions(clouds["towel"])[-1][2] > 0.7, what="one cloth lifted")
+        assert positions(clouds["sheet"])[-1][2] < 0.6
+    for process in cloths.values():
+        assert process.interrupt() == 0
+        assert "several nodes" not in process.output
+
+
+def close(client: Client, target: Any, grasp: Any) -> bool:
+    """Send a target, then a grasp: best effort may lose the first before the node has met its publisher."""
+    target.publish(pose(0.5, 0.0, 0.5))
+    for _ in range(10):
+        client.executor.spin_once(timeout_sec=0.02)
+    grasp.publish(Bool(data=False))
+    grasp.publish(Bool(data=True))
+    return False
+
+
+def test_everything_may_be_remapped(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    remaps = {
+        "~/points": "/perception/cloud", "~/gripper/target": "/arm/commanded", "~/gripper/grasp": "/hand/closed",
+        "~/gripper/wrench": "/arm/felt", "~/pause": "/hold_cloth", "/diagnostics": "/health",
+    }  # fmt: skip
+    arguments = [word for old, new in remaps.items() for word in ("-r", f"{old}:={new}")]
+    process = start_process(["-m", "cloth_sim_ros.ros.main", "--ros-args", *arguments, "-p", "gripper.radius:=0.3"])
+    process.wait_for_output("wall time")
+    with Client() as client:
+        client.node.create_subscription(PointCloud2, "/perception/cloud", client.clouds.append, 10)
+        client.wait_for_clouds(2)
+        target = client.publisher(PoseStamped, "/arm/commanded")
+        grasp = client.publisher(Bool, "/hand/closed")
+        client.spin_until(lambda: "and holds" in process.output or close(client, target, grasp), what="the grasp")
+        client.spin_until(
+            lambda: {"/arm/felt", "/health"} <= {name for name, _ in client.node.get_topic_names_and_types()},
+            what="the remapped outputs",
+        )
+        client.spin_until(
+            lambda: "/hold_cloth" in {name for name, _ in client.node.get_service_names_and_types()},
+            what="the remapped service",
+        )
+    assert process.interrupt() == 0
