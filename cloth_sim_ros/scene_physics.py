@@ -16,6 +16,7 @@ from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads, grid_threads
+from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
@@ -28,6 +29,9 @@ from cloth_sim_ros.physics.terms.pair_springs import PairSprings
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene import Scene
+
+#: Bending models whose springs belong to hinges: a grid's loop over its rows does not have them.
+_HINGED = ("opposite", "crossed", "altitude")
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -117,19 +121,40 @@ def build_model(scene: Scene) -> Model:
         terms.append(Gravity(masses, scene.gravity))
     if scene.air.drag:
         terms.append(Drag(masses, scene.air.drag))
+    terms.extend(_air_terms(scene, sheet, masses))
     if scene.gripper_names:
         terms.append(Grips(len(scene.gripper_names)))
     return Model(masses, terms, anchors=anchored_particles(scene, sheet))
 
 
+def _air_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
+    """Build what moving air adds to drag, and what air does to a surface."""
+    wind, terms = scene.wind, list[Term]()
+    if any(wind.velocity) and scene.air.drag:
+        from cloth_sim_ros.physics.terms.wind import Wind
+
+        terms.append(Wind(masses, wind.velocity, scene.air.drag))
+    if wind.normal_drag or wind.tangential_drag:
+        from cloth_sim_ros.physics.terms.air_panels import AirPanels
+
+        terms.append(
+            AirPanels(
+                sheet.triangles(), normal=wind.normal_drag, tangential=wind.tangential_drag, wind=wind.velocity
+            )
+        )
+    return terms
+
+
 def build_dynamics(scene: Scene) -> Dynamics:
-    """Build the equations of motion; a grid's springs get the fused plan."""
+    """Build the equations of motion; a grid's springs get their fused plan, all else that of listed springs."""
     dynamics = Dynamics(build_model(scene))
     sheet = build_sheet(scene)
     if isinstance(sheet, GridSheet):
         named = _grid_families(scene, sheet)
         springs = GridSprings(sheet.rows, sheet.columns, [family for part in named.values() for family in part])
         GridPlan(dynamics, springs, frozenset(named))
+    if (not isinstance(sheet, GridSheet) or scene.bending.model in _HINGED) and MeshPlan.fits(dynamics):
+        dynamics.plan = MeshPlan(dynamics)
     return dynamics
 
 
@@ -159,7 +184,7 @@ def _elastic_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
                 viscosity=material.viscosity,
             )
         ]
-    if scene.bending.model in ("opposite", "crossed", "altitude"):
+    if scene.bending.model in _HINGED:
         # Pairs that a spring joins already get no second one: across a cell's diagonal it is the other diagonal.
         shear = [term.pairs for term in terms if term.name == "shear" and isinstance(term, PairSprings)]
         terms.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))

@@ -7,6 +7,7 @@ import pytest
 
 from cloth_sim_ros.events import Grasp, Target
 from cloth_sim_ros.physics.integrators.base import Observer
+from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -105,17 +106,16 @@ def test_a_fixed_step_and_a_paused_start_give_the_same_bits_each_time():
 def test_the_plan_is_what_runs(monkeypatch):
     """Guards the comparison above: with the plan's loop broken, the motion is wrong."""
     fused, plain = pair({})
-    loop = fused.dynamics.plan._loop
-    assert loop is not None
+    loop = fused.dynamics.plan._loop(np.float64)
     monkeypatch.setattr(loop, "advance", lambda *arguments, **options: None)
     fused.advance()
     plain.advance()
     assert np.abs(fused.velocities - plain.velocities).max() > 1e-3
 
 
-def test_hinge_springs_keep_the_fused_forces_but_not_the_fused_loop():
+def test_hinge_springs_keep_the_fused_forces_and_take_the_loop_of_listed_springs():
     fused, _ = pair(SCENES["hinges"])
-    assert fused.dynamics.plan._loop is None
+    assert isinstance(fused.dynamics.plan, MeshPlan)
     assert fused.dynamics.forces.names == {"structural", "shear"}
 
 

@@ -1,0 +1,131 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The fused plan of whatever has no regular grid: whole leapfrog runs of listed springs and hinges in one compiled
+loop.
+
+Inside it particles stand in an order of locality (`ordering`). A run takes positions and velocities in at its start
+and gives them back at its end, so nobody outside sees that order.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
+from cloth_sim_ros.physics.kernels.mesh_leapfrog import MeshGrips, MeshLeapfrog, Springs
+from cloth_sim_ros.physics.ordering import local_order
+from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
+from cloth_sim_ros.physics.terms.base import Term
+from cloth_sim_ros.physics.terms.crossed import CrossedSprings
+from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
+from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
+from cloth_sim_ros.physics.terms.opposite import OppositeSprings
+from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.dynamics import Dynamics
+    from cloth_sim_ros.physics.integrators.base import Observer
+    from cloth_sim_ros.physics.terms.base import Array
+
+#: Kinds of terms that it takes over; one of a kind derived from these may do something else.
+_KINDS = (PairSprings, DeferredSprings, OppositeSprings, CrossedSprings, AltitudeSprings, Gravity, Drag, Grips)
+
+
+class MeshPlan:
+    """Takes over the leapfrog of a model; equal to the sum of its terms to rounding.
+
+    Wrenches come out of the compiled loop; any other observer watches a copy of the run that goes by terms beside it,
+    so that it changes no bit of this one.
+
+    Args:
+        dynamics: the equations; `fits` says whether they can be taken over.
+    """
+
+    @staticmethod
+    def fits(dynamics: Dynamics) -> bool:
+        """Whether the model has pair springs, hinges, gravity, drag and grips alone."""
+        return all(type(term) in _KINDS for term in dynamics.model.terms)
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        self._dynamics = dynamics
+        model = dynamics.model
+        pairs = _springs(model.terms, PairSprings)
+        crossed, altitude = (_springs(model.terms, kind) for kind in (CrossedSprings, AltitudeSprings))
+        gravity = [term.acceleration for term in model.terms if isinstance(term, Gravity)]
+        drag = sum(term.rate for term in model.terms if isinstance(term, Drag))
+        grips = [term for term in model.terms if isinstance(term, Grips)]
+        self._grips = grips[0] if grips else None
+        neighbours = [pairs.particles, *(_edges(hinges.particles) for hinges in (crossed, altitude))]
+        self._loop = MeshLeapfrog(
+            model.inverse_masses,
+            pairs=pairs,
+            crossed=crossed,
+            altitude=altitude,
+            gravity=np.sum(gravity, axis=0) if gravity else None,
+            drag=drag,
+            order=local_order(model.particle_count, np.concatenate(neighbours)),
+        )
+
+    def leapfrog(
+        self,
+        t: float,
+        x: Array,
+        v: Array,
+        step: float,
+        steps: int,
+        observer: Observer | None,
+        weight: float,
+        *,
+        narrow: bool = False,
+    ) -> None:
+        """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
+        weight. `narrow` makes no difference.
+        """
+        wrenches = observer if isinstance(observer, WrenchObserver) else None
+        if observer is not None and wrenches is None:
+            leapfrog_by_terms(self._dynamics, t, x.copy(), v.copy(), step, steps, observer, weight)
+        booked = self._loop.advance(t, x, v, steps, step, grips=self._held())
+        if wrenches is not None:
+            wrenches.add_booked(booked, weight * step * steps, weight)
+
+    def narrows(self) -> bool:
+        """False: there is no loop in single precision."""
+        return False
+
+    def _held(self) -> MeshGrips | None:
+        grips = self._grips
+        if grips is None or not grips.particles.size:
+            return None
+        return MeshGrips(
+            paths=grips.paths,
+            starts=grips.starts,
+            particles=grips.particles,
+            offsets=grips.offsets,
+            stiffness=grips.stiffness,
+            damping=grips.damping,
+        )
+
+
+def _springs(terms: tuple[Term, ...], kind: type[PairSprings | CrossedSprings | AltitudeSprings]) -> Springs:
+    """All springs, or hinges, of the terms of a kind."""
+    width = 2 if kind is PairSprings else 4
+    parts = [
+        Springs(
+            particles=term.pairs if isinstance(term, PairSprings) else term.hinges,
+            rest=term.rest_length,
+            stiffness=term.stiffness,
+            damping=term.damping,
+        )
+        for term in terms
+        if isinstance(term, kind)
+    ]
+    return Springs.joined(parts, width)
+
+
+def _edges(hinges: np.ndarray) -> np.ndarray:
+    """The six pairs of each hinge's particles."""
+    return np.concatenate([hinges[:, [i, j]] for i in range(4) for j in range(i + 1, 4)])
