@@ -144,6 +144,10 @@ def test_frames_without_tf2_are_refused_with_the_reason(monkeypatch: pytest.Monk
         frames.to_cloth("base", (1.0, 2.0, 3.0), None, 0)
 
 
+#: Stamp of the newest transform that the stand-in for tf2 knows [ns].
+NEWEST = 5 * SECOND + 7
+
+
 def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
     """A tf2_ros that knows one transform: base is turned a quarter about z and stands at x = 1."""
     asked: list[tuple[str, str, int]] = []
@@ -156,9 +160,11 @@ def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
             asked.append((target, source, time.nanoseconds))
             if source != "base":
                 raise TransformException(f"'{source}' does not exist")
+            if time.nanoseconds > NEWEST:
+                raise TransformException("lookup would require extrapolation into the future")
             half = np.sqrt(0.5)
             return SimpleNamespace(
-                header=SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=7)),
+                header=SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=7)),  # NEWEST
                 transform=SimpleNamespace(
                     translation=SimpleNamespace(x=1.0, y=0.0, z=0.0),
                     rotation=SimpleNamespace(x=0.0, y=0.0, z=half, w=half),
@@ -184,6 +190,29 @@ def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> Non
         FrameError, match="no transform from 'moon' to the cloth's frame 'world': 'moon' does not exist"
     ):
         frames.to_cloth("moon", (1.0, 0.0, 0.5), None, 0)
+
+
+def test_a_command_of_now_does_not_wait_for_the_transform_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = stub_tf2(monkeypatch)
+    frames = transformer()
+    position, _ = frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10)
+    assert position == pytest.approx((1.0, 1.0, 0.5))
+    assert asked[-1] == ("world", "base", 0)
+    with pytest.raises(FrameError, match=r"no transform from 'base' .*: lookup would require extrapolation"):
+        frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10 + 1)
+    with pytest.raises(FrameError, match="'moon' does not exist"):
+        frames.to_cloth("moon", (1.0, 0.0, 0.5), None, NEWEST + 1)
+
+
+def test_transforms_are_forgotten_when_the_clock_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    frames = transformer()
+    frames.forget()
+    frames.to_cloth("base", (1.0, 0.0, 0.5), None, 42)
+    cleared: list[bool] = []
+    frames._buffer.clear = lambda: cleared.append(True)
+    frames.forget()
+    assert cleared == [True]
 
 
 def companions(heard: int | None, **values: Any) -> tuple[Simulation, GripperCompanions, Log]:

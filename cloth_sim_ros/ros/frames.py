@@ -13,6 +13,9 @@ from rclpy.time import Time
 from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_matrix
 from cloth_sim_ros.ros.messages import read_stamp
 
+#: A command stamped with now comes before the transform of now. By how much the newest one may be older [ns].
+_BEHIND = 100_000_000
+
 Pose = tuple[tuple[float, ...], tuple[float, ...] | None]
 
 
@@ -43,14 +46,22 @@ class FrameTransformer:
             frame_id: of the command; empty means the cloth's.
             position: 3 numbers [m].
             orientation: quaternion x, y, z, w, or None.
-            stamp: ROS time of the command [ns]; zero for the newest transform.
+            stamp: ROS time of the command [ns]; zero for the newest transform. Where that of the stamp is not known
+                yet, the newest one is taken if it is at most 0.1 s older.
 
         Raises:
             FrameError: if there is no way from one frame to the other.
         """
         if frame_id in ("", self._frame_id):
             return position, orientation
-        translation, turn = self._lookup(frame_id, stamp)
+        try:
+            translation, turn = self._lookup(frame_id, stamp)
+        except FrameError:
+            if not stamp:
+                raise
+            translation, turn = self._lookup(frame_id, 0)
+            if not 0 < stamp - self._found <= _BEHIND:
+                raise
         moved = rotation_matrix(turn) @ np.asarray(position) + translation
         turned = None if orientation is None else tuple(product(turn, normalised(orientation)).tolist())
         return tuple(moved.tolist()), turned
@@ -63,6 +74,11 @@ class FrameTransformer:
         """
         translation, turn = self._lookup(frame_id, 0)
         return tuple(translation.tolist()), tuple(turn.tolist()), self._found
+
+    def forget(self) -> None:
+        """Forget what moved, because the clock was set back; what is fixed stays known."""
+        if self._buffer is not None:
+            self._buffer.clear()
 
     def _lookup(self, frame_id: str, stamp: int) -> tuple[np.ndarray, np.ndarray]:
         self._listen(frame_id)

@@ -263,6 +263,7 @@ class ClothNode:
             f"/clock went back from {before / 1e9:.3f} s to {now / 1e9:.3f} s: the cloth is reset"
         )
         self._commands.forget_stamps()
+        self._frames.forget()
         self._queue.clear("/clock went back")
         self._queue.put(Reset())
         self._extras = {"clock_jump": [before, now]}
