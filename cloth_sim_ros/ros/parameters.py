@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter as RosParameter
 from cloth_sim_ros.parameters import Parameter
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.without_effect import without_effect
 
 _TYPES = {
     "bool": RosParameter.Type.BOOL,
@@ -55,6 +56,8 @@ def declare(node: Node) -> Scene:
             entry.name, RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value, describe(entry), True
         )
     _warn_of_unknown(node, [*(entry.name for entry in known), *_FOREIGN, *_profiles(node, scene)])
+    for sentence in without_effect(scene, values):
+        node.get_logger().warning(sentence)
     return scene
 
 

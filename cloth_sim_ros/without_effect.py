@@ -1,0 +1,81 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that are right by themselves and have no effect in a scene, since others choose what does without them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from cloth_sim_ros.scene import Scene
+
+#: Names, when they have no effect, and why, in words that follow "has no effect:".
+_RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
+    (
+        ("cloth.size", "cloth.resolution", "cloth.shear_layout"),
+        lambda scene: bool(scene.cloth.mesh or scene.cloth.springs),
+        "cloth.mesh or cloth.springs is set",
+    ),
+    (
+        (
+            "material.density",
+            "material.stretch_modulus",
+            "material.shear_modulus",
+            "material.bending_modulus",
+            "material.damping",
+            "material.viscosity",
+            "bending.stiffness",
+            "bending.rest_angle",
+        ),
+        lambda scene: bool(scene.cloth.springs),
+        "cloth.springs has masses and stiffnesses of its own",
+    ),
+    (
+        ("material.shear_modulus",),
+        lambda scene: bool(scene.cloth.mesh),
+        "a mesh's shear modulus follows from its stretch modulus",
+    ),
+    (
+        ("bending.stiffness",),
+        lambda scene: scene.bending.model not in ("axial", "opposite"),
+        "only axial and opposite bending use it; crossed and altitude take material.bending_modulus",
+    ),
+    (
+        ("bending.rest_angle",),
+        lambda scene: scene.bending.model in ("none", "axial"),
+        "only opposite, crossed and altitude bending use it",
+    ),
+    (
+        ("material.bending_modulus",),
+        lambda scene: scene.bending.model == "none",
+        "bending.model is none",
+    ),
+    (
+        ("tolerance",),
+        lambda scene: scene.step > 0.0,
+        "step is set, and a fixed step holds no tolerance",
+    ),
+    (
+        ("gripper.radius", "gripper.stiffness", "gripper.damping", "gripper.timeout", "gripper.frame"),
+        lambda scene: not scene.gripper_names,
+        "there are no grippers",
+    ),
+)
+
+
+def without_effect(scene: Scene, given: Iterable[str]) -> list[str]:
+    """Return a sentence for each parameter that was given, differs from its default, and has no effect in a scene.
+
+    Args:
+        scene: that was built with them.
+        given: full names.
+    """
+    defaults = {entry.name: entry.default for entry in Scene.declared()}
+    values = scene.parameters()
+    sentences: dict[str, str] = {}
+    chosen = {name for name in given if values[name] != defaults[name]}
+    for names, applies, reason in _RULES:
+        if applies(scene):
+            for name in names:
+                if name in chosen:
+                    sentences.setdefault(name, f"{name} is set and has no effect: {reason}")
+    return list(sentences.values())

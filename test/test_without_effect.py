@@ -1,0 +1,76 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters without effect: those that are told change no bit of the motion, those that are not told do."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Grasp, Scene, Simulation, Target
+from cloth_sim_ros.parameter_file import dump
+from cloth_sim_ros.without_effect import without_effect
+
+MESH = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
+SPRINGS = "positions: [[0, 0, 0], [1, 0, 0], [1, 1, 0]]\nmasses: 0.1\nsprings: [[0, 1], [1, 2]]\nstiffness: 10.0\n"
+FILES = {"m.obj": MESH.encode(), "s.yaml": SPRINGS.encode()}
+MODULUS = {"material.bending_modulus": 1e-4}
+#: Scenes of every kind that the rules tell apart.
+SCENES = {
+    "axial": {},
+    "none": {"bending.model": "none"},
+    "opposite": {"bending.model": "opposite"},
+    "crossed": {"bending.model": "crossed", **MODULUS},
+    "altitude": {"bending.model": "altitude", **MODULUS},
+    "mesh": {"cloth.mesh": "m.obj", "cloth.anchors": ["0"], "bending.model": "none"},
+    "folded mesh": {"cloth.mesh": "m.obj", "cloth.anchors": ["0"], "bending.model": "crossed", **MODULUS},
+    "springs": {"cloth.springs": "s.yaml", "cloth.anchors": ["0"], "bending.model": "none"},
+    "fixed step": {"step": 1e-4},
+    "no grippers": {"grippers": [""]},
+}
+OTHER = {
+    "cloth.size": [1.1, 0.9], "cloth.resolution": [5, 4], "cloth.shear_layout": "left", "material.density": 0.3,
+    "material.stretch_modulus": 900.0, "material.shear_modulus": 90.0, "material.bending_modulus": 2e-4,
+    "material.damping": 0.2, "material.viscosity": 0.3, "bending.stiffness": 3.0, "bending.rest_angle": 0.4,
+    "tolerance": 1e-6, "gripper.radius": 1.5, "gripper.stiffness": 500.0, "gripper.damping": 0.9,
+}  # fmt: skip
+
+
+def motion(values):
+    scene = Scene.from_parameters({"cloth.resolution": [4, 4], "air.drag": 0.0, **values}, files=FILES)
+    simulation = Simulation(scene)
+    # Off its rest shape, so that each of its forces acts.
+    simulation.state.x[:] += 0.02 * np.sin(np.arange(simulation.state.x.size)).reshape(simulation.state.x.shape)
+    corner = simulation.positions[-1]
+    grasp = [Target("gripper", tuple(corner)), Grasp("gripper", True)] if scene.gripper_names else []
+    simulation.advance(grasp)
+    if grasp:
+        simulation.advance([Target("gripper", tuple(np.add(corner, (0.0, 0.0, 0.1))))])
+    simulation.advance()
+    return scene, simulation.state.x.tobytes()
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_what_is_told_has_no_effect_and_what_is_not_told_has_one(kind):
+    plain = motion(SCENES[kind])[1]
+    for name, value in OTHER.items():
+        try:
+            scene, moved = motion({**SCENES[kind], name: value})
+        except ValueError:
+            # Refused outright, with its reason: that is better still.
+            continue
+        told = without_effect(scene, [*SCENES[kind], name])
+        assert (moved == plain) == any(sentence.startswith(f"{name} is set") for sentence in told), (name, told)
+
+
+def test_defaults_are_not_told():
+    scene = Scene.from_parameters({"bending.model": "none"})
+    assert without_effect(scene, scene.parameters()) == []
+    assert dump(scene.parameters())
+
+
+def test_each_is_told_once():
+    values = {**SCENES["springs"], "bending.stiffness": 7.0}
+    scene = Scene.from_parameters(values, files=FILES)
+    (sentence,) = without_effect(scene, values)
+    assert sentence == (
+        "bending.stiffness is set and has no effect: cloth.springs has masses and stiffnesses of its own"
+    )
