@@ -20,6 +20,7 @@ COMMANDS = {
         "thousands of attacks: stiffness, step, damping and events; the limits found and predicted",
     ),
     "speed": ("speed", "ns per spring against C, simulated seconds per wall second, two threads against one"),
+    "peers": ("peers", "other engines on the same sheet, installed on demand into an environment of their own"),
 }
 
 

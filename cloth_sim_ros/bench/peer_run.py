@@ -1,0 +1,77 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs one other engine on a given sheet: a script for the peers' own Python, without anything of this package.
+
+`python -I peer_run.py` reads a job from its input as JSON and writes what came of it to its output as one line of
+JSON. The job: `script`, the file, beside this one, whose `Engine` runs the sheet; `sheet`, an npz file (see
+`peer_jobs.sheet_tables`); `variant`, which solver of the engine; `steps`, steps in a frame; `frame` [s]; `frames`;
+`seconds`, wall time after which it ends early; `whole`, the stretch above which the sheet counts as torn.
+
+An `Engine(sheet, step, variant)` is made with nothing left to compile. It has `advance(steps)`, `positions()` [m] of
+shape (particle_count, 3), `distributions`, the names of the packages that it runs on, and `remarks()`.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import runpy
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+#: Furthest that a particle may start from where it should [m]: engines in single precision round.
+_SAME_PLACE = 1e-5
+
+
+def largest_stretch(positions: Any, edges: Any, rest_lengths: Any) -> float:
+    """Largest length of an edge over its rest length; nan where a position is none."""
+    away = positions[edges[:, 1]] - positions[edges[:, 0]]
+    # A sheet that has blown up overflows; that is seen in the result.
+    with np.errstate(all="ignore"):
+        return float((np.sqrt((away * away).sum(axis=1)) / rest_lengths).max())
+
+
+def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
+    """Advance frame by frame until the end, the time limit, or the sheet is torn; return what was seen."""
+    start = engine.positions()
+    off = float(np.abs(start - sheet["positions"]).max())
+    if not off <= _SAME_PLACE:
+        raise ValueError(f"the engine's sheet starts {off:g} m off; particles are in another order, or missing")
+    wall, largest, done, whole = 0.0, 0.0, 0, True
+    while done < job["frames"] and whole and wall < job["seconds"]:
+        begin = time.perf_counter()
+        engine.advance(job["steps"])
+        wall += time.perf_counter() - begin
+        done += 1
+        stretch = largest_stretch(engine.positions(), sheet["edges"], sheet["edge_lengths"])
+        # A position that is no number makes the stretch none, which is not whole either.
+        whole = stretch <= job["whole"]
+        largest = max(largest, stretch) if np.isfinite(stretch) else float("inf")
+    return {"whole": whole, "stretch": largest, "frames": done, "wall": wall, "remarks": engine.remarks()}
+
+
+def main() -> None:
+    """Run the job."""
+    # Engines write to standard output whatever they like: that goes to the error output, and ours stays clean.
+    output = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    job = json.load(sys.stdin)
+    with np.load(job["sheet"]) as tables:
+        sheet = {name: tables[name] for name in tables.files}
+    Engine = runpy.run_path(str(Path(__file__).parent / job["script"]))["Engine"]
+    engine = Engine(sheet, job["frame"] / job["steps"], job["variant"])
+    result = measure(engine, sheet, job)
+    result["versions"] = {name: importlib.metadata.version(name) for name in engine.distributions}
+    output.write(json.dumps(result) + "\n")
+    output.flush()
+    # Some engines crash when the interpreter takes them apart; all is said by now.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()
