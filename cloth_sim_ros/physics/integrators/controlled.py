@@ -19,6 +19,7 @@ from cloth_sim_ros.physics.integrators.control import (
     MOST_COLUMNS,
     NARROW_LEAST,
     NARROW_SHARE,
+    ROUNDING,
     SHARE_PER_SECOND,
     Memory,
     cheapest,
@@ -29,8 +30,9 @@ from cloth_sim_ros.physics.state import State
 
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
 LONGEST_STRETCH = 0.04
-#: A stretch so much more violent than the one judged last is judged itself.
-LIVELIER = 1.5
+#: The error of a stretch that is more violent than the one judged last is taken to be larger by this power of the
+#: change of its velocities; where that is too much, it is judged itself.
+LIVELIER = 3.0
 #: Refinement beyond which a judgement asks whether a further column were cheaper.
 COSTLY = 1.5
 _ATTEMPTS = 40
@@ -259,13 +261,12 @@ class ControlledAdvance:
         activity = float(largest_distance(columns.combine(choice.columns)[1], self._state.v))
         if not choice.judge:
             if choice.columns == 1:
-                estimate = memory.error * max(1.0, activity / memory.activity if memory.activity else 1.0)
+                livelier = max(1.0, activity / memory.activity) if memory.activity else math.inf
+                estimate = max(memory.error, ROUNDING) * livelier**LIVELIER
                 estimate += memory.rounding if columns.narrow else 0.0
-                livelier = activity > LIVELIER * memory.activity
             else:
                 estimate = columns.difference(choice.columns - 1) * memory.ratio
-                livelier = False
-            if estimate <= self._budget and not livelier:
+            if estimate <= self._budget:
                 return estimate
             if columns.narrow:
                 # A judgement compares runs in double precision.
