@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.events import Grasp, Target
+from cloth_sim_ros.physics import grid_plan
 from cloth_sim_ros.physics.integrators.base import Observer
+from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.mesh_plan import MeshPlan
+from cloth_sim_ros.physics.terms.grips import WrenchObserver
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -111,6 +114,29 @@ def test_the_plan_is_what_runs(monkeypatch):
     fused.advance()
     plain.advance()
     assert np.abs(fused.velocities - plain.velocities).max() > 1e-3
+
+
+@pytest.mark.parametrize("narrow", [False, True], ids=["double", "single"])
+def test_a_turning_gripper_keeps_the_fused_loop_and_its_wrench(narrow, monkeypatch):
+    fused, plain = pair({})
+    corner = fused.positions[-1]
+    for simulation in (fused, plain):
+        simulation.advance([Target("one", corner)])
+        simulation.advance([Grasp("one", True)])
+        simulation.advance([Target("one", corner + 0.01, (0.0, 0.0, 0.1, 1.0))])
+    ends, wrenches = [], []
+    for simulation in (fused, plain):
+        if simulation is fused:
+            monkeypatch.setattr(grid_plan, "leapfrog_by_terms", None)
+        x, v = simulation.state.x.copy(), simulation.state.v.copy()
+        observer = WrenchObserver(simulation._grips)
+        # The path of the frame before goes on.
+        leapfrog(simulation.dynamics, 2 / 60, x, v, 1e-4, 100, observer, narrow=narrow)
+        ends.append(x)
+        wrenches.append(observer.mean_wrenches)
+    assert ends[0] == pytest.approx(ends[1], abs=2e-7 if narrow else 1e-12)
+    assert np.abs(wrenches[1][0, 3:]).max() > 1e-3
+    assert wrenches[0] == pytest.approx(wrenches[1], abs=(2e-3 if narrow else 1e-9) * np.abs(wrenches[1]).max())
 
 
 def test_hinge_springs_keep_the_fused_forces_and_take_the_loop_of_listed_springs():

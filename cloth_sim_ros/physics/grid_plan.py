@@ -16,8 +16,9 @@ import numpy as np
 from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
 from cloth_sim_ros.physics.kernels.grid_bounds import GridBounds
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
-from cloth_sim_ros.physics.kernels.grid_leapfrog import GridGrips, GridLeapfrog
+from cloth_sim_ros.physics.kernels.grid_leapfrog import GridGrips, GridLeapfrog, GridTurns
 from cloth_sim_ros.physics.kernels.grid_springs import GridSprings
+from cloth_sim_ros.physics.kernels.held_points import BOOKED_NUMBERS, POSE_NUMBERS, tabulate_poses
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
@@ -35,10 +36,9 @@ _STRETCH = 8192
 class GridPlan:
     """Takes over the spring terms of a grid; equal to their sum to rounding.
 
-    The leapfrog is fused where the model has no other terms than these, gravity, drag and grips, and no gripper that
-    holds something turns during the run (a held point's path is then a cubic). That is decided by the scene and its
-    commands alone. Wrenches come out of the compiled loop; any other observer watches a copy of the run that goes by
-    terms beside it, so that it changes no bit of this one.
+    The leapfrog is fused where the model has no other terms than these, gravity, drag and grips. That is
+    decided by the scene alone. Wrenches come out of the compiled loop; any other observer watches a copy of the run
+    that goes by terms beside it, so that it changes no bit of this one.
 
     Args:
         dynamics: the equations whose terms are taken over; it gets the plan.
@@ -109,31 +109,38 @@ class GridPlan:
         weight. `narrow` computes in single precision about the first particle; what changes is added in double.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
-        if self._loop is None or self._turns():
+        if self._loop is None:
             leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight)
             return
         if observer is not None and wrenches is None:
             leapfrog_by_terms(self._dynamics, t, x.copy(), v.copy(), step, steps, observer, weight)
-        grips, order = self._held(t)
+        grips, order = self._held(t, step, steps)
         self._loop(np.float32 if narrow else np.float64).advance(x, v, steps, step, grips=grips)
         if wrenches is not None:
-            back = np.argsort(order)
-            booked = None if grips is None else np.column_stack([grips.impulses, grips.work])[back]
-            wrenches.add_run(booked, weight * step * steps, weight)
+            back, duration = np.argsort(order), weight * step * steps
+            if grips is not None and grips.turns is not None:
+                wrenches.add_booked(grips.turns.booked[back], duration, weight)
+            else:
+                booked = None if grips is None else np.column_stack([grips.impulses, grips.work])[back]
+                wrenches.add_run(booked, duration, weight)
 
     def narrows(self) -> bool:
         """Whether single precision would make a difference to the next run."""
-        return self._loop is not None and not self._turns()
+        return self._loop is not None
 
-    def _turns(self) -> bool:
-        grips = self._grips
-        if grips is None or not grips.particles.size:
-            return False
-        holding = np.diff(grips.starts) > 0
-        return bool(grips.paths[holding, 17:26].any())
+    def _turns(self, grips: Grips, order: np.ndarray, t: float, step: float, steps: int) -> GridTurns | None:
+        """Poses at each step, where a gripper that holds something turns; else points follow cubics."""
+        if not grips.paths[np.diff(grips.starts) > 0, 17:26].any():
+            return None
+        poses = np.empty((steps + 1, len(grips.paths), POSE_NUMBERS))
+        tabulate_poses(grips.paths, grips.starts, t, step, poses)
+        booked = np.zeros((len(order), BOOKED_NUMBERS))
+        return GridTurns(grips.owners()[order], grips.offsets[order], poses, booked)
 
-    def _held(self, t: float) -> tuple[GridGrips | None, np.ndarray]:
-        """The grips as cubic paths of the time since t, in order of particles, and that order."""
+    def _held(self, t: float, step: float, steps: int) -> tuple[GridGrips | None, np.ndarray]:
+        """The grips in order of particles, their points as cubics of the time since t or with their turns, and that
+        order.
+        """
         grips = self._grips
         if grips is None or not grips.particles.size:
             return None, np.empty(0, dtype=np.int64)
@@ -154,6 +161,7 @@ class GridPlan:
             grips.damping[order],
             np.zeros((count, 3)),
             np.zeros(count),
+            self._turns(grips, order, t, step, steps),
         ), order
 
 

@@ -36,6 +36,19 @@ _KEPT_PLANS = 16
 """Step lengths whose constants are kept: those of an extrapolation's runs, of a few frames."""
 
 
+class GridTurns(NamedTuple):
+    """Grips of which some gripper turns: their points do not follow cubics then.
+
+    `owners`: gripper of each grip. `offsets` [m], shape (grip_count, 3), in the gripper's frame. `poses`: of the
+    grippers at every step, see `held_points`. `booked`, shape (grip_count, BOOKED_NUMBERS), receives what is booked.
+    """
+
+    owners: NDArray[np.int64]
+    offsets: Array
+    poses: Array
+    booked: Array
+
+
 class GridGrips(NamedTuple):
     """Zero-length springs from particles to points on cubic paths (S4 of the model).
 
@@ -44,7 +57,8 @@ class GridGrips(NamedTuple):
     `particles`: indices, ascending, shape (grip_count,). `paths` [m, m/s, m/s^2, m/s^3]: coefficients of 1, t, t^2,
     t^3 with t the time since the start of the call, shape (grip_count, 3, 4). `stiffness` [N/m], `damping` [N s/m]:
     shape (grip_count,). `impulses` [N s], shape (grip_count, 3), receives the time integral of the force of the cloth
-    on each point; `work` [J], shape (grip_count,), the work done on the cloth by each point.
+    on each point; `work` [J], shape (grip_count,), the work done on the cloth by each point. With `turns` these count,
+    and `paths`, `impulses` and `work` do not.
     """
 
     particles: NDArray[np.int64]
@@ -53,6 +67,7 @@ class GridGrips(NamedTuple):
     damping: Array
     impulses: Array
     work: Array
+    turns: GridTurns | None = None
 
 
 class GridLeapfrog:
@@ -205,9 +220,15 @@ def _levels(rows: int, row_bytes: int, threads: int) -> int:
 
 
 def _near(grips: GridGrips, origin: Array) -> GridGrips:
-    """The same grips with paths relative to `origin`, impulses and work at zero."""
+    """The same grips with paths and poses relative to `origin`, all that is booked at zero."""
     paths = np.array(grips.paths, dtype=np.float64)
     paths[:, :, 0] -= origin
     grips.impulses[:] = 0.0
     grips.work[:] = 0.0
-    return grips._replace(paths=paths)
+    turns = grips.turns
+    if turns is not None:
+        poses = turns.poses.copy()
+        poses[:, :, :3] -= origin
+        turns.booked[:] = 0.0
+        turns = turns._replace(poses=poses)
+    return grips._replace(paths=paths, turns=turns)

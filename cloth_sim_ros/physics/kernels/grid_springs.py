@@ -171,16 +171,16 @@ def grid_tables(springs: GridSprings, inverse_masses: Array, dtype: Any) -> Grid
 
 @cache
 def _stamp() -> tuple[int | None, ...]:
-    """Sixteen bits of a digest of the sources that emit instructions, as a type.
+    """Sixteen bits of a digest of the sources that others are compiled from, as a type.
 
     Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls.
     This keeps it from serving kernels that older emitters made.
     """
-    from cloth_sim_ros.physics.kernels import grid_copy, grid_emit, grid_row_bounds, grid_rows, grid_sync
+    from cloth_sim_ros.physics.kernels import grid_copy, grid_emit, grid_row_bounds, grid_rows, grid_sync, held_points
 
     sources = b"".join(
         Path(str(module.__file__)).read_bytes()
-        for module in (grid_copy, grid_emit, grid_row_bounds, grid_rows, grid_sync)
+        for module in (grid_copy, grid_emit, grid_row_bounds, grid_rows, grid_sync, held_points)
     )
     number = int.from_bytes(hashlib.blake2b(sources, digest_size=2).digest())
     return tuple(1 if number >> bit & 1 else None for bit in range(16))

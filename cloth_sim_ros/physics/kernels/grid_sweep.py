@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.kernels.grid_copy import copy_in
 from cloth_sim_ros.physics.kernels.grid_rows import CARRY, row_above, row_start, row_step, row_two_above
 from cloth_sim_ros.physics.kernels.grid_sync import claim, load_acquire, pause, store_release, yield_processor
+from cloth_sim_ros.physics.kernels.held_points import book, held_point
 
 REACH = 2
 """Rows that a step looks beyond the rows that it moves: the longest spring."""
@@ -145,26 +146,34 @@ def _reaction(grips, grip, c, time, state, place, pitch):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _pull(grips, grip, time, dt, state, place, pitch, ring, ring_place):  # type: ignore[no-untyped-def]
+def _pull(grips, turns, grip, time, entry, dt, state, place, pitch, ring, ring_place):  # type: ignore[no-untyped-def]
     """Add one grip's force to its particle's entry of the force ring; book the reaction over dt.
 
-    state[place] is the particle's first position component.
+    state[place] is the particle's first position component. `turns`: those of the grips, None where none turns.
     """
-    ux, fx = _reaction(grips, grip, 0, time, state, place, pitch)
-    uy, fy = _reaction(grips, grip, 1, time, state, place, pitch)
-    uz, fz = _reaction(grips, grip, 2, time, state, place, pitch)
+    if turns is None:
+        ux, fx = _reaction(grips, grip, 0, time, state, place, pitch)
+        uy, fy = _reaction(grips, grip, 1, time, state, place, pitch)
+        uz, fz = _reaction(grips, grip, 2, time, state, place, pitch)
+        impulse = grips.impulses[grip]
+        impulse[0] += dt * fx
+        impulse[1] += dt * fy
+        impulse[2] += dt * fz
+        grips.work[grip] -= dt * (ux * fx + uy * fy + uz * fz)
+    else:
+        arm, point, speed = held_point(turns.poses[entry, turns.owners[grip]], turns.offsets[grip])
+        stiffness, damping, seen = grips.stiffness[grip], grips.damping[grip], place + 6 * pitch
+        fx = stiffness * (state[place] - point[0]) + damping * (state[seen] - speed[0])
+        fy = stiffness * (state[place + pitch] - point[1]) + damping * (state[seen + pitch] - speed[1])
+        fz = stiffness * (state[place + 2 * pitch] - point[2]) + damping * (state[seen + 2 * pitch] - speed[2])
+        book(turns.booked[grip], arm, speed, (fx, fy, fz), dt)
     ring[ring_place] -= fx
     ring[ring_place + pitch] -= fy
     ring[ring_place + 2 * pitch] -= fz
-    impulse = grips.impulses[grip]
-    impulse[0] += dt * fx
-    impulse[1] += dt * fy
-    impulse[2] += dt * fz
-    grips.work[grip] -= dt * (ux * fx + uy * fy + uz * fz)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _pull_row(grips, row, time, dt, band, ring_row):  # type: ignore[no-untyped-def]
+def _pull_row(grips, row, time, entry, dt, band, ring_row):  # type: ignore[no-untyped-def]
     """Add the forces of the grips on one row of the sheet; book them if the row is the band's own."""
     columns, pitch = band.columns, band.pitch
     place = (row - band.first + REACH * band.levels) * band.components * pitch
@@ -172,7 +181,8 @@ def _pull_row(grips, row, time, dt, band, ring_row):  # type: ignore[no-untyped-
     grip = np.searchsorted(grips.particles, row * columns)
     while grip < len(grips.particles) and grips.particles[grip] < (row + 1) * columns:
         column = grips.particles[grip] - row * columns
-        _pull(grips, grip, time, booked, band.state, place + column, pitch, band.ring, ring_row + column)
+        at, ring_at = place + column, ring_row + column
+        _pull(grips, grips.turns, grip, time, entry, booked, band.state, at, pitch, band.ring, ring_at)
         grip += 1
 
 
@@ -203,7 +213,7 @@ def _start_sweep(band, shape, values, grips):  # type: ignore[no-untyped-def]
         entry = band.table_rows[local]
         if row >= band.first:
             if grips is not None:
-                _pull_row(grips, row, 0.0, 0.0, band, ring0)
+                _pull_row(grips, row, 0.0, 0, 0.0, band, ring0)
             row_start(
                 state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values
             )
@@ -218,7 +228,7 @@ def _start_sweep(band, shape, values, grips):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _step_row(band, level, row, top, shape, values, grips, time, dt):  # type: ignore[no-untyped-def]
+def _step_row(band, level, row, top, shape, values, grips, step, dt):  # type: ignore[no-untyped-def]
     """Move one row of the sheet by one step, or, above row `top`, only do what it does to the rows below."""
     state, pitch, table, ring = band.state, band.pitch, band.table, band.ring
     stride, width = band.components * pitch, 3 * pitch
@@ -230,7 +240,7 @@ def _step_row(band, level, row, top, shape, values, grips, time, dt):  # type: i
     entry = band.table_rows[local]
     if row >= top:
         if grips is not None:
-            _pull_row(grips, row, time, dt, band, ring0)
+            _pull_row(grips, row, (step + 0.5) * dt, step + 1, dt, band, ring0)
         row_step(state, at, at + stride, at + 2 * stride, pitch, table, entry, ring, ring0, ring1, ring2, shape, values)
     elif row == top - 1:
         row_above(
@@ -258,14 +268,13 @@ def _sweep(band, begin, levels, steps, dt, shape, fast, once, ends, full, grips)
             if row < max(top - REACH, 0) or row >= min(band.last + margin_here, band.rows):
                 continue
             step = begin + level
-            time = (step + 0.5) * dt
             if fast is not None and step % 2 == 1:
-                _step_row(band, level, row, top, fast, once, grips, time, dt)
+                _step_row(band, level, row, top, fast, once, grips, step, dt)
             else:
                 values = once
                 if fast is not None:
                     values = ends if step == 0 or step == steps - 1 else full
-                _step_row(band, level, row, top, shape, values, grips, time, dt)
+                _step_row(band, level, row, top, shape, values, grips, step, dt)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
