@@ -26,9 +26,11 @@ class EnergyReport:
     total: float
     #: Done on the cloth by grippers.
     work: float
+    #: Done on the cloth by moving air.
+    wind: float
     #: Dissipated by springs, drag and grips.
     dissipated: float
-    #: What the balance of all frames leaves over: energy - energy before - work + dissipated, summed over frames.
+    #: What the balance leaves over: energy - energy before - work - wind + dissipated, summed over all frames.
     residual: float
     #: Energy that went from one form into another, at least.
     turned_over: float
@@ -43,7 +45,7 @@ class EnergyWatch:
 
     def __init__(self, dynamics: Dynamics) -> None:
         self._dynamics = Dynamics(dynamics.model)
-        self._sums = EnergyReport(total=0.0, work=0.0, dissipated=0.0, residual=0.0, turned_over=0.0)
+        self._sums = EnergyReport(total=0.0, work=0.0, wind=0.0, dissipated=0.0, residual=0.0, turned_over=0.0)
 
     def follow(self, integrator: Integrator, before: State, t: float, duration: float) -> EnergyReport:
         """Run one frame of length duration [s] from the state before it, which is used up, and report."""
@@ -54,6 +56,7 @@ class EnergyWatch:
         self._sums = EnergyReport(
             total=self._dynamics.energy(t + duration, before.x, before.v),
             work=sums.work + balance.work,
+            wind=sums.wind + balance.wind,
             dissipated=sums.dissipated + balance.lost,
             residual=sums.residual + residual,
             turned_over=sums.turned_over + balance.turned_over,

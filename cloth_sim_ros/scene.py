@@ -34,7 +34,7 @@ from cloth_sim_ros.scene_physics import (
     build_sheet,
     grid_threads_of,
 )
-from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record
+from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record, Wind
 
 MOST_PARTICLES = 4_000_000
 #: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
@@ -71,6 +71,7 @@ class Scene:
         live=True,
     )
     air: Air = section(Air)
+    wind: Wind = section(Wind)
     grippers: tuple[str, ...] = parameter("string[]", ("gripper",), "Names of the grippers; none by ['']")
     gripper: Gripper = section(Gripper)
     integrator: str = parameter(
@@ -301,6 +302,8 @@ class Scene:
             fitting = "none" if isinstance(sheet, RawSprings) else "none, opposite, crossed or altitude"
             raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
         anchored_particles(self, sheet)
+        if (self.wind.normal_drag or self.wind.tangential_drag) and not len(sheet.triangles()):
+            raise ParameterError("wind.normal_drag and wind.tangential_drag need a surface; raw springs have none")
         if self.initial_state:
             self._loaded_state()
         if model in ("axial", "opposite") and modulus:

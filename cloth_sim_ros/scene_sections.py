@@ -134,6 +134,40 @@ class Air:
 
 
 @attrs.frozen(kw_only=True)
+class Wind:
+    """Air in motion, and its grip on the surface. Drag is relative to it: acceleration -air.drag (v - velocity)."""
+
+    velocity: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0, 0.0),
+        "Velocity of the air, uniform; it acts by air.drag and by the coefficients below",
+        unit="m/s",
+        length=3,
+        least=-100.0,
+        most=100.0,
+        live=True,
+    )
+    normal_drag: float = parameter(
+        "double",
+        0.0,
+        "Force on an area and speed, of air across the surface; 0 leaves triangles alone",
+        unit="N s/m^3",
+        least=0.0,
+        most=1e3,
+        live=True,
+    )
+    tangential_drag: float = parameter(
+        "double",
+        0.0,
+        "Force on an area and speed, of air along the surface",
+        unit="N s/m^3",
+        least=0.0,
+        most=1e3,
+        live=True,
+    )
+
+
+@attrs.frozen(kw_only=True)
 class Gripper:
     """What every gripper is like."""
 

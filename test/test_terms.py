@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.physics.gripper_path import path_row
+from cloth_sim_ros.physics.terms.air_panels import AirPanels
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 from cloth_sim_ros.physics.terms.grips import Grips
@@ -45,6 +46,7 @@ EXTERNAL = {
     "gravity": Gravity(MASSES, [1.0, -2.0, -9.81]),
     "drag": Drag(MASSES, 0.7),
     "grips": grips(),
+    "air panels": AirPanels(RNG.permuted(np.tile(np.arange(N), (9, 1)), axis=1)[:, :3], normal=2.0, tangential=0.3),
 }
 TERMS = {**INTERNAL, **EXTERNAL}
 every_term = pytest.mark.parametrize("term", TERMS.values(), ids=TERMS.keys())

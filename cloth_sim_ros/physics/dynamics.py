@@ -89,6 +89,10 @@ class Dynamics:
         """Return the power lost to damping [W]."""
         return sum(term.dissipation(t, x, v) for term in self.model.terms)
 
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that moving air puts into the motion [W]."""
+        return sum(term.supply(t, x, v) for term in self.model.terms)
+
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
         x.

@@ -14,7 +14,9 @@ from cloth_sim_ros.physics.terms.grips import Grips
 
 
 class EnergyBalance(Observer):
-    """Integrates dissipation and the grippers' work over advances; residual = E - E at the start - work + lost.
+    """Integrates dissipation, and the work of grippers and wind, over advances.
+
+    residual = E - E at the start - work - wind + lost.
 
     Args:
         dynamics: equations of motion.
@@ -32,28 +34,32 @@ class EnergyBalance(Observer):
         self.lost = 0.0
         #: Done on the cloth by grippers so far [J].
         self.work = 0.0
-        self._pending = [0.0, 0.0]
+        #: Done on the cloth by moving air so far [J].
+        self.wind = 0.0
+        self._pending = [0.0, 0.0, 0.0]
         #: Energy that went from one form into another so far, at least [J].
         self.turned_over = 0.0
         self._kinetic = self._start - dynamics.energy(t, state.x, self._still)
 
     def restart(self) -> None:
-        self._pending = [0.0, 0.0]
+        self._pending = [0.0, 0.0, 0.0]
 
     def observe(self, t: float, x: Array, v: Array, weight: float) -> None:
         self._pending[0] += weight * self._dynamics.dissipation(t, x, v)
+        self._pending[2] += weight * self._dynamics.supply(t, x, v)
         for grips in self._grips:
             grips.add_force(t, x, v, self._scratch)
             self._pending[1] += weight * float(grips.wrenches[:, 6].sum())
 
     def close(self, t: float, state: State) -> float:
         """Book an advance that ended at time t; return the residual [J] so far."""
-        lost, work = self._pending
+        lost, work, wind = self._pending
         self.lost += lost
         self.work += work
+        self.wind += wind
         self.restart()
         energy = self._dynamics.energy(t, state.x, state.v)
         kinetic = energy - self._dynamics.energy(t, state.x, self._still)
-        self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work)
+        self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work) + abs(wind)
         self._kinetic = kinetic
-        return energy - self._start - self.work + self.lost
+        return energy - self._start - self.work - self.wind + self.lost

@@ -22,6 +22,7 @@ from cloth_sim_ros.physics.kernels.held_points import BOOKED_NUMBERS, POSE_NUMBE
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
+from cloth_sim_ros.physics.terms.wind import Wind
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.dynamics import Dynamics
@@ -36,7 +37,7 @@ _STRETCH = 8192
 class GridPlan:
     """Takes over the spring terms of a grid; equal to their sum to rounding.
 
-    The leapfrog is fused where the model has no other terms than these, gravity, drag and grips. That is
+    The leapfrog is fused where the model has no other terms than these, gravity, drag, wind and grips. That is
     decided by the scene alone. Wrenches come out of the compiled loop; any other observer watches a copy of the run
     that goes by terms beside it, so that it changes no bit of this one.
 
@@ -55,18 +56,19 @@ class GridPlan:
         self._bounds = GridBounds(springs)
         self._loop: Callable[[Any], GridLeapfrog] | None = None
         self._grips: Grips | None = None
-        gravity, drag = None, 0.0
+        drag, pushes = 0.0, []
         for term in model.terms:
             if term.name in names:
                 continue
-            if isinstance(term, Gravity):
-                gravity = term.acceleration
+            if isinstance(term, Gravity | Wind):
+                pushes.append(term.acceleration)
             elif isinstance(term, Drag):
                 drag = term.rate
             elif isinstance(term, Grips):
                 self._grips = term
             else:
                 return
+        gravity = sum(pushes[1:], pushes[0]) if pushes else None
         threads = _threads(springs)
 
         # Each precision has a loop of its own, made when it is first asked for.

@@ -115,6 +115,7 @@ class Report:
         }
         if energy is not None:
             values["energy_work_j"] = f"{energy.work:.6g}"
+            values["energy_wind_j"] = f"{energy.wind:.6g}"
             values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
             values["energy_balance_j"] = f"{energy.residual:.3g}"
         if advance is not None:

@@ -201,15 +201,17 @@ class ImplicitAdvance:
         return not gain <= _GAIN * (kinetic + abs(self._work(done)))
 
     def _gain(self, t: float, h: float, done: _Step) -> tuple[float, float]:
-        """Energy after a step less what there was and what grippers put in [J], and the kinetic energy after it [J]."""
+        """Energy after a step less what there was and what grippers and air put in, and the kinetic energy then [J]."""
         before = self._dynamics.energy(t, self._state.x, self._state.v)
         after = self._dynamics.energy(t + h, done.x, done.v)
         kinetic = 0.5 * float(np.sum(self._dynamics.model.masses * done.v * done.v))
         return after - before - self._work(done) - _ROUNDING * abs(before), kinetic
 
     def _work(self, done: _Step) -> float:
-        """Work of the grippers over a step [J], as an observer sees it."""
+        """Work of the grippers and of moving air over a step [J], as an observer sees it."""
         work, nothing = 0.0, np.zeros_like(done.x)
+        for moment, weight, x, v in done.stages:
+            work += weight * self._dynamics.supply(moment, x, v)
         for term in self._dynamics.model.terms:
             if isinstance(term, Grips) and term.particles.size:
                 for moment, weight, x, v in done.stages:
@@ -276,5 +278,6 @@ class ImplicitAdvance:
 
     def _merit(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
         place = x + d * u
-        slip = self._dynamics.dissipation(t, place, u)
-        return self._dynamics.energy(t, place, u - v) + 0.5 * d * slip
+        # Moving air pushes with a force that is nearly constant, and has no energy of its own.
+        slip = 0.5 * self._dynamics.dissipation(t, place, u) - self._dynamics.supply(t, place, u)
+        return self._dynamics.energy(t, place, u - v) + d * slip

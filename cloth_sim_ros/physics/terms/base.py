@@ -47,6 +47,10 @@ class Term(ABC):
         """Return the power that damping takes out of the motion [W]."""
         return 0.0
 
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        """Return the power [W] that moving air puts into the motion; grips book their work as they go."""
+        return 0.0
+
     def add_stiffness(self, x: Array, blocks: Array) -> None:  # noqa: B027
         """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
 
