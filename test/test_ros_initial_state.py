@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
 from session_maker import SessionMaker, carried_corner
 
 from cloth_sim_ros import Pause, Scene, SetParameters, Simulation, State
