@@ -250,6 +250,25 @@ def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "'gripper_tool' does not exist" in log.lines[0]
 
 
+def test_a_gripper_whose_frame_stands_still_lets_go_as_a_silent_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    simulation, own, log = companions(None, gripper__frame="base", gripper__timeout=0.5)
+    simulation.advance(own.events(NOW))
+    simulation.advance([Grasp("gripper", True)])
+    assert own.events(NOW + SECOND // 2) == []
+    assert own.events(NOW + SECOND) == [Grasp("gripper", False)]
+    assert "no target has come for 1.00 s" in log.lines[0]
+
+
+def test_a_clock_that_was_set_back_leaves_a_gripper_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    simulation, own, _ = companions(None, gripper__frame="base", gripper__timeout=0.5)
+    simulation.advance(own.events(NOW))
+    simulation.advance([Grasp("gripper", True)])
+    assert own.events(NOW - 100 * SECOND) == []
+    assert own.events(NOW - 99 * SECOND) == [Grasp("gripper", False)]
+
+
 def script(*steps: dict[str, Any], **entries: Any) -> dict[str, Any]:
     return {"steps": list(steps), **entries}
 

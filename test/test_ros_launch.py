@@ -8,6 +8,7 @@ line that launch_ros builds (its Node action: name, namespace, parameters, each 
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -180,3 +181,17 @@ def test_everything_may_be_remapped(ros_domain: int, start_process: Callable[...
             what="the remapped service",
         )
     assert process.interrupt() == 0
+
+
+def test_the_documented_process_of_two_cloths(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    page = (ROOT / "docs" / "ros.md").read_text()
+    # With rclpy's own signal handlers, which shut everything down before the cloths are closed.
+    (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "ClothNode" in block)
+    process = start_process([sys.executable, "-c", script])
+    with Client() as client:
+        for name in ("towel", "sheet"):
+            clouds: list[PointCloud2] = []
+            client.node.create_subscription(PointCloud2, f"/robot/{name}/points", clouds.append, 10)
+            client.spin_until(lambda clouds=clouds: len(clouds) > 3, what=f"clouds of {name}")
+    assert process.interrupt() == 0, process.output
+    assert "Traceback" not in process.output

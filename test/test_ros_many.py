@@ -6,16 +6,19 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
 from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from ros_client import Client, pose, positions, start_cloth
+from ros_client import LIMIT, Client, pose, positions, start_cloth
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
@@ -130,3 +133,28 @@ def test_everyone_may_die_in_the_middle_of_a_grasp(
         client.spin_until(is_lifted, what="the corner lifted again")
     assert again.interrupt() == 0
     assert gripper.interrupt() == 130
+
+
+def test_a_recording_is_whole_where_the_context_was_shut_down_first(ros_domain: int, tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+
+    values = {"cloth.resolution": [5, 5], "record.enabled": True, "record.folder": str(tmp_path)}
+    context = rclpy.Context()
+    context.init()
+    cloth = ClothNode(
+        context=context, parameter_overrides=[Parameter(name, value=value) for name, value in values.items()]
+    )
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(cloth.node)
+    cloth.start()
+    end = time.monotonic() + LIMIT
+    while cloth.simulation.frame <= 5 and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.1)
+    context.shutdown()
+    assert cloth.close()
+    cloth.node.destroy_node()
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionReader(path, strict=True) as reader:
+        assert len(list(reader.frames())) > 5
+        assert reader.complete

@@ -35,6 +35,8 @@ class GripperCompanions:
         self._heard = heard
         self._log = log
         self._followed: dict[str, int] = {}
+        #: When the frame that a gripper follows was last seen to move on, ROS time [ns].
+        self._moved: dict[str, int] = {}
 
     def events(self, now: int) -> list[Event]:
         """Return the events of a frame that is due at a ROS time [ns]."""
@@ -44,11 +46,11 @@ class GripperCompanions:
         found: list[Event] = []
         for index, name in enumerate(scene.gripper_names):
             if scene.gripper.frame:
-                found += self._follow(scene, name)
+                found += self._follow(scene, name, now)
             found += self._let_go(scene, index, name, now)
         return found
 
-    def _follow(self, scene: Scene, name: str) -> list[Event]:
+    def _follow(self, scene: Scene, name: str, now: int) -> list[Event]:
         frame = scene.gripper.frame.replace("{gripper}", name)
         try:
             position, orientation, stamp = self._frames.newest(frame)
@@ -60,10 +62,14 @@ class GripperCompanions:
             self._log.warn(f"follow {name}", f"'{name}' can't follow frame '{frame}': {error}")
             return []
         self._followed[name] = stamp
+        self._moved[name] = now
         return [target]
 
     def _let_go(self, scene: Scene, index: int, name: str, now: int) -> list[Event]:
-        heard = self._heard(name)
+        if name in self._moved:
+            # The clock may have been set back since.
+            self._moved[name] = min(self._moved[name], now)
+        heard = max((time for time in (self._heard(name), self._moved.get(name)) if time is not None), default=None)
         if not scene.gripper.timeout or heard is None or not self._simulation.grippers.is_closed(index):
             return []
         silent = (now - heard) * 1e-9

@@ -194,12 +194,15 @@ class ClothNode:
         )
 
     def close(self, *, timeout: float = 1.5) -> bool:
-        """End the recording and let no more frames be due; return whether all that was recorded is in its file."""
+        """End the recording and let no more frames be due; return whether all that was recorded is in its file.
+
+        Also where the context was shut down before, as rclpy's own signal handlers do: nothing is published then.
+        """
         if self._pacer is not None:
             self._pacer.stop()
         self._queue.clear("the node stops")
         # Where a signal came amid a frame, there is nothing to be said of the half of it.
-        if self._pacer is not None and not self._cut_off:
+        if self._pacer is not None and not self._cut_off and self.node.context.ok():
             self._diagnostics.send()
             self._outputs.flush()
             self._diagnostics.flush()
