@@ -73,6 +73,7 @@ SCENES = {
     "mesh, bare": {**SHEET, "gravity": [0.0] * 3, "air.drag": 0.0, "material.damping": 0.0, "cloth.anchors": [""]},
     "mesh, undamped in air": {**SHEET, "material.damping": 0.0},
     "mesh, viscous": {**SHEET, "material.viscosity": 0.05, "air.drag": 0.0},
+    "mesh, wind": {**SHEET, "wind.velocity": [1.0, 2.0, -0.5]},
     "mesh, crossed": {**SHEET, "bending.model": "crossed", "material.bending_modulus": 1e-8},
     "grid, opposite": {**BENDING, "bending.model": "opposite", "material.bending_modulus": 0.0},
     "grid, crossed": {**BENDING, "bending.model": "crossed"},

@@ -10,7 +10,7 @@ from functools import cached_property
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.dynamics import TERM_STEP, Dynamics
 from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, Observer, UnstableError, restart
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
@@ -22,10 +22,9 @@ from cloth_sim_ros.physics.state import State
 #: Integrators by the name that a scene gives.
 INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
 
-#: Cost of a leapfrog step for one particle [ns], by the fused loop and by terms, and of one multiply-add in the
-#: two-threaded factorisation of the implicit method's matrix. Measured once; constants, so that the choice is the
-#: same on any machine.
-FUSED_STEP, TERM_STEP, MULTIPLY_ADD = 6.0, 90.0, 0.35
+#: Cost of one multiply-add in the two-threaded factorisation of the implicit method's matrix [ns]. Measured once; a
+#: constant, so that the choice is the same on any machine.
+MULTIPLY_ADD = 0.35
 #: Newton iterations of an implicit frame that is held to a tolerance, as a rule: two steps.
 ITERATIONS = 10.0
 #: Explicit steps are kept while they cost less than this share of real time: they follow what implicit ones damp out.
@@ -166,8 +165,7 @@ def _explicit_frame(dynamics: Dynamics, state: State, duration: float) -> float:
         stepper.omega2, stepper.damping = dynamics.rates(state.x)
     limit = SAFETY * leapfrog_limit(stepper.omega2, stepper.damping)
     steps = max(1.0, duration / limit)
-    each = FUSED_STEP if dynamics.plan is not None else TERM_STEP
-    return steps * each * dynamics.model.particle_count
+    return steps * dynamics.step_cost * dynamics.model.particle_count
 
 
 def _implicit_iteration(dynamics: Dynamics) -> float:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloth_sim_ros.physics.dynamics import TERM_STEP
 from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
 from cloth_sim_ros.physics.kernels.grid_bounds import GridBounds
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.terms.base import Array
 
 
+#: Cost of a step for one particle [ns].
+_STEP = 6.0
 #: Particles whose blocks, a hundred bytes each, fit into a second cache.
 _STRETCH = 8192
 
@@ -125,6 +128,11 @@ class GridPlan:
             else:
                 booked = None if grips is None else np.column_stack([grips.impulses, grips.work])[back]
                 wrenches.add_run(booked, duration, weight)
+
+    @property
+    def step_cost(self) -> float:
+        """Estimated cost of a step for one particle [ns]."""
+        return _STEP if self._loop is not None else TERM_STEP
 
     def narrows(self) -> bool:
         """Whether single precision would make a difference to the next run."""
