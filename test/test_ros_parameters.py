@@ -111,7 +111,7 @@ def other_value(entry: Any, value: Any) -> Any:
     if entry.choices:
         return next(choice for choice in entry.choices if choice != value)
     if entry.is_array:
-        return tuple(0.5 * number for number in value)
+        return tuple(0.5 * number + 0.25 for number in value)
     return 0.9 * value if value else 0.001 * entry.most**0.5
 
 

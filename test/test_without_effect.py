@@ -23,6 +23,8 @@ SCENES = {
     "mesh": {"cloth.mesh": "m.obj", "cloth.anchors": ["0"], "bending.model": "none"},
     "folded mesh": {"cloth.mesh": "m.obj", "cloth.anchors": ["0"], "bending.model": "crossed", **MODULUS},
     "springs": {"cloth.springs": "s.yaml", "cloth.anchors": ["0"], "bending.model": "none"},
+    "calm": {"air.drag": 0.0},
+    "windy": {"air.drag": 0.3},
     "fixed step": {"step": 1e-4},
     "no grippers": {"grippers": [""]},
 }
@@ -31,11 +33,12 @@ OTHER = {
     "material.stretch_modulus": 900.0, "material.shear_modulus": 90.0, "material.bending_modulus": 2e-4,
     "material.damping": 0.2, "material.viscosity": 0.3, "bending.stiffness": 3.0, "bending.rest_angle": 0.4,
     "tolerance": 1e-6, "gripper.radius": 1.5, "gripper.stiffness": 500.0, "gripper.damping": 0.9,
+    "wind.velocity": [0.0, 2.0, 0.0], "wind.normal_drag": 0.5, "wind.tangential_drag": 0.5,
 }  # fmt: skip
 
 
 def motion(values):
-    scene = Scene.from_parameters({"cloth.resolution": [4, 4], "air.drag": 0.0, **values}, files=FILES)
+    scene = Scene.from_parameters({"cloth.resolution": [4, 4], **values}, files=FILES)
     simulation = Simulation(scene)
     # Off its rest shape, so that each of its forces acts.
     simulation.state.x[:] += 0.02 * np.sin(np.arange(simulation.state.x.size)).reshape(simulation.state.x.shape)
