@@ -18,7 +18,9 @@ from cloth_sim_ros.physics.kernels import mesh_leapfrog
 from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.ordering import bandwidth, local_order
+from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
 from cloth_sim_ros.physics.terms.base import Term
+from cloth_sim_ros.physics.terms.crossed import CrossedSprings
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 from cloth_sim_ros.scene import Scene
@@ -213,6 +215,32 @@ def test_coincident_particles_give_no_force_and_no_nan():
     MeshPlan(dynamics).leapfrog(0.0, x, v, 1e-3, 5, None, 1.0)
     assert not x.any()
     assert not v.any()
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.02], ids=["undamped", "damped"])
+@pytest.mark.parametrize("kind", [CrossedSprings, AltitudeSprings])
+def test_hinges_give_the_forces_of_their_terms_and_none_where_they_have_no_length(kind, damping):
+    rng = np.random.default_rng(0)
+    quads = np.array([12 + rng.choice(288, 4, replace=False) for _ in range(900)])
+    x, v = rng.uniform(-1, 1, (3, 300)), rng.uniform(-1, 1, (3, 300))
+    # Edge and wings parallel, all in one line, all in one point.
+    x[:, :4] = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]).T
+    x[:, 4:8] = np.outer([1, 2, 3], np.arange(4))
+    x[:, 8:12], v[:, :12] = 0.5, 0.0
+    quads = np.concatenate([quads, np.arange(12).reshape(3, 4)])
+    stiffness, rest = rng.uniform(0.1, 1, len(quads)), rng.uniform(-0.1, 0.1, len(quads))
+    ends = (quads[:, :2], quads[:, 2:]) if kind is CrossedSprings else (quads,)
+    term = kind(*ends, rest, stiffness, damping * stiffness)
+    dynamics = Dynamics(Model(rng.uniform(0.5, 1, 300), [term], anchors=[20]))
+    ends = []
+    for march in (MeshPlan(dynamics).leapfrog, lambda *arguments: leapfrog_by_terms(dynamics, *arguments)):
+        ends.append((x.copy(), v.copy()))
+        march(0.0, *ends[-1], 1e-3, 3, None, 1.0)
+    pushed = np.abs(ends[1][1] - v).max()
+    assert pushed > 1e-4
+    assert ends[0][1] == pytest.approx(ends[1][1], abs=1e-12 * max(1.0, pushed))
+    assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-12)
+    assert not ends[0][1][:, 4:12].any()
 
 
 def test_a_chain_with_a_joint_keeps_its_order_and_moves_as_by_its_terms():

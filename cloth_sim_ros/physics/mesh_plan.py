@@ -37,7 +37,7 @@ _KINDS = (PairSprings, DeferredSprings, OppositeSprings, CrossedSprings, Altitud
 
 #: Cost of moving a particle, of a spring, a hinge of S8 and one of S9 [ns]. Measured once; constants, so that what is
 #: chosen by them is the same on any machine.
-_MOVE, _EACH = 3.0, (2.0, 18.0, 45.0)
+_MOVE, _EACH = 3.0, (2.0, 8.0, 12.0)
 
 
 class MeshPlan:

@@ -10,6 +10,7 @@ added at the second, one spring after the other: the order of the sums does not 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
@@ -27,8 +28,10 @@ ROW = 2 * QUAD
 LANES = max(vector_bytes() // 8, QUAD)
 """Springs of a batch."""
 
+_LONG = ir.IntType(64)
 
-class _Lanes(Vectors):
+
+class Lanes(Vectors):
     """Vectors of float64 with `lanes` lanes, whatever the machine's width: LLVM cuts them up where it must."""
 
     def __init__(self, builder: Any, lanes: int) -> None:
@@ -50,22 +53,59 @@ class _Lanes(Vectors):
         first = [j + 2 * odd for j in range(0, self.lanes, QUAD)]
         return self.shuffle(a, b, [k + side + low for k in first for side in (0, self.lanes) for low in (0, 1)])
 
+    def where(self, condition: Any, a: Any) -> Any:
+        """a where the condition holds, else zero."""
+        return self.builder.select(condition, a, self.constant(0.0))
 
-class _Batch:
-    """Emits one batch: see the module. `first`, `second`: for each lane the index of its ends' rows in `rows`."""
+    def above(self, a: Any, b: Any) -> Any:
+        """a > b; false for a NaN."""
+        return self.builder.fcmp_ordered(">", a, b)
 
-    def __init__(self, builder: Any, rows: Any, first: list[Any], second: list[Any]) -> None:
+
+class Batch:
+    """Emits a batch: a vector has a spring a lane, a list of LANES values one for each.
+
+    Springs have two ends, hinges four; the words are the springs'.
+    """
+
+    def __init__(self, context: Any, builder: Any, signature: Any, arguments: Any) -> None:
         self.builder = builder
-        self.wide, self.quad = _Lanes(builder, LANES), _Lanes(builder, QUAD)
-        #: For each lane the second end's quads minus the first's, as many in a vector as fit.
-        self.away = [
-            [self._minus(rows, b, a, place) for place in range(0, ROW, LANES)]
+        self.wide, self.quad = Lanes(builder, LANES), Lanes(builder, QUAD)
+        self._rows, self._force, self._ends, self._table = (
+            context.make_array(signature.args[i])(context, builder, arguments[i]).data for i in range(4)
+        )
+
+    def times(self, index: Any, factor: int) -> Any:
+        """An index times a constant."""
+        return self.builder.mul(index, ir.Constant(_LONG, factor))
+
+    def ends(self, number: Any, count: int) -> list[list[Any]]:
+        """Force quads of the first, second, ... ends of the springs of batch `number`."""
+        start = self.times(number, count * LANES)
+        at = [self.builder.add(start, ir.Constant(_LONG, j)) for j in range(count * LANES)]
+        found = [self.builder.sext(self.builder.load(self.builder.gep(self._ends, [j])), _LONG) for j in at]
+        return [found[LANES * end : LANES * (end + 1)] for end in range(count)]
+
+    def constants(self, number: Any, count: int) -> list[Any]:
+        """Constants of the springs of batch `number`."""
+        start = self.times(number, count * LANES)
+        return [
+            self.wide.load(self._table, self.builder.add(start, ir.Constant(_LONG, k * LANES))) for k in range(count)
+        ]
+
+    def away(self, first: list[Any], second: list[Any]) -> list[list[Any]]:
+        """For each spring the row of its second end minus that of the first, as many quads in a vector as fit."""
+        return [
+            [
+                self._minus(self.times(b, ROW // QUAD), self.times(a, ROW // QUAD), place)
+                for place in range(0, ROW, LANES)
+            ]
             for a, b in zip(first, second, strict=True)
         ]
 
-    def _minus(self, rows: Any, b: Any, a: Any, place: int) -> Any:
-        offset = ir.Constant(ir.IntType(64), place)
-        far, near = (self.wide.load(rows, self.builder.add(index, offset)) for index in (b, a))
+    def _minus(self, b: Any, a: Any, place: int) -> Any:
+        offset = ir.Constant(_LONG, place)
+        far, near = (self.wide.load(self._rows, self.builder.add(index, offset)) for index in (b, a))
         return self.wide.sub(far, near)
 
     def _turned(self, four: list[Any]) -> list[Any]:
@@ -76,29 +116,82 @@ class _Batch:
         merge = self.wide.merge
         return [merge(low[0], low[1], 0), merge(high[0], high[1], 0), merge(low[0], low[1], 1)]
 
-    def components(self, which: int) -> list[Any]:
-        """Three components of the differences, a spring a lane: of positions (0) or of velocities (1)."""
+    def components(self, away: list[list[Any]], which: int) -> list[Any]:
+        """Three vectors, of the differences of positions (0) or of velocities (1)."""
         if LANES == QUAD:
-            return self._turned([vectors[which] for vectors in self.away])
-        halves = [self._turned([vectors[0] for vectors in self.away[at : at + QUAD]]) for at in (0, QUAD)]
+            return self._turned([vectors[which] for vectors in away])
+        halves = [self._turned([vectors[0] for vectors in away[at : at + QUAD]]) for at in (0, QUAD)]
         order = [which * QUAD + side + j for side in (0, LANES) for j in range(QUAD)]
         return [self.wide.shuffle(one, other, order) for one, other in zip(*halves, strict=True)]
 
-    def scatter(self, factor: Any, force: Any, first: list[Any], second: list[Any]) -> None:
-        """Subtract each lane's factor times its difference of positions from its first end's force quad, add it to
-        its second end's.
+    def positions(self, away: list[list[Any]]) -> list[Any]:
+        """The differences of positions as quads."""
+        if LANES == QUAD:
+            return [vectors[0] for vectors in away]
+        return [self.quad.shuffle(vectors[0], vectors[0], list(range(QUAD))) for vectors in away]
+
+    def quads(self, f: list[Any]) -> list[Any]:
+        """Three vectors as a quad for each spring."""
+        found: list[Any] = [None] * LANES
+        for odd in (0, 1):
+            pair, rest = self.wide.unpack(f[0], f[1], odd), self.wide.unpack(f[2], self.wide.constant(0.0), odd)
+            for half in (0, 1):
+                merged = self.wide.merge(pair, rest, half)
+                for first in range(0, LANES, QUAD):
+                    own = list(range(first, first + QUAD))
+                    found[first + 2 * half + odd] = self.quad.shuffle(merged, merged, own)
+        return found
+
+    def spread(self, factor: Any) -> list[Any]:
+        """For each spring a quad of its number in a vector.
+
+        Through memory: a load spreads a number by itself, where a shuffle would wait for the others.
         """
-        # Through memory: one load gives a quad of equal factors, where a shuffle would wait for the others.
-        factors = cgutils.alloca_once(self.builder, self.wide.type)
-        self.builder.store(factor, factors, align=8)
-        scalars = self.builder.bitcast(factors, ir.DoubleType().as_pointer())
-        for lane, (a, b) in enumerate(zip(first, second, strict=True)):
-            away = self.away[lane][0]
-            away = away if LANES == QUAD else self.quad.shuffle(away, away, list(range(QUAD)))
-            index = ir.Constant(ir.IntType(64), lane)
-            pull = self.quad.splat(self.builder.load(self.builder.gep(scalars, [index]), align=8))
-            self.quad.store(self.quad.fma(self.quad.neg(pull), away, self.quad.load(force, a)), force, a)
-            self.quad.store(self.quad.fma(pull, away, self.quad.load(force, b)), force, b)
+        kept = cgutils.alloca_once(self.builder, self.wide.type)
+        self.builder.store(factor, kept, align=8)
+        numbers = self.builder.bitcast(kept, ir.DoubleType().as_pointer())
+        places = [self.builder.gep(numbers, [ir.Constant(_LONG, lane)]) for lane in range(LANES)]
+        return [self.quad.splat(self.builder.load(place, align=8)) for place in places]
+
+    def force(self, at: Any) -> Any:
+        """A force quad."""
+        return self.quad.load(self._force, at)
+
+    def set_force(self, value: Any, at: Any) -> None:
+        """Set a force quad."""
+        self.quad.store(value, self._force, at)
+
+
+def batches(emit: Callable[[Batch, Any, bool], None], signature: Any) -> Any:
+    """What an intrinsic returns that takes rows, force, ends, table, first, last, damped: `emit` for each batch, told
+    whether its springs are damped.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        batch = Batch(context, builder, signature, arguments)
+        one = context.get_constant(types.intp, 1)
+        with cgutils.for_range_slice(builder, arguments[4], arguments[5], one) as (number, _):
+            emit(batch, number, signature.args[6] != types.none)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _spring(batch: Batch, number: Any, damped: bool) -> None:
+    wide, quad = batch.wide, batch.quad
+    first, second = batch.ends(number, 2)
+    away = batch.away(first, second)
+    force_at_zero, stiffness, *damping = batch.constants(number, 3 if damped else 2)
+    s = batch.components(away, 0)
+    inverse = wide.inverse_root(wide.dot(s, s, wide.constant(SHORTEST_SQUARE)))
+    # The force on the second end over the length, k (l0/L - 1) - k_d (u.s)/L^2.
+    factor = wide.fma(force_at_zero, inverse, wide.neg(stiffness))
+    if damped:
+        rate = wide.dot(batch.components(away, 1), s, wide.constant(0.0))
+        factor = wide.fma(wide.neg(wide.mul(damping[0], rate)), wide.mul(inverse, inverse), factor)
+    for a, b, along, pull in zip(first, second, batch.positions(away), batch.spread(factor), strict=True):
+        batch.set_force(quad.fma(quad.neg(pull), along, batch.force(a)), a)
+        batch.set_force(quad.fma(pull, along, batch.force(b)), b)
 
 
 @intrinsic
@@ -109,44 +202,7 @@ def pull_springs(typing, rows, force, ends, table, first, last, damped):  # type
     particle * QUAD. `table`: for each batch LANES times k l0 [N], then k [N/m], then, unless `damped` is None, k_d
     [N s/m].
     """
-    signature = types.void(rows, force, ends, table, types.intp, types.intp, damped)
-
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        rows_, force_, ends_, table_ = (
-            context.make_array(signature.args[i])(context, builder, arguments[i]).data for i in range(4)
-        )
-        counted = signature.args[6] != types.none
-        wide, long = _Lanes(builder, LANES), ir.IntType(64)
-
-        def times(index: Any, factor: int) -> Any:
-            return builder.mul(index, ir.Constant(long, factor))
-
-        one = context.get_constant(types.intp, 1)
-        with cgutils.for_range_slice(builder, arguments[4], arguments[5], one) as (number, _):
-            start = times(number, 2 * LANES)
-            at = [
-                builder.sext(builder.load(builder.gep(ends_, [builder.add(start, ir.Constant(long, j))])), long)
-                for j in range(2 * LANES)
-            ]
-            row = [times(index, ROW // QUAD) for index in at]
-            batch = _Batch(builder, rows_, row[:LANES], row[LANES:])
-            entry = times(number, (3 if counted else 2) * LANES)
-            force_at_zero, stiffness = (
-                wide.load(table_, builder.add(entry, ir.Constant(long, slot * LANES))) for slot in (0, 1)
-            )
-            s = batch.components(0)
-            inverse = wide.inverse_root(wide.dot(s, s, wide.constant(SHORTEST_SQUARE)))
-            # The force on the second end over the length, k (l0/L - 1) - k_d (u.s)/L^2.
-            factor = wide.fma(force_at_zero, inverse, wide.neg(stiffness))
-            if counted:
-                u = batch.components(1)
-                damping = wide.load(table_, builder.add(entry, ir.Constant(long, 2 * LANES)))
-                rate = wide.neg(wide.mul(damping, wide.dot(u, s, wide.constant(0.0))))
-                factor = wide.fma(rate, wide.mul(inverse, inverse), factor)
-            batch.scatter(factor, force_, at[:LANES], at[LANES:])
-        return context.get_dummy_value()
-
-    return signature, generate
+    return batches(_spring, types.void(rows, force, ends, table, types.intp, types.intp, damped))
 
 
 @intrinsic
@@ -170,7 +226,7 @@ def move_particles(  # type: ignore[no-untyped-def]
         has = [kind != types.none for kind in signature.args]
         rows_, force_, inverse_, values_ = data(0), data(1), data(3), data(6)
         motion_ = data(2) if has[2] else None
-        quad, long = _Lanes(builder, QUAD), ir.IntType(64)
+        quad, long = Lanes(builder, QUAD), _LONG
 
         def scalar(pointer: Any, index: Any) -> Any:
             return builder.load(builder.gep(pointer, [index]))

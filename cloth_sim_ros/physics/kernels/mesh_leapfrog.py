@@ -137,9 +137,11 @@ class MeshLeapfrog:
         ]
         undamped, damped_, joints, first, second = (part.renumbered(self._rank) for part in kinds)
         self._forces = Forces(
-            self._batched(undamped, damped=False),
-            self._batched(damped_, damped=True),
-            *(self._listed(part) for part in (joints, first, second)),
+            self._batched(undamped, undamped.stiffness * undamped.rest, undamped.stiffness),
+            self._batched(damped_, damped_.stiffness * damped_.rest, damped_.stiffness),
+            self._listed(joints),
+            self._batched(first, first.rest, first.stiffness),
+            self._batched(second, second.rest, second.stiffness),
         )
         self._lag = max(part.reach() for part in (undamped, damped_, joints, first, second)) or 1
         # Through a second cache that does not hold everything several steps are better taken at once; no bit changes.
@@ -223,29 +225,28 @@ class MeshLeapfrog:
             np.ascontiguousarray(springs.damping),
         )
 
-    def _batched(self, springs: Springs, *, damped: bool) -> Batches | None:
-        """Cut each block's springs into batches; lanes left over get springs from a particle to itself without
-        stiffness.
+    def _batched(self, springs: Springs, *constants: Floats) -> Batches | None:
+        """Cut each block's springs into batches with these constants and, where there is any, the damping.
+
+        Lanes left over get springs from a particle to itself without stiffness.
         """
-        count = len(springs.particles)
+        count, ends = springs.particles.shape
         if not count:
             return None
+        damped = bool(springs.damping.any())
+        slots = (*constants, springs.damping) if damped else constants
         starts = self._starts(springs)
         batches = -(-np.diff(starts) // LANES)
         first = np.concatenate([[0], np.cumsum(batches)])
         block = np.repeat(np.arange(self._blocks), np.diff(starts))
-        place = first[block] * LANES + np.arange(count) - starts[block]
-        ends = np.repeat(np.repeat(np.arange(self._blocks) * BLOCK, batches), 2 * LANES).reshape(-1, 2, LANES)
-        batch, lane = place // LANES, place % LANES
-        ends[batch, 0, lane], ends[batch, 1, lane] = springs.particles.T
-        table = np.zeros((first[-1], 3 if damped else 2, LANES))
-        table[batch, 0, lane] = springs.stiffness * springs.rest
-        table[batch, 1, lane] = springs.stiffness
-        if damped:
-            table[batch, 2, lane] = springs.damping
-        aligned = aligned_zeros(table.size, np.float64)
-        aligned[:] = table.ravel()
-        return Batches(first.astype(np.int64), (ends * QUAD).astype(np.int32).ravel(), aligned)
+        batch, lane = np.divmod(first[block] * LANES + np.arange(count) - starts[block], LANES)
+        particles = np.empty((first[-1], ends, LANES), dtype=np.int32)
+        particles[:] = np.repeat(np.arange(self._blocks) * BLOCK, batches)[:, None, None]
+        particles[batch, :, lane] = springs.particles
+        table = aligned_zeros(first[-1] * len(slots) * LANES, np.float64)
+        for slot, values in enumerate(slots):
+            table.reshape(first[-1], len(slots), LANES)[batch, slot, lane] = values
+        return Batches(first, (QUAD * particles).ravel(), table, 1 if damped else None)
 
 
 @cache
@@ -254,9 +255,9 @@ def _stamp() -> tuple[int | None, ...]:
 
     Numba's disk cache looks at the file of the compiled function alone: this keeps it from serving older kernels.
     """
-    from cloth_sim_ros.physics.kernels import altitude, crossed, grid_emit, held_points, mesh_emit, pairs, tetrahedron
+    from cloth_sim_ros.physics.kernels import grid_emit, held_points, hinge_emit, mesh_emit, pairs, tetrahedron
 
-    modules = (altitude, crossed, grid_emit, held_points, mesh_emit, pairs, tetrahedron)
+    modules = (grid_emit, held_points, hinge_emit, mesh_emit, pairs, tetrahedron)
     sources = b"".join(Path(str(module.__file__)).read_bytes() for module in modules)
     number = int.from_bytes(hashlib.blake2b(sources, digest_size=2).digest())
     return tuple(1 if number >> bit & 1 else None for bit in range(16))

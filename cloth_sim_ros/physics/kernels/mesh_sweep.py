@@ -18,9 +18,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.kernels.altitude import add_tetrahedron_forces
-from cloth_sim_ros.physics.kernels.crossed import add_crossed_forces
 from cloth_sim_ros.physics.kernels.held_points import book, held_point
+from cloth_sim_ros.physics.kernels.hinge_emit import pull_altitude, pull_crossed
 from cloth_sim_ros.physics.kernels.mesh_emit import QUAD, ROW, move_particles, pull_springs
 from cloth_sim_ros.physics.kernels.pairs import add_pair_forces
 
@@ -31,15 +30,18 @@ Floats = NDArray[np.float64]
 
 
 class Batches(NamedTuple):
-    """Springs in batches, see `mesh_emit.pull_springs`; block b owns batches starts[b] to starts[b + 1] - 1."""
+    """Springs or hinges in batches, see `mesh_emit.pull_springs`; block b owns batches starts[b] to starts[b + 1] - 1.
+    `damped`: None where nothing is.
+    """
 
     starts: NDArray[np.int64]
     ends: NDArray[np.int32]
     table: Floats
+    damped: int | None
 
 
 class Listed(NamedTuple):
-    """Joints (particles (m, 2)) or hinges (m, 4), as their terms have them, in order of their owners."""
+    """Joints, particles (m, 2), as their terms have them, in order of their owners."""
 
     starts: NDArray[np.int64]
     particles: NDArray[np.int64]
@@ -80,8 +82,8 @@ class Forces(NamedTuple):
     undamped: Batches | None
     damped: Batches | None
     joints: Listed | None
-    crossed: Listed | None
-    altitude: Listed | None
+    crossed: Batches | None
+    altitude: Batches | None
 
 
 class Motion(NamedTuple):
@@ -118,29 +120,21 @@ def _hold(held, block, entry, dt, rows, force):  # type: ignore[no-untyped-def]
 def _forces(block, rows, force, undamped, damped, joints, crossed, altitude):  # type: ignore[no-untyped-def]
     """Add the forces of the springs and hinges that a block owns."""
     if undamped is not None:
-        pull_springs(
-            rows, force, undamped.ends, undamped.table, undamped.starts[block], undamped.starts[block + 1], None
-        )
+        a, b = undamped.starts[block], undamped.starts[block + 1]
+        pull_springs(rows, force, undamped.ends, undamped.table, a, b, undamped.damped)
     if damped is not None:
-        pull_springs(rows, force, damped.ends, damped.table, damped.starts[block], damped.starts[block + 1], 1)
-    if joints is not None or crossed is not None or altitude is not None:
+        a, b = damped.starts[block], damped.starts[block + 1]
+        pull_springs(rows, force, damped.ends, damped.table, a, b, damped.damped)
+    if joints is not None:
+        a, b = joints.starts[block], joints.starts[block + 1]
         x, v, f = _views(rows, force)
-        if joints is not None:
-            a, b = joints.starts[block], joints.starts[block + 1]
-            add_pair_forces(
-                joints.particles[a:b], joints.rest[a:b], joints.stiffness[a:b], joints.damping[a:b], x, v, f
-            )
-        if crossed is not None:
-            a, b = crossed.starts[block], crossed.starts[block + 1]
-            add_crossed_forces(
-                crossed.particles[a:b], crossed.rest[a:b], crossed.stiffness[a:b], crossed.damping[a:b], x, v, f
-            )
-        if altitude is not None:
-            a, b = altitude.starts[block], altitude.starts[block + 1]
-            add_tetrahedron_forces(
-                *(altitude.particles[a:b], altitude.rest[a:b], altitude.stiffness[a:b], altitude.damping[a:b]),
-                *(False, x, v, f),
-            )
+        add_pair_forces(joints.particles[a:b], joints.rest[a:b], joints.stiffness[a:b], joints.damping[a:b], x, v, f)
+    if crossed is not None:
+        a, b = crossed.starts[block], crossed.starts[block + 1]
+        pull_crossed(rows, force, crossed.ends, crossed.table, a, b, crossed.damped)
+    if altitude is not None:
+        a, b = altitude.starts[block], altitude.starts[block + 1]
+        pull_altitude(rows, force, altitude.ends, altitude.table, a, b, altitude.damped)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
