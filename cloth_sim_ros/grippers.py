@@ -87,12 +87,13 @@ class Grippers:
         """Take note of a target; the first one places the gripper there at once."""
         memory = self._state.memory
         g = self.names.index(event.gripper)
-        memory["gripper.target"][g, :3] = event.position
+        target = self._renewed("gripper.target")
+        target[g, :3] = event.position
         if event.orientation is not None:
-            memory["gripper.target"][g, 3:] = normalised(event.orientation)
+            target[g, 3:] = normalised(event.orientation)
         if not memory["gripper.placed"][g]:
-            memory["gripper.placed"][g] = True
-            memory["gripper.pose"][g] = memory["gripper.target"][g]
+            self._renewed("gripper.placed")[g] = True
+            self._renewed("gripper.pose")[g] = target[g]
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
         """Grab the free particles within the radius [m] of a gripper's present position."""
@@ -100,7 +101,7 @@ class Grippers:
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
             return GraspResult(name, True, len(self.held(g)), "it is closed already: open it first")
-        memory["gripper.closed"][g] = True
+        self._renewed("gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
@@ -125,7 +126,7 @@ class Grippers:
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
-        memory["gripper.closed"][g] = False
+        self._renewed("gripper.closed")[g] = False
         self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
         return GraspResult(name, False, 0, reason)
 
@@ -144,21 +145,23 @@ class Grippers:
             damping: dimensionless damping k_d0 of it.
         """
         memory = self._state.memory
+        pose, twist, turn = (self._renewed(f"gripper.{what}") for what in ("pose", "twist", "turn"))
         for g in range(len(self.names)):
             target = memory["gripper.target"][g]
-            row, twist, turn = path_row(
-                t, duration, memory["gripper.pose"][g], memory["gripper.twist"][g], memory["gripper.turn"][g], target
-            )
-            term.paths[g] = row
-            memory["gripper.twist"][g] = twist
-            memory["gripper.turn"][g] = turn
-            memory["gripper.pose"][g] = target
+            term.paths[g], twist[g], turn[g] = path_row(t, duration, pose[g], twist[g], turn[g], target)
+            pose[g] = target
         particles = memory["grip.particles"]
         # Border particles carry half or a quarter of the mass, and so of the grip, as they do of the threads: they
         # don't set the step.
         each = stiffness * model.masses[particles] / model.masses.max()
         damping_each = lecture_damping(damping, each, model.masses[particles])
         term.hold(memory["grip.starts"], particles, memory["grip.offsets"], each, damping_each)
+
+    def _renewed(self, name: str) -> np.ndarray:
+        """Put a copy of an array in its place, to write into: who holds the array holds the state before."""
+        memory = self._state.memory
+        memory[name] = memory[name].copy()
+        return memory[name]
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
         """Set what one gripper holds, the others' grips staying as they are."""

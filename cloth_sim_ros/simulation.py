@@ -178,7 +178,7 @@ class Simulation:
         in_order = ordered(list(events))
         for event in in_order:
             self.check(event)
-        before, scene = self.state.copy(), self._scene
+        before, scene = self.state.share(), self._scene
         try:
             return self._advance(in_order)
         except BaseException:
@@ -208,7 +208,7 @@ class Simulation:
                     self._hold_tolerance()
                     wake(self.state)
                 case Pause(paused=paused):
-                    self.state.memory["paused"][0] = paused
+                    self.state.memory["paused"] = np.array([paused])
                 case Step():
                     stepped = True
                 case Reset():
@@ -253,7 +253,7 @@ class Simulation:
                 done = self._sleep.frame(self._integrator.name)
         if done is None:
             self._known_to_rest = False
-            watched = state.copy() if self._energy is not None else None
+            watched = state.share() if self._energy is not None else None
             done = self._integrator.advance(self.dynamics, state, start, period, self._wrenches)
             if self._energy is not None and watched is not None:
                 self.energy_report = self._energy.follow(self._integrator, watched, start, period)
@@ -266,7 +266,7 @@ class Simulation:
         if self._grips is None:
             return
         state, period, gripper = self.state, self._scene.period, self._scene.gripper
-        before = state.memory["gripper.turn"][:, :3].copy()
+        before = state.memory["gripper.turn"][:, :3]
         self.grippers.plan_frame(self._grips, self.model, t, period, gripper.stiffness, gripper.damping)
         jerk = np.abs(state.memory["gripper.turn"][:, :3] - before)[state.memory["gripper.closed"]]
         if jerk.max(initial=0.0) > _JUMP * period:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.events import Grasp, Pause, Reset, SetParameters, Step, Target, from_dict, ordered, to_dict
+from cloth_sim_ros.physics.automatic import INTEGRATORS
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import Scene
@@ -241,7 +242,7 @@ def test_a_frame_that_fails_leaves_state_and_scene_as_they_were(monkeypatch):
     before, scene = simulation.state.digest(), simulation.scene
 
     def fail(self, dynamics, state, *rest):
-        state.x[:] = np.nan
+        state.x = np.full_like(state.x, np.nan)
         raise UnstableError("on purpose")
 
     monkeypatch.setattr(type(simulation.scene.build_integrator()), "advance", fail)
@@ -251,6 +252,17 @@ def test_a_frame_that_fails_leaves_state_and_scene_as_they_were(monkeypatch):
     assert simulation.state.digest() == before
     assert simulation.scene is scene
     assert simulation.advance().index == 2
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_frames_replace_the_arrays_of_a_state_and_write_into_none(integrator):
+    simulation = Simulation(small(integrator=integrator, tolerance=1e-3))
+    for batch in [*script(simulation, 12, seed=4), [Pause(True), Reset()]]:
+        held = simulation.state.share()
+        digest = held.digest()
+        simulation.advance(batch)
+        assert held.digest() == digest
+        assert simulation.state.digest() != digest
 
 
 def test_a_gripper_led_steadily_moves_at_a_steady_velocity():

@@ -118,7 +118,7 @@ class Automatic(Integrator):
         self._choose(memory, dynamics, state, duration)
         memory.wait -= 1.0
         if memory.implicit:
-            start = state.copy()
+            start = state.share()
             try:
                 done = self._implicit.advance(dynamics, state, t, duration, observer)
             except UnstableError:

@@ -74,7 +74,7 @@ class Sleep:
             if not self.rests(state, t):
                 state.memory.pop(MEMORY, None)
                 return False
-            state.v.fill(0.0)
+            state.v = np.zeros_like(state.v)
         state.memory[MEMORY] = np.array([frames, falls], dtype=np.int64)
         return falls
 

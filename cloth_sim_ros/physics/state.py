@@ -86,18 +86,26 @@ class State:
 
     def copy(self) -> State:
         """Return an independent copy."""
-        twin = object.__new__(State)
-        twin.x = self.x.copy()
-        twin.v = self.v.copy()
-        twin.frame = self.frame
-        twin.cloth = self.cloth
+        twin = self.share()
+        twin.x, twin.v = self.x.copy(), self.v.copy()
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
         return twin
 
+    def share(self) -> State:
+        """Return the state as it is, with the same arrays, those of its memory too: whoever moves this one replaces
+        them and writes into none.
+        """
+        twin = object.__new__(State)
+        twin.x, twin.v = self.x, self.v
+        twin.frame = self.frame
+        twin.cloth = self.cloth
+        twin.memory = dict(self.memory)
+        return twin
+
     def restore(self, other: State) -> None:
-        """Take over all of another state, positions and velocities in place."""
-        self.x[:] = other.x
-        self.v[:] = other.v
+        """Take over all of another state."""
+        self.x = other.x.copy()
+        self.v = other.v.copy()
         self.frame = other.frame
         self.memory = {name: array.copy() for name, array in other.memory.items()}
 

@@ -83,8 +83,9 @@ class Integrator(ABC):
     def advance(
         self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
     ) -> Advance:
-        """Advance ``state`` in place from time t [s] by duration [s].
+        """Advance ``state`` from time t [s] by duration [s].
 
+        Its arrays of positions and velocities are replaced, not written into: who holds them holds the state before.
         What a controller remembers from one call to the next lies in ``state.memory`` under `MEMORY`.
 
         Raises:

@@ -97,7 +97,7 @@ class ControlledAdvance:
         if options.step is not None:
             refuse_unstable(options.step, limit, options.name)
         self._limit = limit
-        start, begun = state.copy(), (memory.omega2, memory.damping)
+        start, begun = state.share(), (memory.omega2, memory.damping)
         rejected = 0
         while True:
             if self._observer is not None:
@@ -106,11 +106,11 @@ class ControlledAdvance:
             try:
                 error = self._attempt(start)
             except UnstableError:
-                state.restore(start)
+                state.x, state.v = start.x, start.v
                 raise
             if error is not None:
                 break
-            state.restore(start)
+            state.x, state.v = start.x, start.v
             memory.omega2, memory.damping = begun
             rejected += 1
             if rejected == _ATTEMPTS:
@@ -207,7 +207,7 @@ class ControlledAdvance:
         self._limit = min(self._limit, limit) if part + 1 < self._parts else self._limit
         self._memory.omega2, self._memory.damping = omega2, damping
         self._steps += sum(columns.counts[: choice.columns])
-        state.x[:], state.v[:] = x, v
+        state.x, state.v = x, v
         return error
 
     def _columns(self, part: int, t: float, start: State) -> Columns:

@@ -52,7 +52,8 @@ def advance_fixed(
     if step is not None:
         refuse_unstable(step, limit, integrator.name)
     h_most = SAFETY * limit if step is None else step
-    start = state.copy()
+    start = state.share()
+    state.x, state.v = state.x.copy(), state.v.copy()
     evaluations = 0
     rejected = 0
     while True:

@@ -88,7 +88,7 @@ class ImplicitAdvance:
         state, memory, integrator = self._state, self._memory, self._integrator
         least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
         steps = max(least, steps_for(self._duration, memory.stretch)) if memory.stretch > 0.0 else least
-        start, rejected = state.copy(), 0
+        start, rejected = state.share(), 0
         while True:
             if self._observer is not None:
                 self._observer.restart()
@@ -158,7 +158,7 @@ class ImplicitAdvance:
             if self._observer is not None:
                 for moment, weight, x, v in done.stages:
                     self._observer.observe(moment, x, v, weight)
-            state.x[:], state.v[:], guess = done.x, done.v, done.a
+            state.x, state.v, guess = done.x, done.v, done.a
             total += done.error
         return total if all_finite(state.x, state.v) else None
 
