@@ -41,10 +41,12 @@ class Bounds:
         self._others = [term for term in terms if not _pair_springs(term)]
         self._pairs: tuple[NDArray[Any], ...] | None = None
         if springs:
-            self._pairs = (
-                np.concatenate([term.pairs for term in springs]),
-                *(np.concatenate([getattr(term, what) for term in springs]) for what in _SPRING),
-            )
+            ends = np.concatenate([term.pairs for term in springs])
+            # By the lower particle: whoever follows finds its numbers in the cache.
+            order = np.argsort(ends.min(axis=1), kind="stable")
+            lists = (np.concatenate([getattr(term, what) for term in springs]) for what in _SPRING)
+            self._pairs = (ends[order], *(numbers[order] for numbers in lists))
+            self._entries = np.empty(12 * model.particle_count)
         self._kept: tuple[Array, Array] | None = None
 
     def rates(self, x: Array) -> tuple[float, float]:
@@ -83,7 +85,7 @@ class Bounds:
         if self._fused is not None:
             self._fused.add_bounds(x, stiff, damped)
         if self._pairs is not None:
-            add_pair_bounds(*self._pairs, x, stiff, damped)
+            add_pair_bounds(*self._pairs, x, self._entries, stiff, damped)
         for term in self._others:
             term.add_stiffness(x, stiff)
             term.add_damping(x, damped)

@@ -131,8 +131,40 @@ def add_pair_stiffness(pairs, rest, stiffness, x, blocks):  # type: ignore[no-un
 
 
 @numba.njit(**_JIT)
-def add_pair_bounds(pairs, rest, stiffness, damping, x, stiff, damped):  # type: ignore[no-untyped-def]
-    """As `add_pair_stiffness` to ``stiff`` and `add_pair_damping` to ``damped``, in one pass."""
+def _add_both(entries, a, b, place, across, along, squares):  # type: ignore[no-untyped-def]
+    """Add across I + along (six products) to the numbers of two particles, from `place` on."""
+    xx, yy, zz, xy, xz, yz = squares
+    xx = across + along * xx
+    yy = across + along * yy
+    zz = across + along * zz
+    xy = along * xy
+    xz = along * xz
+    yz = along * yz
+    # Written out: six numbers that lie together are then added as vectors.
+    p = 12 * a + place
+    entries[p] += xx
+    entries[p + 1] += yy
+    entries[p + 2] += zz
+    entries[p + 3] += xy
+    entries[p + 4] += xz
+    entries[p + 5] += yz
+    p = 12 * b + place
+    entries[p] += xx
+    entries[p + 1] += yy
+    entries[p + 2] += zz
+    entries[p + 3] += xy
+    entries[p + 4] += xz
+    entries[p + 5] += yz
+
+
+@numba.njit(**_JIT)
+def add_pair_bounds(pairs, rest, stiffness, damping, x, entries, stiff, damped):  # type: ignore[no-untyped-def]
+    """As `add_pair_stiffness` to ``stiff`` and `add_pair_damping` to ``damped``, in one pass.
+
+    ``entries`` is room for 12 n numbers: a particle's twelve lie together there while they are summed, so that a spring
+    goes to two places of memory and not to 24.
+    """
+    entries[:] = 0.0
     for e in range(pairs.shape[0]):
         a = pairs[e, 0]
         b = pairs[e, 1]
@@ -164,19 +196,12 @@ def add_pair_bounds(pairs, rest, stiffness, damping, x, stiff, damped):  # type:
         xy = sx * sy
         xz = sx * sz
         yz = sy * sz
-        for p in (a, b):
-            stiff[0, p] += k_across + k_along * xx
-            stiff[1, p] += k_across + k_along * yy
-            stiff[2, p] += k_across + k_along * zz
-            stiff[3, p] += k_along * xy
-            stiff[4, p] += k_along * xz
-            stiff[5, p] += k_along * yz
-            damped[0, p] += c_across + c_along * xx
-            damped[1, p] += c_across + c_along * yy
-            damped[2, p] += c_across + c_along * zz
-            damped[3, p] += c_along * xy
-            damped[4, p] += c_along * xz
-            damped[5, p] += c_along * yz
+        _add_both(entries, a, b, 0, k_across, k_along, (xx, yy, zz, xy, xz, yz))
+        _add_both(entries, a, b, 6, c_across, c_along, (xx, yy, zz, xy, xz, yz))
+    for i in range(stiff.shape[1]):
+        for j in range(6):
+            stiff[j, i] += entries[12 * i + j]
+            damped[j, i] += entries[12 * i + 6 + j]
 
 
 @numba.njit(**_JIT)
