@@ -69,6 +69,32 @@ def test_package_xml_is_valid() -> None:
     assert package.licenses == ["Apache-2.0"]
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("exec_depend>rclpy</exec_depend", "exec_depends>rclpy</exec_depends"),
+        ("<version>0.1.0", "<version>0.1"),
+        ("<name>cloth_sim_ros", "<name>Cloth Sim"),
+        (
+            ' email="cloth_sim_ros@example.org">cloth_sim_ros authors</maintainer>',
+            ">cloth_sim_ros authors</maintainer>",
+        ),
+    ],
+)
+def test_a_package_xml_against_the_schema_is_refused(right: str, wrong: str) -> None:
+    # What stands in for xmllint with ROS's schema: the parser that ROS's own tools use finds what the schema would.
+    catkin_package = pytest.importorskip("catkin_pkg.package")
+    text = (ROOT / "package.xml").read_text()
+    assert right in text
+    with pytest.raises(catkin_package.InvalidPackage):
+        catkin_package.parse_package_string(text.replace(right, wrong)).validate()
+
+
+@pytest.mark.parametrize("path", sorted([*ROOT.glob("*.xml"), *ROOT.glob("config/*.xml")]), ids=lambda path: path.name)
+def test_xml_is_well_formed(path: Path) -> None:
+    ElementTree.parse(path)
+
+
 def test_package_xml_has_every_ros_package_that_is_imported() -> None:
     declared = {
         element.text for element in ElementTree.parse(ROOT / "package.xml").getroot() if "depend" in element.tag

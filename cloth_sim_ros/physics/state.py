@@ -123,7 +123,8 @@ class State:
         """Return the state as the bytes of an .npz file; the same state gives the same bytes."""
         buffer = io.BytesIO()
         known = {} if self.cloth is None else {_CLOTH: np.array(self.cloth, dtype=np.int64)}
-        np.savez(buffer, allow_pickle=False, **self.arrays(), **known)
+        # Without `allow_pickle`, which numpy 1.26 would take for one more array; none of them holds objects.
+        np.savez(buffer, **self.arrays(), **known)
         return buffer.getvalue()
 
     @classmethod
