@@ -13,6 +13,7 @@ import numpy as np
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.kernels.grips import PATH_COLUMNS
+from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
@@ -110,7 +111,7 @@ def chain() -> Problem:
         positions = np.zeros((count + 2, 3))
         positions[:, 0] = places + bump
         model = Model(np.full(count + 2, mass), [springs], anchors=[0, count + 1])
-        return Dynamics(model), State(positions)
+        return _planned(model), State(positions)
 
     def exact(t: float) -> Array:
         # Modes sin(j pi i / (n + 1)) with w = 2 sqrt(k/m) sin(j pi / (2 (n + 1))) and damping ratio k_d0 w / w_max.
@@ -193,11 +194,18 @@ def mesh() -> Problem:
         velocities = np.zeros_like(positions)
         velocities[:, 1] = -0.5 * positions[:, 2]
         top = np.flatnonzero(positions[:, 2] > -1e-9)
-        return Dynamics(Model(masses, terms, anchors=top)), State(positions, velocities)
+        return _planned(Model(masses, terms, anchors=top)), State(positions, velocities)
 
     return Problem(
         name="mesh", build=build, frames=30, description="irregular mesh of 150 particles, hung by an edge and pushed"
     )
+
+
+def _planned(model: Model) -> Dynamics:
+    """Listed springs as they are shipped: with their fused plan."""
+    dynamics = Dynamics(model)
+    dynamics.plan = MeshPlan(dynamics)
+    return dynamics
 
 
 def _irregular_sheet() -> MeshSheet:
