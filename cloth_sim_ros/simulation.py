@@ -201,7 +201,7 @@ class Simulation:
                 case SetParameters(values=values):
                     self._apply_scene(self._scene.changed(values))
                     if not values.keys() <= _OBSERVING:
-                        restart(self.state)
+                        restart(self.state, entirely=True)
                         wake(self.state)
                 case Relax(factor=factor):
                     relaxation.set_factor(self.state, factor)

@@ -19,6 +19,7 @@ from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array, Term
 from cloth_sim_ros.physics.terms.pair_springs import PairSprings
@@ -104,11 +105,26 @@ def test_an_observer_changes_no_bit_and_sees_the_whole_time(name: str) -> None:
 
 
 def test_a_fixed_step_above_the_limit_is_refused_with_the_limit_named() -> None:
-    sheet = RawSheet(resolution=6)
+    sheet = RawSheet(resolution=6, rest=0.5)
     dynamics, state = Dynamics(sheet.model(sheet.index[0])), State(sheet.flat(hung=False))
-    limit = Leapfrog().step_limit(*dynamics.rates(state.x))
+    bound = Leapfrog().step_limit(*dynamics.rates(state.x))
+    limit = sharp_step_limit(dynamics, 0.0, state.x, bound)
+    assert 1.05 * bound < limit < 1.2 * bound
     with pytest.raises(ValueError, match=f"above the stability limit {limit:.6g} s"):
         Leapfrog(1.01 * limit).advance(dynamics, state, 0.0, PERIOD)
+    assert Leapfrog(0.99 * limit).advance(dynamics, state, 0.0, PERIOD).steps >= PERIOD / limit
+
+
+def test_a_fixed_step_is_made_smaller_where_springs_that_were_pushed_to_a_point_make_energy() -> None:
+    sheet = RawSheet(resolution=8, k_d0=0.0, gravity=(0.0, 0.0, 0.0))
+    dynamics, state = Dynamics(sheet.model([])), State(sheet.flat(hung=True))
+    state.x[:, [27, 36]] = state.x[:, [36, 27]]
+    step = 0.5 * Leapfrog().step_limit(*dynamics.rates(state.x))
+    before = dynamics.energy(0.0, state.x, state.v)
+    done = [Leapfrog(step).advance(dynamics, state, 2 * k * PERIOD, 2 * PERIOD) for k in range(6)]
+    assert dynamics.energy(0.0, state.x, state.v) < 1.002 * before
+    assert min(advance.step for advance in done) < 0.6 * step
+    assert any("made energy" in advance.reason for advance in done)
 
 
 def test_steps_follow_a_sheet_that_stiffens() -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts and events that try to make a cloth blow up, as scenes for the stability scan."""
+"""Starts and events that try to make a cloth blow up."""
 
 from __future__ import annotations
 
@@ -9,18 +9,33 @@ from collections.abc import Callable
 import attrs
 import numpy as np
 
-from cloth_sim_ros.events import Event, Grasp, Target
-from cloth_sim_ros.physics.integrators.base import Advance, Observer
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.events import Event, Grasp, SetParameters, Target
 from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.grips import Grips
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
 
-RESOLUTION = 12
-DURATION = 0.5
 #: Speed at which a gripper is yanked away [m/s].
 YANK = 10.0
+#: Radius within which the gripper holds particles [m], and within which it does in `zero-length springs`.
+RADIUS, WIDE_RADIUS = 0.15, 0.4
+#: What the moduli are divided by for a while where `parameters change`.
+SOFTENED = 10.0
+_GRIPPER = "gripper"
+
+
+@attrs.frozen
+class Moment:
+    """The frame that an event may precede."""
+
+    #: Time at its start, and its length [s].
+    t: float
+    period: float
+    #: Where the free corner of the sheet was at rest [m].
+    corner: Array
+    #: Moduli of the case [N/m] by parameter.
+    moduli: dict[str, float]
+
+    def is_first_after(self, moment: float) -> bool:
+        """Whether this is the first frame that starts at a time [s] or later."""
+        return moment <= self.t + 1e-9 * self.period < moment + self.period
 
 
 @attrs.frozen
@@ -29,8 +44,9 @@ class Attack:
 
     #: Positions (n, 3) to start from, of the rest positions and a random generator.
     start: Callable[[Array, np.random.Generator], Array]
-    #: Events before the frame that starts at a time [s] and lasts so long [s].
-    events: Callable[[float, float, Array], list[Event]]
+    #: Events before a frame.
+    events: Callable[[Moment], list[Event]]
+    radius: float = RADIUS
 
 
 def _as_it_is(rest: Array, random: np.random.Generator) -> Array:
@@ -45,47 +61,93 @@ def _crumpled(rest: Array, random: np.random.Generator) -> Array:
     return rest[0] + 0.2 * (rest - rest[0]) + 0.02 * random.normal(size=rest.shape)
 
 
+def _middle(rest: Array) -> np.ndarray:
+    """Particles by their distance from the middle of the sheet."""
+    away = rest - rest.mean(axis=0)
+    return np.argsort(np.sum(away * away, axis=1), kind="stable")
+
+
 def _coincident(rest: Array, random: np.random.Generator) -> Array:
     changed = rest.copy()
-    changed[30:34] = changed[40]
+    changed[_middle(rest)[:5]] = rest[_middle(rest)[0]]
+    return changed
+
+
+def _to_a_point(rest: Array, random: np.random.Generator) -> Array:
+    """All of the lower half in one place."""
+    changed = rest.copy()
+    lower = rest[:, 2] < rest[:, 2].mean()
+    changed[lower] = rest[lower].mean(axis=0)
     return changed
 
 
 def _inverted(rest: Array, random: np.random.Generator) -> Array:
     changed = rest.copy()
-    a, b = 5 * RESOLUTION + 5, 6 * RESOLUTION + 6
-    changed[[a, b]] = changed[[b, a]]
+    near = _middle(rest)[:6]
+    changed[[near[0], near[5]]] = changed[[near[5], near[0]]]
     return changed
 
 
-def _nothing(t: float, period: float, corner: Array) -> list[Event]:
+def _folded(rest: Array, random: np.random.Generator) -> Array:
+    """The lower half folded up by nearly 180 degrees, onto the upper one."""
+    changed = rest.copy()
+    fold = rest[:, 2].mean()
+    lower = rest[:, 2] < fold
+    changed[lower, 1] += 0.02 * (fold - rest[lower, 2])
+    changed[lower, 2] = 2.0 * fold - rest[lower, 2]
+    return changed
+
+
+def _nothing(moment: Moment) -> list[Event]:
     return []
 
 
-def _at(t: float, period: float, moment: float) -> bool:
-    return t <= moment < t + period * (1.0 - 1e-9)
+def _close(moment: Moment) -> list[Event]:
+    return [Target(_GRIPPER, moment.corner), Grasp(_GRIPPER, True)]
 
 
-def _release(t: float, period: float, corner: Array) -> list[Event]:
-    if _at(t, period, 0.0):
-        return [Target("gripper", corner), Grasp("gripper", True)]
-    if t < 0.25:
-        return [Target("gripper", corner + np.array([0.0, 0.8 * (t + period), 0.4 * (t + period)]))]
-    return [Grasp("gripper", False)] if _at(t, period, 0.25 + period) else []
+def _release(moment: Moment) -> list[Event]:
+    if moment.is_first_after(0.0):
+        return _close(moment)
+    if moment.t < 0.25:
+        return [Target(_GRIPPER, moment.corner + (moment.t + moment.period) * np.array([0.0, 0.8, 0.4]))]
+    return [Grasp(_GRIPPER, False)] if moment.is_first_after(0.25 + moment.period) else []
 
 
-def _snap(t: float, period: float, corner: Array) -> list[Event]:
-    if _at(t, period, 0.1):
-        return [Target("gripper", corner), Grasp("gripper", True)]
-    return [Target("gripper", corner + np.array([0.0, 0.3, 0.1]))] if _at(t, period, 0.1 + 2.0 * period) else []
+def _snap(moment: Moment) -> list[Event]:
+    if moment.is_first_after(0.1):
+        return _close(moment)
+    late = moment.is_first_after(0.1 + 2.0 * moment.period)
+    return [Target(_GRIPPER, moment.corner + np.array([0.0, 0.3, 0.1]))] if late else []
 
 
-def _yank(t: float, period: float, corner: Array) -> list[Event]:
-    if _at(t, period, 0.0):
-        return [Target("gripper", corner), Grasp("gripper", True)]
-    if t < 0.15:
-        return [Target("gripper", corner + YANK * (t + period) * np.array([0.0, 0.8, 0.6]))]
-    return [Grasp("gripper", False)] if _at(t, period, 0.15 + period) else []
+def _yank(moment: Moment) -> list[Event]:
+    if moment.is_first_after(0.0):
+        return _close(moment)
+    if moment.t < 0.15:
+        return [
+            Target(_GRIPPER, moment.corner + YANK * (moment.t + moment.period) * np.array([0.0, 0.8, 0.6])),
+        ]
+    return [Grasp(_GRIPPER, False)] if moment.is_first_after(0.15 + moment.period) else []
+
+
+def _jumps(moment: Moment) -> list[Event]:
+    """A held patch is thrown through its own springs' zero, back and forth, and turned."""
+    if moment.is_first_after(0.0):
+        return _close(moment)
+    for k, moment_of_jump in enumerate((0.1, 0.2, 0.3, 0.4)):
+        if moment.is_first_after(moment_of_jump):
+            side = np.array([0.0, 0.2 if k % 2 else -0.2, 0.05])
+            half = 0.25 * np.pi * (k + 1)
+            return [Target(_GRIPPER, moment.corner + side, (0.0, 0.0, float(np.sin(half)), float(np.cos(half))))]
+    return []
+
+
+def _parameters(moment: Moment) -> list[Event]:
+    """The moduli fall in mid-run, and grow again."""
+    if moment.is_first_after(0.1):
+        return [SetParameters({name: value / SOFTENED for name, value in moment.moduli.items()})]
+    return [SetParameters(dict(moment.moduli))] if moment.is_first_after(0.3) else []
 
 
 ATTACKS = {
@@ -93,78 +155,12 @@ ATTACKS = {
     "release": Attack(_as_it_is, _release),
     "snap grasp": Attack(_as_it_is, _snap),
     "yanked at 10 m/s": Attack(_as_it_is, _yank),
+    "zero-length springs": Attack(_as_it_is, _jumps, radius=WIDE_RADIUS),
+    "parameters change": Attack(_folded, _parameters),
     "stretched x 3": Attack(_stretched, _nothing),
     "crumpled": Attack(_crumpled, _nothing),
     "coincident": Attack(_coincident, _nothing),
+    "half in one point": Attack(_to_a_point, _nothing),
     "inverted cell": Attack(_inverted, _nothing),
+    "folded shut": Attack(_folded, _nothing),
 }
-
-
-class WorkObserver(Observer):
-    """Work of the grippers over a frame, in place of the wrenches: it goes term by term, which is slower."""
-
-    def __init__(self, grips: Grips) -> None:
-        self._grips = grips
-        self._scratch: Array | None = None
-        #: Work done on the cloth over the frame [J], what the grips store and lose included.
-        self.work = 0.0
-
-    def restart(self) -> None:
-        self.work = 0.0
-
-    def observe(self, t: float, x: Array, v: Array, weight: float) -> None:
-        if self._scratch is None:
-            self._scratch = np.zeros_like(x)
-        self._grips.add_force(t, x, v, self._scratch)
-        self.work += weight * float(self._grips.wrenches[:, 6].sum())
-
-    @property
-    def mean_wrenches(self) -> Array:
-        """None are measured."""
-        return np.zeros((self._grips.gripper_count, 6))
-
-
-class WatchedSimulation(Simulation):
-    """A simulation that tells the grippers' work instead of their wrenches while something is held."""
-
-    def __init__(self, scene: Scene, state: State) -> None:
-        super().__init__(scene, state)
-        grips = self.model.term("grips")
-        assert isinstance(grips, Grips)
-        self._plain = self._wrenches
-        self._watcher = WorkObserver(grips)
-
-    def _move(self) -> Advance:
-        holds = self.state.memory["grip.particles"].size > 0
-        self._wrenches = self._watcher if holds else self._plain  # type: ignore[assignment]
-        self._watcher.restart()
-        return super()._move()
-
-    @property
-    def work(self) -> float:
-        """Work done on the cloth over the last frame [J]."""
-        return self._watcher.work
-
-
-def scene(*, stiffness: float, damping: float, rate: float, integrator: str, step: float = 0.0) -> Scene:
-    """A sheet of 12 x 12 hung by its upper edge, moduli times `stiffness`."""
-    return Scene.from_parameters(
-        {
-            "rate": rate,
-            "cloth.resolution": [RESOLUTION, RESOLUTION],
-            "material.stretch_modulus": 1000.0 * stiffness,
-            "material.shear_modulus": 100.0 * stiffness,
-            "material.damping": damping,
-            "bending.stiffness": 2.0 * stiffness,
-            "gripper.stiffness": 1000.0 * min(stiffness, 1e4),
-            "gripper.radius": 0.15,
-            "integrator": integrator,
-            "step": step,
-            "tolerance": 1e-3,
-        }
-    )
-
-
-def start_of(attack: Attack, built: Scene) -> State:
-    """The state in which a case starts."""
-    return State(attack.start(built.initial_positions(), np.random.default_rng(3)))

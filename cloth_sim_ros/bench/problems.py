@@ -186,7 +186,7 @@ def mesh() -> Problem:
     """An irregular triangle mesh hung by its upper edge and pushed out of plane."""
 
     def build() -> tuple[Dynamics, State]:
-        sheet = _irregular_sheet()
+        sheet = irregular_sheet()
         positions = sheet.positions()
         masses = sheet.masses(0.2)
         springs = sheet.springs(stretch_modulus=1000.0, k_d0=0.2, density=0.2)
@@ -201,6 +201,10 @@ def mesh() -> Problem:
     )
 
 
+<<<<<<< HEAD
+def irregular_sheet() -> MeshSheet:
+    """1 m x 1 m in x-z, hung: 150 particles at random places at least 6 cm apart, Delaunay triangles."""
+=======
 def _planned(model: Model) -> Dynamics:
     """Listed springs as they are shipped: with their fused plan."""
     dynamics = Dynamics(model)
@@ -209,6 +213,7 @@ def _planned(model: Model) -> Dynamics:
 
 
 def _irregular_sheet() -> MeshSheet:
+>>>>>>> origin/main
     from scipy.spatial import Delaunay
 
     random = np.random.default_rng(7)

@@ -1,222 +1,154 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The stability scan: thousands of attacks, and the step limits found beside those predicted."""
+"""The stability scan: thousands of attacks; step limits found beside those predicted; what peers were put to."""
 
 from __future__ import annotations
 
 import argparse
-import itertools
-import math
+import json
 from collections import defaultdict
-from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import attrs
-import numpy as np
 
-from cloth_sim_ros.bench.attacks import ATTACKS, DURATION, WatchedSimulation, scene, start_of
-from cloth_sim_ros.bench.raw_sheet import RawSheet
+from cloth_sim_ros.bench.case_pool import Done, run_cases
 from cloth_sim_ros.bench.report import Report, Table
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.march import leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import all_finite
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.bench.stability_cases import Case, Verdict, every_case, run_case
+from cloth_sim_ros.bench.stability_limits import PEER_CASES, PeerCase, limits, run_peer_case
 
-STIFFNESSES = (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
-RATES = (30.0, 60.0, 120.0, 240.0)
-DAMPINGS = (0.0, 0.1, 0.5, 1.0, 3.0)
-STEPPINGS = ("auto", "fixed")
 #: Energy that a case may gain over what was put in, relative to the energy turned over.
 LARGEST_GAIN = 0.01
-#: A fixed explicit step that would need more steps is replaced by the implicit method at half a frame.
-_MOST_STEPS = 40_000
-#: How far the limits found may be from those predicted.
-LARGEST_DEVIATION = 0.1
+PARTS = ("scan", "limits", "peers")
+#: What every process runs first, untimed: both ways of stepping, a grip.
+_WARM_UP = Case("grid", "release", 1.0, 0.1, 60.0, "auto")
+#: Slowest cases that are told.
+_SLOWEST = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case only")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to run (all)")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-
-
-@attrs.frozen
-class Case:
-    """One combination."""
-
-    attack: str
-    stiffness: float
-    damping: float
-    rate: float
-    stepping: str
-
-
-@attrs.frozen
-class Verdict:
-    """What became of it."""
-
-    case: Case
-    integrator: str
-    finite: bool
-    #: Largest strain of a spring at the end of any frame.
-    strain: float
-    #: Largest gain of energy over what was put in, relative to the energy turned over.
-    gain: float
-    #: Why it was given up; empty if it was not.
-    trouble: str = ""
-
-
-def run_case(case: Case) -> Verdict:
-    """Run one case to its end."""
-    built = scene(stiffness=case.stiffness, damping=case.damping, rate=case.rate, integrator="auto")
-    if case.stepping == "fixed":
-        attack_state = start_of(ATTACKS[case.attack], built)
-        limit = Leapfrog().step_limit(*built.dynamics().rates(attack_state.x))
-        if DURATION / limit <= _MOST_STEPS:
-            built = built.changed({"integrator": "leapfrog", "step": 0.5 * limit})
-        else:
-            built = built.changed({"integrator": "implicit", "step": 0.5 / case.rate})
-    attack = ATTACKS[case.attack]
-    simulation = WatchedSimulation(built, start_of(attack, built))
-    corner = np.array(simulation.positions[-1])
-    springs = [term for term in simulation.model.terms if hasattr(term, "rest_length")]
-    start = simulation.energy()
-    work = gain = strain = kinetic = 0.0
-    # Below the tolerance motion is not resolved: what the weight does over that distance is the least energy that
-    # counts.
-    turned = 9.81 * float(simulation.model.masses.sum()) * built.tolerance
-    names: set[str] = set()
-    for frame in range(round(DURATION * case.rate)):
-        try:
-            done = simulation.advance(attack.events(frame / case.rate, 1.0 / case.rate, corner))
-        except (UnstableError, ValueError) as error:
-            return Verdict(case, ", ".join(sorted(names)), False, strain, gain, str(error))
-        names.add(done.integrator)
-        work += simulation.work
-        energy = simulation.energy()
-        now = _kinetic(simulation)
-        turned += abs(now - kinetic) + abs(simulation.work)
-        kinetic = now
-        turned = max(turned, abs(start - energy))
-        gain = max(gain, (energy - start - work) / turned)
-        strain = max(strain, max(_strain(term, simulation.state.x) for term in springs))
-    finite = bool(all_finite(simulation.state.x, simulation.state.v))
-    return Verdict(case, ", ".join(sorted(names)), finite, strain, gain)
-
-
-def _kinetic(simulation: WatchedSimulation) -> float:
-    v = simulation.state.v
-    return 0.5 * float(np.sum(simulation.model.masses * v * v))
-
-
-def _strain(term: Any, x: Array) -> float:
-    away = x[:, term.pairs[:, 1]] - x[:, term.pairs[:, 0]]
-    length = np.sqrt(np.sum(away * away, axis=0))
-    return float(np.max(length / term.rest_length)) - 1.0
+    parser.add_argument(
+        "--limit", type=float, default=60.0, metavar="SECONDS", help="a case of the scan that takes longer has failed"
+    )
+    parser.add_argument(
+        "--resume", type=Path, metavar="FILE", help="keep every verdict there as it comes, and run only those missing"
+    )
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Run the scan, the limits and the sixteen cases that the other engines were put to."""
+    """Run what was asked for."""
     report = Report("Stability", "cloth_bench stability")
-    every = [Case(*combination) for combination in itertools.product(ATTACKS, STIFFNESSES, DAMPINGS, RATES, STEPPINGS)]
-    cases = every[:: options.every]
-    with ProcessPoolExecutor(options.workers) as pool:
-        verdicts = list(pool.map(run_case, cases, chunksize=4))
-    report.tables.append(_summary(verdicts))
-    for verdict in verdicts:
-        if not verdict.finite:
-            report.failures.append(f"{verdict.case}: {verdict.trouble or 'not finite'}")
-        elif verdict.gain > LARGEST_GAIN:
-            report.failures.append(
-                f"{verdict.case} by {verdict.integrator}: gains {verdict.gain:.2g} of the energy turned over"
-            )
-    report.notes.append(f"{len(cases)} cases of {len(every)}")
-    report.tables += [_limits(report), _sixteen(report)]
+    if "scan" in options.parts:
+        every = every_case()
+        cases = every[:: options.every]
+        _tell(report, _scan(cases, options), len(every))
+    if "limits" in options.parts:
+        table, failures = limits()
+        report.tables.append(table)
+        report.failures += failures
+    if "peers" in options.parts:
+        report.tables.append(_peers(report, options.workers))
     return report
 
 
-def _summary(verdicts: list[Verdict]) -> Table:
+def _scan(cases: list[Case], options: argparse.Namespace) -> list[Done[Case, Verdict]]:
+    from tqdm import tqdm
+
+    known = _read(options.resume) if options.resume else {}
+    dones = [known[case] for case in cases if case in known]
+    left = [case for case in cases if case not in known]
+    found = run_cases(run_case, left, warm_up=_WARM_UP, workers=options.workers, limit=options.limit)
+    for done in tqdm(found, total=len(left), unit="case", smoothing=0.02, mininterval=1.0):
+        dones.append(done)
+        if options.resume:
+            with options.resume.open("a") as file:
+                file.write(json.dumps(attrs.asdict(done)) + "\n")
+    return dones
+
+
+def _read(file: Path) -> dict[Case, Done[Case, Verdict]]:
+    """The verdicts of a file; a last line that was cut off counts for nothing."""
+    known = {}
+    for line in file.read_text().splitlines() if file.exists() else []:
+        try:
+            entry = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        case, result = Case(**entry["case"]), entry["result"]
+        verdict = None if result is None else Verdict(**{**result, "integrators": tuple(result["integrators"])})
+        known[case] = Done(case, verdict, entry["seconds"], entry["trouble"])
+    return known
+
+
+def _tell(report: Report, dones: list[Done[Case, Verdict]], every: int) -> None:
+    report.tables += [_summary(dones, ("sheet", "attack", "stepping")), _summary(dones, ("stiffness", "damping"))]
+    for done in dones:
+        case, verdict = done.case, done.result
+        if verdict is None or not verdict.finite:
+            report.failures.append(f"{case}: {done.trouble or (verdict and verdict.trouble) or 'not finite'}")
+        elif verdict.gain > LARGEST_GAIN:
+            names = ", ".join(verdict.integrators)
+            report.failures.append(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
+    slowest = Table("Slowest cases", ["sheet", "attack", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
+    for done in sorted(dones, key=lambda done: -done.seconds)[:_SLOWEST]:
+        slowest.rows.append([*attrs.astuple(done.case), done.seconds])
+    report.tables.append(slowest)
+    total = sum(done.seconds for done in dones)
+    report.notes.append(f"{len(dones)} cases of {every}, {total:.0f} s of wall time in all processes together")
+
+
+def _summary(dones: list[Done[Case, Verdict]], keys: tuple[str, ...]) -> Table:
     table = Table(
-        "Scan by attack",
-        ["attack", "stepping", "cases", "not finite", "largest strain", "largest energy gain", "integrators"],
+        f"Scan by {', '.join(keys)}",
+        [
+            *keys,
+            "cases",
+            "not finite",
+            "not ended",
+            "largest strain",
+            "largest energy gain",
+            "with flags",
+            "mean wall s",
+            "integrators",
+        ],
     )
-    groups: dict[tuple[str, str], list[Verdict]] = defaultdict(list)
-    for verdict in verdicts:
-        groups[verdict.case.attack, verdict.case.stepping].append(verdict)
-    for (attack, stepping), group in groups.items():
-        names = ", ".join(sorted({verdict.integrator for verdict in group}))
-        lost = sum(not verdict.finite for verdict in group)
-        worst = [max(getattr(verdict, what) for verdict in group) for what in ("strain", "gain")]
-        table.rows.append([attack, stepping, len(group), lost, *worst, names])
+    groups: dict[tuple[Any, ...], list[Done[Case, Verdict]]] = defaultdict(list)
+    for done in dones:
+        groups[tuple(getattr(done.case, key) for key in keys)].append(done)
+    for key in sorted(groups):
+        group = groups[key]
+        verdicts = [done.result for done in group if done.result is not None]
+        table.rows.append(
+            [
+                *key,
+                len(group),
+                sum(not verdict.finite for verdict in verdicts),
+                len(group) - len(verdicts),
+                max((verdict.strain for verdict in verdicts), default=0.0),
+                max((verdict.gain for verdict in verdicts), default=0.0),
+                sum(verdict.flagged > 0 for verdict in verdicts),
+                sum(done.seconds for done in group) / len(group),
+                ", ".join(sorted({name for verdict in verdicts for name in verdict.integrators})),
+            ]
+        )
     return table
 
 
-def _limits(report: Report) -> Table:
-    """Limits of fixed steps about stretched states."""
-    table = Table(
-        "Step limit of the leapfrog about stretched states",
-        ["stretch", "k_d0", "predicted s", "found s", "found / predicted"],
-    )
-    for stretch, k_d0 in itertools.product((1.0, 1.2, 1.5, 2.0, 3.0), (0.0, 0.2, 1.0)):
-        sheet = RawSheet(resolution=12, k_d0=k_d0, rest=1.0 / stretch, gravity=(0.0, 0.0, 0.0))
-        index = sheet.index
-        border = np.unique(np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]]))
-        dynamics = Dynamics(sheet.model(border))
-        x = State(sheet.flat(hung=False)).x
-        predicted = Leapfrog().step_limit(*dynamics.rates(x))
-        found = _limit_found(dynamics, x, predicted)
-        table.rows.append([stretch, k_d0, predicted, found, found / predicted])
-        if abs(found / predicted - 1.0) > LARGEST_DEVIATION:
-            report.failures.append(
-                f"limit at stretch {stretch}, k_d0 {k_d0}: found {found:.3g} s, predicted {predicted:.3g} s"
-            )
-    return table
-
-
-def _limit_found(dynamics: Dynamics, x: Array, predicted: float) -> float:
-    """Largest step at which a kick of 1e-9 m does not grow, by bisection."""
-    low, high = 0.5 * predicted, 2.0 * predicted
-    kick = 1e-9 * np.random.default_rng(1).normal(size=x.shape) * (dynamics.model.inverse_masses > 0.0)
-    while high / low > 1.002:
-        step = math.sqrt(low * high)
-        ends = []
-        for start in (x, x + kick):
-            moved, v = start.copy(), np.zeros_like(x)
-            leapfrog(dynamics, 0.0, moved, v, step, 1500)
-            ends.append(moved)
-        away = float(np.abs(ends[1] - ends[0]).max())
-        if math.isfinite(away) and away < 1e-7:
-            low = step
-        else:
-            high = step
-    return low
-
-
-def _sixteen(report: Report) -> Table:
-    """Scene A, N = 16, 2 s: the steps and stiffnesses that other engines were put to."""
+def _peers(report: Report, workers: int) -> Table:
     table = Table(
         "Scene A, 16 x 16, 2 s, one step of the stated length",
-        ["moduli x", "step s", "by", "largest stretch", "estimated error m"],
+        ["moduli x", "step s", "by", "largest stretch", "error at 0.5 s, m"],
     )
-    for stiffness, step in itertools.product((1.0, 10.0, 100.0, 1000.0), (1 / 60, 1 / 240, 1 / 1000, 1 / 4000)):
-        sheet = RawSheet(resolution=16, stiffness=stiffness, k_d0=0.05)
-        dynamics, state = sheet.dynamics(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
-        fits = step <= 0.9 * Leapfrog().step_limit(*dynamics.rates(state.x))
-        integrator = Leapfrog(step) if fits else Implicit(step)
-        worst, error = 0.0, 0.0
-        try:
-            for frame in range(120):
-                done = integrator.advance(dynamics, state, frame / 60, 1 / 60)
-                error += done.error or 0.0
-                worst = max(worst, max(_strain(term, state.x) for term in sheet.springs()[:2]) + 1.0)
-        except (UnstableError, ValueError) as trouble:
-            report.failures.append(f"scene A, moduli x {stiffness:g}, step {step:.3g} s: {trouble}")
-            worst = math.inf
-        if worst > 1.5:
-            report.failures.append(f"scene A, moduli x {stiffness:g}, step {step:.3g} s: stretched {worst:.3g} times")
-        table.rows.append([stiffness, step, integrator.name, worst, error or "none"])
+    rows: dict[PeerCase, list[Any]] = {}
+    for done in run_cases(run_peer_case, PEER_CASES, warm_up=PEER_CASES[3], workers=workers, limit=600.0):
+        case = done.case
+        name, worst, error, trouble = done.result or ("", float("inf"), float("inf"), done.trouble)
+        rows[case] = [case.stiffness, case.step, name, worst, error]
+        if trouble:
+            report.failures.append(f"scene A, moduli x {case.stiffness:g}, step {case.step:.3g} s: {trouble}")
+    table.rows += [rows[case] for case in PEER_CASES]
     return table

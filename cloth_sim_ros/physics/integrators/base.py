@@ -8,6 +8,7 @@ import math
 from abc import ABC, abstractmethod
 
 import attrs
+import numpy as np
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.state import State
@@ -97,9 +98,16 @@ class Integrator(ABC):
 MEMORY, CHOICE = "stepper", "automatic"
 
 
-def restart(state: State) -> None:
-    """Forget both: after an event the next advance judges its step, and `auto` its integrator, anew."""
-    state.memory.pop(MEMORY, None)
+def restart(state: State, *, entirely: bool = False) -> None:
+    """Forget both: after an event the next advance judges its step, and `auto` its integrator, anew.
+
+    A fixed step above the limit is refused where nothing is remembered, not even that something was forgotten: at the
+    start of a run, and after a restart ``entirely``, for new parameters. Later it is made smaller.
+    """
+    if entirely:
+        state.memory.pop(MEMORY, None)
+    elif MEMORY in state.memory:
+        state.memory[MEMORY] = np.empty(0)
     state.memory.pop(CHOICE, None)
 
 

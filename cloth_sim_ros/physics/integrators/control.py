@@ -26,6 +26,9 @@ AIM = 0.5
 LONGEST_WAIT = 16
 #: The smallest step is the stability limit divided by this: below it errors are accepted, flagged and counted.
 FINEST = 32.0
+#: Where the plain leapfrog could not meet its budget by steps four times smaller than that, none is chased: it runs at
+#: this part of the limit, where it makes no energy either.
+HOPELESS = 8.0
 #: Share of the budget that rounding in single precision may take. Small, because rounding shares no symmetry with the
 #: motion: it feeds whatever grows, which the error of the steps as a rule does not.
 NARROW_SHARE = 0.02
@@ -60,12 +63,14 @@ class Memory:
     #: Squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance; negative when unknown.
     omega2: float = -1.0
     damping: float = -1.0
+    #: Least such squared frequency since the last restart: the sheet at its softest.
+    softest: float = -1.0
 
     @classmethod
     def of(cls, state: State) -> Memory:
         """Read the memory of a state; a fresh one where it has none."""
         stored = state.memory.get(MEMORY)
-        if stored is None:
+        if stored is None or not stored.size:
             return cls()
         columns, refine, wait, interval, *rest = stored.tolist()
         return cls(int(columns), refine, int(wait), int(interval), *rest)
@@ -74,7 +79,7 @@ class Memory:
         """Write the memory into a state."""
         numbers = (self.columns, self.refine, self.wait, self.interval, self.error, self.ratio)
         state.memory[MEMORY] = np.array(
-            (*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping)
+            (*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping, self.softest)
         )
 
 
@@ -95,3 +100,8 @@ def cheapest(errors: Sequence[float], refine: float, budget: float, most: int) -
         if work < best[2] and (wanted < FINEST or columns == most):
             best = (columns, wanted, work)
     return best[0], best[1]
+
+
+def hopeless(error: float, refine: float, budget: float) -> bool:
+    """Whether the plain leapfrog's error [m] at a refinement says that no step in reach meets the budget [m]."""
+    return refine * (error / (AIM * budget)) ** 0.5 > 4.0 * FINEST

@@ -10,11 +10,12 @@ from typing import Protocol
 import attrs
 
 from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.control import (
     AIM,
     FINEST,
+    HOPELESS,
     LONGEST_WAIT,
     MOST_COLUMNS,
     NARROW_LEAST,
@@ -23,9 +24,12 @@ from cloth_sim_ros.physics.integrators.control import (
     SHARE_PER_SECOND,
     Memory,
     cheapest,
+    hopeless,
 )
+from cloth_sim_ros.physics.integrators.energy_guard import EnergyGuard
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
+from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
 
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
@@ -36,6 +40,12 @@ LIVELIER = 3.0
 #: Refinement beyond which a judgement asks whether a further column were cheaper.
 COSTLY = 1.5
 _ATTEMPTS = 40
+#: Share of its error that a further column leaves, at most, where columns converge.
+STALLED = 0.5
+#: Share of a particle's motion over a stretch from which an error says nothing of what smaller steps would do.
+UNRESOLVED = 1e-3
+#: Growth of the bound of the squared frequency from which the energy of fixed steps is looked at.
+STIFFENED = 1.02
 
 
 class Options(Protocol):
@@ -84,7 +94,11 @@ class ControlledAdvance:
             memory.stretch, memory.wait, memory.rounding = self._stretch, 0, -1.0
         self._memory = memory
         columns = min(memory.columns, options.columns) if controlled else options.columns
-        self._choice = _Choice(columns, memory.refine if controlled else 1.0, controlled and memory.wait <= 0)
+        if not controlled and memory.wait <= 0:
+            # What the guard asked for is tried with larger steps from time to time.
+            memory.refine = max(1.0, 0.5 * memory.refine)
+        self._choice = _Choice(columns, memory.refine, controlled and memory.wait <= 0)
+        self._guard: EnergyGuard | None = None
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._kept: Columns | None = None
 
@@ -94,9 +108,14 @@ class ControlledAdvance:
         if memory.omega2 < 0.0:
             memory.omega2, memory.damping = self._dynamics.rates(state.x)
         limit = options.step_limit(memory.omega2, memory.damping)
-        if options.step is not None:
-            refuse_unstable(options.step, limit, options.name)
+        if options.step is not None and options.step > limit:
+            # Blocks bound it from below.
+            limit = sharp_step_limit(self._dynamics, self._t, state.x, limit)
+            if MEMORY not in state.memory:
+                refuse_unstable(options.step, limit, options.name)
         self._limit = limit
+        if options.tolerance is None and options.columns == 1:
+            self._guard = EnergyGuard(self._dynamics, self._t, state.x, state.v)
         start, begun = state.share(), (memory.omega2, memory.damping)
         rejected = 0
         while True:
@@ -135,19 +154,26 @@ class ControlledAdvance:
         )
 
     def _binds(self) -> str:
-        if self._options.step is not None:
+        if self._options.step is not None and self._stretch / self._first > 0.99 * self._options.step:
             return "step"
-        if self._choice.refine > 1.0:
+        if self._options.tolerance is not None and self._choice.refine > 1.0:
             return "accuracy"
         return "frame" if self._first == 1 else "stability"
 
     def _reason(self, h: float) -> str:
         columns = self._choice.columns
         order = f"order {columns + 1}" + (f" by {columns} runs" if columns > 1 else "")
-        if self._options.step is not None:
+        if self._options.step is not None and self._binds() == "step":
             return f"{self._options.name}: {order}, fixed step of {h:.3g} s"
         if self._options.tolerance is None:
-            return f"{self._options.name}: {order}, step {h:.3g} s set by stability, no tolerance"
+            why = "set by stability" if self._options.step is None else f"of {self._options.step:.3g} s"
+            if self._choice.refine > 1.0:
+                return (
+                    f"{self._options.name}: {order}, step {why} made {h:.3g} s: springs pushed to a point made energy"
+                )
+            if self._options.step is not None:
+                return f"{self._options.name}: {order}, step {why} made {h:.3g} s: the motion stiffened"
+            return f"{self._options.name}: {order}, step {h:.3g} s {why}, no tolerance"
         held = f"tolerance {self._options.tolerance:g} m"
         if self._choice.refine > 1.0:
             return f"{self._options.name}: {order}, step {h:.3g} s set by the {held}"
@@ -166,7 +192,7 @@ class ControlledAdvance:
             total += error
         if self._choice.judge:
             self._choice = _Choice(self._choice.columns, self._choice.refine, False)
-        elif self._options.tolerance is not None:
+        else:
             self._memory.wait -= 1
         return total
 
@@ -174,18 +200,15 @@ class ControlledAdvance:
         state, choice = self._state, self._choice
         t = self._t + part * self._stretch
         # A stretch that stability would take in one step is refined from there.
-        longest = self._options.step or min(SAFETY * self._limit, self._stretch)
+        longest = min(SAFETY * self._limit, self._stretch)
+        if self._options.step is not None:
+            longest = self._options.step if self._options.step <= self._limit else min(self._options.step, longest)
         self._first = steps_for(self._stretch, longest / choice.refine)
         columns = self._columns(part, t, start)
         before = columns.evaluations
         x, v = columns.combine(choice.columns)
         if not all_finite(x, v):
             self._evaluations += columns.evaluations - before
-            if self._options.step is not None:
-                raise UnstableError(
-                    f"the motion became non-finite at a step of {self._stretch / self._first} s; "
-                    f"its limit was {self._limit:.6g} s at the start"
-                )
             if choice.refine >= FINEST:
                 raise UnstableError(
                     f"{self._options.name}: not finite even by steps of {self._stretch / self._first:.3g} s"
@@ -200,15 +223,37 @@ class ControlledAdvance:
             return None
         omega2, damping = self._dynamics.rates(x)
         limit = self._options.step_limit(omega2, damping)
-        if not self._stretch / self._first <= limit and self._options.step is None:
+        h = self._stretch / self._first
+        if not h <= limit and self._options.step is not None:
+            limit = sharp_step_limit(self._dynamics, t + self._stretch, x, limit)
+        if not h <= limit:
             self._limit = limit
             self._retry(choice.columns, choice.refine)
+            return None
+        if self._guard is not None and self._stiffened(omega2) and self._guard.makes_energy(t + self._stretch, x, v, h):
+            self._refine_for_energy()
             return None
         self._limit = min(self._limit, limit) if part + 1 < self._parts else self._limit
         self._memory.omega2, self._memory.damping = omega2, damping
         self._steps += sum(columns.counts[: choice.columns])
         state.x, state.v = x, v
         return error
+
+    def _stiffened(self, omega2: float) -> bool:
+        """Whether the motion's stiffness changes so that energy has to be looked at, and could be helped."""
+        memory = self._memory
+        least, most = min(memory.omega2, omega2), max(memory.omega2, omega2)
+        # A start may be bent upon it already.
+        begins = memory.softest < 0.0
+        memory.softest = least if begins else min(memory.softest, least)
+        looks = begins or most > STIFFENED * memory.softest or self._choice.refine > 1.0
+        return looks and self._choice.refine < FINEST and self._guard is not None and self._guard.applies()
+
+    def _refine_for_energy(self) -> None:
+        memory = self._memory
+        memory.refine = 2.0 * self._choice.refine
+        memory.wait = memory.interval = min(LONGEST_WAIT, 2 * memory.interval)
+        self._retry(self._choice.columns, memory.refine)
 
     def _columns(self, part: int, t: float, start: State) -> Columns:
         """The runs of a stretch; those of the first are kept over attempts with the same steps, unless somebody looks
@@ -268,6 +313,9 @@ class ControlledAdvance:
                 estimate = columns.difference(choice.columns - 1) * memory.ratio
             if estimate <= self._budget:
                 return estimate
+            if choice.columns == 1 and memory.wait > 0 and hopeless(memory.error, choice.refine, self._budget):
+                self._flagged += 1
+                return estimate
             if columns.narrow:
                 # A judgement compares runs in double precision.
                 self._choice = _Choice(choice.columns, choice.refine, True)
@@ -276,16 +324,22 @@ class ControlledAdvance:
         error = errors[-1]
         accepted = error <= self._budget
         most = self._options.columns
-        if not accepted or choice.refine > COSTLY:
-            while len(errors) < most and errors[-1] > AIM * self._budget:
+        lost = choice.columns == 1 and choice.refine >= HOPELESS and hopeless(error, choice.refine, self._budget)
+        if (not accepted or choice.refine > COSTLY) and not lost:
+            while len(errors) < most and errors[-1] > AIM * self._budget and not self._unresolved(errors, activity):
                 errors.append(columns.difference(len(errors) + 1))
-        if not accepted and choice.refine >= FINEST and choice.columns == 1:
+        if not accepted and (lost or (choice.refine >= FINEST and choice.columns == 1)):
             self._flagged += 1
             accepted = True
+        if not accepted and choice.refine < HOPELESS and self._unresolved(errors, activity):
+            # What these errors say of smaller steps is nothing to go by.
+            self._remember(errors, 1, HOPELESS, activity, error)
+            self._choice = _Choice(1, HOPELESS, True)
+            return None
         wanted, refine = cheapest(errors, choice.refine, self._budget, most)
         if refine >= FINEST:
             # Nothing converges here: the plain leapfrog at the smallest step at least makes no energy.
-            wanted, refine = 1, FINEST
+            wanted, refine = 1, HOPELESS if hopeless(errors[0], choice.refine, self._budget) else FINEST
         if not accepted and wanted == choice.columns and refine < FINEST:
             refine = max(refine, min(FINEST, 1.1 * choice.refine))
         refine = max(refine, 0.5 * choice.refine)
@@ -296,6 +350,11 @@ class ControlledAdvance:
         self._choice = _Choice(wanted, refine, False)
         return None
 
+    def _unresolved(self, errors: list[float], activity: float) -> bool:
+        """Whether an error is not small beside the motion itself, and a column more does not even halve it."""
+        last = errors[-1]
+        return len(errors) > 1 and last > STALLED * errors[-2] and last > UNRESOLVED * activity * self._stretch
+
     def _remember(self, errors: list[float], columns: int, refine: float, activity: float, error: float) -> None:
         """Keep the judgement, scaled to the choice that follows from it."""
         memory = self._memory
@@ -305,5 +364,7 @@ class ControlledAdvance:
         if columns > 1:
             memory.ratio = min(1.0, errors[columns - 1] / errors[columns - 2] * finer) if errors[columns - 2] else 1.0
         calm = memory.error <= AIM * self._budget * 1.01 and error <= self._budget
+        # Nor is there much to judge where nothing is within reach.
+        calm = calm or (self._flagged > 0 and columns == 1)
         memory.interval = min(LONGEST_WAIT, 2 * memory.interval) if calm else 1
         memory.wait = memory.interval

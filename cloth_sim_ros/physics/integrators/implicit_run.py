@@ -188,7 +188,9 @@ class ImplicitAdvance:
         u = self._descend(t + h, x, v, h, guess)
         end = x + h * u
         error = 0.5 * h * float(largest_distance(u, v + h * guess))
-        moved = _Step(end, u, (u - v) / h, error, ((t + h, h, end, u),))
+        # The trapezoidal rule: over a step that makes light of accuracy a gripper may turn back.
+        stages = ((t, 0.5 * h, x, v), (t + h, 0.5 * h, end, u))
+        moved = _Step(end, u, (u - v) / h, error, stages)
         gain, kinetic = self._gain(t, h, moved)
         if gain > 0.0:
             # What was minimised leaves no more potential energy than there was energy: slower is enough.

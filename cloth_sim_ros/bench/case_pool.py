@@ -1,0 +1,122 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many independent cases in worker processes, each with a limit of wall time after which its process is ended."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from typing import Any, Generic, TypeVar
+
+import attrs
+
+C = TypeVar("C")
+R = TypeVar("R")
+_CONTEXT = multiprocessing.get_context("spawn")
+
+
+@attrs.frozen
+class Done(Generic[C, R]):
+    """What became of a case."""
+
+    case: C
+    #: None where the case did not come to an end.
+    result: R | None
+    #: Wall time [s].
+    seconds: float
+    #: Why it did not come to an end; empty if it did.
+    trouble: str = ""
+
+
+class _Worker(Generic[C, R]):
+    """One process, and the case that it is at."""
+
+    def __init__(self, run: Callable[[C], R], warm_up: C) -> None:
+        self.connection, theirs = _CONTEXT.Pipe()
+        self.process = _CONTEXT.Process(target=_serve, args=(theirs, run, warm_up), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.case: C | None = None
+        #: When its case ends at the latest; None while it warms up, which is not timed.
+        self.deadline: float | None = None
+        self.started = 0.0
+
+    def give(self, case: C, limit: float) -> None:
+        self.case, self.started = case, time.monotonic()
+        self.deadline = self.started + limit
+        self.connection.send(case)
+
+    def end(self) -> None:
+        self.connection.close()
+        self.process.kill()
+        self.process.join()
+
+
+def run_cases(
+    run: Callable[[C], R], cases: Sequence[C], *, warm_up: C, workers: int, limit: float
+) -> Iterator[Done[C, R]]:
+    """Yield what became of each case, in the order in which they end.
+
+    Args:
+        run: runs one case; must be importable by name, as the cases and results must be picklable.
+        cases: what to run.
+        warm_up: a case that every process runs first, untimed: it loads or compiles what the others need.
+        workers: number of processes.
+        limit: wall time of one case [s].
+    """
+    waiting = list(reversed(cases))
+    pool: list[_Worker[C, R]] = [_Worker(run, warm_up) for _ in range(min(workers, len(cases)))]
+    try:
+        while pool:
+            ends = [worker.deadline for worker in pool if worker.deadline is not None]
+            timeout = max(0.0, min(ends) - time.monotonic()) if ends else None
+            ready: list[Any] = wait([worker.connection for worker in pool], timeout)
+            for worker in list(pool):
+                done: Done[C, R] | None = None
+                if worker.connection in ready:
+                    done = _receive(worker)
+                elif worker.deadline is not None and time.monotonic() >= worker.deadline and worker.case is not None:
+                    done = Done(worker.case, None, limit, f"took longer than {limit:g} s")
+                else:
+                    continue
+                if done is not None:
+                    yield done
+                if done is not None and done.result is None:
+                    worker.end()
+                    pool.remove(worker)
+                    if waiting:
+                        pool.append(_Worker(run, warm_up))
+                elif waiting:
+                    worker.give(waiting.pop(), limit)
+                else:
+                    worker.end()
+                    pool.remove(worker)
+    finally:
+        for worker in pool:
+            worker.end()
+
+
+def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:
+    """What a process has to say; None that it is warm."""
+    case, seconds = worker.case, time.monotonic() - worker.started
+    try:
+        result = worker.connection.recv()
+    except EOFError:
+        if case is None:
+            raise RuntimeError("a process ended before its first case: what it printed says why") from None
+        return Done(case, None, seconds, "its process ended")
+    return None if case is None else Done(case, result, seconds)
+
+
+def _serve(connection: Connection, run: Callable[[C], R], warm_up: C) -> None:
+    """Body of a process."""
+    run(warm_up)
+    connection.send(None)
+    while True:
+        try:
+            case = connection.recv()
+        except EOFError:
+            return
+        connection.send(run(case))

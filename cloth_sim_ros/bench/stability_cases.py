@@ -1,0 +1,215 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The cases of the stability scan: what is attacked, and what becomes of one case."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.bench.attacks import ATTACKS, Moment
+from cloth_sim_ros.bench.problems import irregular_sheet
+from cloth_sim_ros.bench.stability_limits import stretch_of
+from cloth_sim_ros.events import Event, SetParameters
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+from cloth_sim_ros.physics.kernels.leapfrog import all_finite
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.grips import WrenchObserver
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+RESOLUTION = 12
+#: Simulated time of a case [s].
+DURATION = 0.5
+STIFFNESSES = (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
+RATES = (30.0, 60.0, 120.0, 240.0)
+DAMPINGS = (0.0, 0.1, 0.5, 1.0, 3.0)
+STEPPINGS = ("auto", "fixed")
+#: Sheets besides the grid with axial bending, and what of the scan they get.
+MORE_SHEETS = ("mesh", "opposite", "crossed", "altitude")
+MORE_STIFFNESSES, MORE_RATES, MORE_DAMPINGS = (1.0, 1e2, 1e4), (60.0,), (0.0, 0.5)
+#: Target of the position error [m].
+TOLERANCE = 1e-3
+#: Fixed explicit steps are this part of the limit at the start.
+FIXED_SHARE = 0.5
+#: A fixed explicit step that would need more steps is replaced by the implicit method at half a frame.
+_MOST_STEPS = 200_000
+
+
+@attrs.frozen
+class Case:
+    """One combination."""
+
+    sheet: str
+    attack: str
+    #: Factor of the moduli.
+    stiffness: float
+    #: k_d0.
+    damping: float
+    #: Frames a second [1/s].
+    rate: float
+    stepping: str
+
+
+@attrs.frozen
+class Verdict:
+    """What became of it."""
+
+    #: Names of the integrators that ran.
+    integrators: tuple[str, ...]
+    finite: bool
+    #: Largest strain of a spring at the end of any frame.
+    strain: float
+    #: Largest rise of the energy, less what grippers put in, above what it was at the end of an earlier frame, relative
+    #: to the energy turned over.
+    gain: float
+    #: Steps whose error was accepted although it was above the tolerance's share.
+    flagged: int = 0
+    #: Attempts thrown away.
+    rejected: int = 0
+    #: Why it was given up; empty if it was not.
+    trouble: str = ""
+
+
+def every_case() -> list[Case]:
+    """The scan."""
+    grids = itertools.product(("grid",), ATTACKS, STIFFNESSES, DAMPINGS, RATES, STEPPINGS)
+    more = itertools.product(MORE_SHEETS, ATTACKS, MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES, STEPPINGS)
+    return [Case(*combination) for combination in (*grids, *more)]
+
+
+def scene(case: Case) -> Scene:
+    """A sheet of 1 m x 1 m and 0.2 kg hung by its upper edge, stepped as `auto` chooses."""
+    values: dict[str, Any] = {
+        "rate": case.rate,
+        "material.damping": case.damping,
+        "gripper.stiffness": 1000.0 * min(case.stiffness, 1e4),
+        "gripper.radius": ATTACKS[case.attack].radius,
+        "tolerance": TOLERANCE,
+        **_moduli(case),
+    }
+    if case.sheet == "mesh":
+        mesh, anchors = _mesh()
+        return Scene.from_parameters(
+            {**values, "cloth.mesh": "sheet.obj", "cloth.anchors": anchors, "bending.model": "opposite"},
+            files={"sheet.obj": mesh},
+        )
+    model = "axial" if case.sheet == "grid" else case.sheet
+    return Scene.from_parameters({**values, "cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model})
+
+
+def _moduli(case: Case) -> dict[str, float]:
+    values = {"material.stretch_modulus": 1000.0 * case.stiffness, "material.shear_modulus": 100.0 * case.stiffness}
+    if case.sheet == "mesh":
+        del values["material.shear_modulus"]  # a mesh's follows from its triangles
+    if case.sheet in ("crossed", "altitude"):
+        values["material.bending_modulus"] = 1e-4 * case.stiffness
+    else:
+        values["bending.stiffness"] = 2.0 * case.stiffness
+    return values
+
+
+@cache
+def _mesh() -> tuple[bytes, list[str]]:
+    """An irregular mesh as a file's content, and the particles of its upper edge."""
+    sheet = irregular_sheet()
+    rest = sheet.positions()
+    lines = [f"v {x} {y} {z}" for x, y, z in rest.tolist()]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in sheet.surface.triangles.tolist()]
+    top = np.flatnonzero(rest[:, 2] > rest[:, 2].max() - 1e-9)
+    return "\n".join(lines).encode(), [str(particle) for particle in top]
+
+
+class WatchedSimulation(Simulation):
+    """A simulation that tells the grippers' work over its last frame."""
+
+    @property
+    def work(self) -> float:
+        """Work done on the cloth by the grippers [J], what the grips store and lose included."""
+        return self._wrenches.work if isinstance(self._wrenches, WrenchObserver) else 0.0
+
+    def work_of_parameters(self, events: list[Event]) -> float:
+        """Energy that a change of parameters is about to put in [J]: the same places, other springs."""
+        values = {
+            name: value for event in events if isinstance(event, SetParameters) for name, value in event.values.items()
+        }
+        if not values:
+            return 0.0
+        dynamics = self.scene.changed(values).dynamics()
+        return dynamics.energy(self.time, self.state.x, self.state.v) - self.energy()
+
+
+class EnergyAccount:
+    """Follows the energy of a run, and how much of it came from nowhere."""
+
+    def __init__(self, simulation: WatchedSimulation) -> None:
+        self._simulation = simulation
+        self._kinetic = _kinetic(simulation)
+        self._start = self._least = simulation.energy()
+        self._put_in = 0.0
+        # Below the tolerance motion is not resolved: what the weight does over that distance is the least that counts.
+        self._turned = 9.81 * float(simulation.model.masses.sum()) * TOLERANCE
+        #: See `Verdict.gain`.
+        self.gain = 0.0
+
+    def close(self, work: float) -> None:
+        """Book a frame over which so much was put in [J]."""
+        self._put_in += work
+        energy = self._simulation.energy() - self._put_in
+        kinetic = _kinetic(self._simulation)
+        self._turned += abs(kinetic - self._kinetic) + abs(work)
+        self._turned = max(self._turned, self._start - energy)
+        self._kinetic = kinetic
+        self.gain = max(self.gain, (energy - self._least) / self._turned)
+        self._least = min(self._least, energy)
+
+
+def run_case(case: Case) -> Verdict:
+    """Run one case to its end."""
+    attack = ATTACKS[case.attack]
+    built = scene(case)
+    start = State(attack.start(built.initial_positions(), np.random.default_rng(3)))
+    if case.stepping == "fixed":
+        built = built.changed(_fixed(case, built, start))
+    simulation = WatchedSimulation(built, start)
+    rest = built.initial_positions()
+    corner = rest[np.argmax(rest[:, 0] - rest[:, 2])]
+    springs = [term for term in simulation.model.terms if hasattr(term, "rest_length") and hasattr(term, "pairs")]
+    account = EnergyAccount(simulation)
+    strain, flagged, rejected = 0.0, 0, 0
+    names: dict[str, None] = {}
+    trouble = ""
+    for frame in range(round(DURATION * case.rate)):
+        events = attack.events(Moment(frame / case.rate, 1.0 / case.rate, corner, _moduli(case)))
+        try:
+            put_in = simulation.work_of_parameters(events)
+            done = simulation.advance(events).advance
+        except (UnstableError, ValueError) as error:
+            trouble = f"at {frame / case.rate:.3g} s: {error}"
+            break
+        if done is not None:
+            names[done.integrator] = None
+            flagged, rejected = flagged + done.flagged, rejected + done.rejected
+        account.close(put_in + simulation.work)
+        stretches = (stretch_of(term.pairs, term.rest_length, simulation.state.x) for term in springs)
+        strain = max(strain, *(stretch - 1.0 for stretch in stretches))
+    finite = not trouble and bool(all_finite(simulation.state.x, simulation.state.v))
+    return Verdict(tuple(names), finite, strain, account.gain, flagged, rejected, trouble)
+
+
+def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
+    """A fixed step: part of the limit at the start."""
+    step = FIXED_SHARE * Leapfrog().step_limit(*built.dynamics().rates(start.x))
+    if DURATION / step <= _MOST_STEPS:
+        return {"integrator": "leapfrog", "step": step}
+    return {"integrator": "implicit", "step": 0.5 / case.rate}
+
+
+def _kinetic(simulation: WatchedSimulation) -> float:
+    v = simulation.state.v
+    return 0.5 * float(np.sum(simulation.model.masses * v * v))

@@ -1,0 +1,59 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Energy that a run of fixed leapfrog steps makes, beside what the leapfrog's own energy does.
+
+The leapfrog does not keep the energy E of its positions and velocities but, for linear springs exactly, E - h^2/8 v'Kv:
+E swings by that with the motion and comes back. What makes this energy grow is an instability: a spring that was
+pushed nearly to a point within the run turned faster than the step follows. Smaller steps follow it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.grips import Grips
+
+#: Growth that is accepted, relative to the kinetic energy, and to all energy (rounding).
+_SHARE, _ROUNDING = 5e-4, 1e-12
+
+
+class EnergyGuard:
+    """Judges runs that start from one state.
+
+    Args:
+        dynamics: equations of motion.
+        t: time at the start [s].
+        x: positions at the start (3, n) [m]; kept, so nobody may write into them.
+        v: velocities at the start (3, n) [m/s]; likewise.
+    """
+
+    def __init__(self, dynamics: Dynamics, t: float, x: Array, v: Array) -> None:
+        self._dynamics, self._t, self._x, self._v = dynamics, t, x, v
+
+    def applies(self) -> bool:
+        """Whether no work is done on the cloth: no gripper that holds something moves."""
+        for term in self._dynamics.model.terms:
+            if isinstance(term, Grips) and term.particles.size:
+                holding = np.diff(term.starts) > 0
+                if term.paths[holding][:, [4, 5, 6, 7, 8, 9, 10, 11, 12, *range(17, 26)]].any():
+                    return False
+        return True
+
+    def makes_energy(self, t: float, x: Array, v: Array, step: float) -> bool:
+        """Whether a run with steps of this length [s] that ended at t, x, v made energy."""
+        before, after = self._own(self._t, self._x, self._v, step), self._own(t, x, v, step)
+        moving = max(self._kinetic(self._v), self._kinetic(v))
+        return not after - before <= _SHARE * moving + _ROUNDING * abs(before)
+
+    def _kinetic(self, v: Array) -> float:
+        return 0.5 * float(np.sum(self._dynamics.model.masses * v * v))
+
+    def _own(self, t: float, x: Array, v: Array, step: float) -> float:
+        """The leapfrog's own energy [J]; v'Kv by the forces half a step ahead and half a step back."""
+        still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
+        self._dynamics.acceleration(t, x + 0.5 * step * v, still, ahead)
+        self._dynamics.acceleration(t, x - 0.5 * step * v, still, back)
+        swing = -0.125 * step * float(np.sum(self._dynamics.model.masses * v * (ahead - back)))
+        return self._dynamics.energy(t, x, v) - swing
