@@ -201,10 +201,6 @@ def mesh() -> Problem:
     )
 
 
-<<<<<<< HEAD
-def irregular_sheet() -> MeshSheet:
-    """1 m x 1 m in x-z, hung: 150 particles at random places at least 6 cm apart, Delaunay triangles."""
-=======
 def _planned(model: Model) -> Dynamics:
     """Listed springs as they are shipped: with their fused plan."""
     dynamics = Dynamics(model)
@@ -212,8 +208,8 @@ def _planned(model: Model) -> Dynamics:
     return dynamics
 
 
-def _irregular_sheet() -> MeshSheet:
->>>>>>> origin/main
+def irregular_sheet() -> MeshSheet:
+    """1 m x 1 m in x-z, hung: 150 particles at random places at least 6 cm apart, Delaunay triangles."""
     from scipy.spatial import Delaunay
 
     random = np.random.default_rng(7)
