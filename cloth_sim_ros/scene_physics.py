@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
-from cloth_sim_ros.physics.surface import grid_hinges, grid_triangles
+from cloth_sim_ros.physics.surface import grid_cells, grid_hinges
 from cloth_sim_ros.physics.terms.base import Array, Term
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
@@ -137,13 +137,10 @@ def _air_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
     if wind.normal_drag or wind.tangential_drag:
         from cloth_sim_ros.physics.terms.air_panels import AirPanels
 
-        triangles, share = sheet.triangles(), 1.0
-        if isinstance(sheet, GridSheet):
-            # Cut both ways, at half strength: every particle has air on as much surface as it has mass.
-            cuts = [grid_triangles(sheet.rows, sheet.columns, layout) for layout in ("left", "right")]
-            triangles, share = np.concatenate(cuts), 0.5
-        normal, tangential = share * wind.normal_drag, share * wind.tangential_drag
-        terms.append(AirPanels(triangles, normal=normal, tangential=tangential, wind=wind.velocity))
+        # A grid's cells, not its triangles: every particle has air on as much surface as it has mass.
+        panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
+        normal, tangential = wind.normal_drag, wind.tangential_drag
+        terms.append(AirPanels(panels, normal=normal, tangential=tangential, wind=wind.velocity))
     return terms
 
 

@@ -16,9 +16,11 @@ from cloth_sim_ros.physics.terms.wind import Wind
 N = 9
 MASSES = np.random.default_rng(4).uniform(0.1, 1.0, N)
 TRIANGLES = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [0, 4, 8]]
+CELLS = [[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]]
 WINDY = {
     "wind": Wind(MASSES, (3.0, -1.0, 0.5), 0.7),
     "panels": AirPanels(TRIANGLES, normal=2.0, tangential=0.3, wind=(3.0, -1.0, 0.5)),
+    "cells": AirPanels(CELLS, normal=2.0, tangential=0.3, wind=(3.0, -1.0, 0.5)),
     "slippery panels": AirPanels(TRIANGLES, normal=2.0, tangential=0.0, wind=(3.0, -1.0, 0.5)),
     "panels that only rub": AirPanels(TRIANGLES, normal=0.0, tangential=0.3, wind=(3.0, -1.0, 0.5)),
 }
@@ -104,6 +106,9 @@ def test_the_push_on_a_flat_panel_is_coefficient_area_speed():
     term = AirPanels([[0, 1, 3], [0, 3, 2]], normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0))
     total = force(term, square, np.zeros_like(square)).sum(axis=1)
     assert total == pytest.approx([0.2 * 6.0 * 4.0, 0.0, -1.5 * 6.0 * 7.0])
+    cell = AirPanels([[0, 1, 3, 2]], normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0))
+    pushes = force(cell, square, np.zeros_like(square))
+    assert pushes == pytest.approx(np.tile(total[:, None] / 4.0, 4)), "the same at each of its corners"
     # Turned over it is the same: neither side is its front.
     over = AirPanels([[0, 3, 1], [0, 2, 3]], normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0))
     assert force(over, square, np.zeros_like(square)).sum(axis=1) == pytest.approx(total)
@@ -130,7 +135,7 @@ def test_a_triangle_without_area_feels_nothing():
 def test_bad_coefficients_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         AirPanels(TRIANGLES, **arguments)
-    with pytest.raises(ValueError, match="give its triangles"):
+    with pytest.raises(ValueError, match="give panels of three or four particles"):
         AirPanels([], normal=1.0, tangential=0.0)
 
 
@@ -224,6 +229,14 @@ def test_heavy_drag_counts_in_the_step_limit():
         cloth.advance()
     # No speed beyond the wind's: what is too long a step overshoots, and grows.
     assert np.abs(cloth.velocities).max() < 5.0 * 1.01
+
+
+def test_a_grid_sheet_feels_the_air_evenly():
+    cloth = Simulation(Scene.from_parameters(BARE | {"wind.normal_drag": 2.0, "wind.velocity": (0.0, 0.0, 5.0)}))
+    acceleration = np.zeros_like(cloth.state.x)
+    cloth.dynamics.acceleration(0.0, cloth.state.x, cloth.state.v, acceleration)
+    # normal_drag wind / density, at corners and edges as within.
+    assert acceleration[2] == pytest.approx(2.0 * 5.0 / 0.2, rel=1e-12)
 
 
 def test_a_scene_without_wind_has_none_of_it():

@@ -200,6 +200,12 @@ def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
     return np.where(left[:, None], cut_left, cut_right).reshape(-1, 3)
 
 
+def grid_cells(rows: int, columns: int) -> IndexArray:
+    """The four particles of every cell of a grid, in order around it, (cells, 4)."""
+    p00, p01, p10, p11, _ = _cells(rows, columns, "left")
+    return np.stack((p00, p01, p11, p10), axis=1)
+
+
 def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
     """Shear springs of a grid: one diagonal a cell, for layout `both` two (left, then right), in order of cells, (d,
     2).

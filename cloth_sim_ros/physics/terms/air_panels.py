@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Air on the cloth's surface: each triangle is a panel that the air pushes more across than along."""
+"""Air on the cloth's surface: each triangle or cell is a panel that the air pushes more across than along."""
 
 from __future__ import annotations
 
@@ -12,36 +12,41 @@ from cloth_sim_ros.physics.terms.base import Array, Term
 
 
 class AirPanels(Term):
-    """Linear drag of every triangle relative to the air, a third of it at each of its corners.
+    """Linear drag of every panel relative to the air, shared evenly by its k corners.
 
-        F = -A/3 (c_n n n' + c_t (1 - n n')) (v - w)
+        F = -A/k (c_n n n' + c_t (1 - n n')) (v - w)
 
-    with the triangle's present area A and unit normal n, the corner's velocity v and the wind w. It takes no side of
-    the cloth for its front. Dissipation is that of still air, v'Bv; what the wind adds, w'Bv, is its work (`supply`).
+    with the panel's present area A and unit normal n, the corner's velocity v and the wind w. Of a quadrilateral, A n
+    is half the cross product of its diagonals: a cell that is bent along one of them has the air of its outline. It
+    takes no side of the cloth for its front. Dissipation is that of still air, v'Bv; what the wind adds, w'Bv, is its
+    work (`supply`).
 
     The damping blocks are exact. The force also turns with the panels, which no potential describes; the stiffness
     blocks bound that for a cloth at rest in the wind. Of the cloth's own speed they know nothing: what it adds is small
     beside the springs (c |v| L against k_s / l0), and left to the error control.
 
     Args:
-        triangles: particles of each triangle, shape (m, 3).
+        panels: particles of each panel in order around it, shape (m, 3) or (m, 4).
         normal: c_n, drag across the surface [N s/m^3], at least 0.
         tangential: c_t, drag along the surface [N s/m^3], at least 0.
         wind: velocity of the air [m/s], shape (3,).
 
     Raises:
-        ValueError: for no triangles, or a coefficient or a wind that is not finite.
+        ValueError: for no panels, or a coefficient or a wind that is not finite.
     """
 
     name = "air"
     damped = True
 
     def __init__(
-        self, triangles: ArrayLike, *, normal: float, tangential: float, wind: ArrayLike = (0.0, 0.0, 0.0)
+        self, panels: ArrayLike, *, normal: float, tangential: float, wind: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
-        self.triangles = np.ascontiguousarray(triangles, dtype=np.int64).reshape(-1, 3)
-        if not len(self.triangles) or self.triangles.min() < 0:
-            raise ValueError("air acts on a surface: give its triangles, particles counted from 0")
+        self.panels = np.ascontiguousarray(panels, dtype=np.int64)
+        if self.panels.ndim != 2 or self.panels.shape[1] not in (3, 4) or not self.panels.size or self.panels.min() < 0:
+            raise ValueError(
+                f"air acts on a surface: give panels of three or four particles, counted from 0; got an array of shape "
+                f"{self.panels.shape}"
+            )
         for what, value in (("normal", normal), ("tangential", tangential)):
             if not (np.isfinite(value) and value >= 0.0):
                 raise ValueError(f"{what} drag is {value} N s/m^3; it must be finite and at least 0")
@@ -51,21 +56,21 @@ class AirPanels(Term):
         self.normal, self.tangential = float(normal), float(tangential)
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
-        kernels.add_forces(self.triangles, self.normal, self.tangential, self.wind, x, v, f)
+        kernels.add_forces(self.panels, self.normal, self.tangential, self.wind, x, v, f)
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
-        return float(kernels.powers(self.triangles, self.normal, self.tangential, self.wind, x, v)[0])
+        return float(kernels.powers(self.panels, self.normal, self.tangential, self.wind, x, v)[0])
 
     def supply(self, t: float, x: Array, v: Array) -> float:
-        return float(kernels.powers(self.triangles, self.normal, self.tangential, self.wind, x, v)[1])
+        return float(kernels.powers(self.panels, self.normal, self.tangential, self.wind, x, v)[1])
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
         if self.wind.any():
             speed = float(np.sqrt(np.sum(self.wind * self.wind)))
-            kernels.add_turning(self.triangles, self.normal, self.tangential, speed, x, blocks)
+            kernels.add_turning(self.panels, self.normal, self.tangential, speed, x, blocks)
 
     def add_damping(self, x: Array, blocks: Array) -> None:
-        kernels.add_blocks(self.triangles, self.normal, self.tangential, x, blocks)
+        kernels.add_blocks(self.panels, self.normal, self.tangential, x, blocks)
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
-        kernels.add_jacobian_product(self.triangles, self.normal, self.tangential, self.wind, x, v, dx, dv, out)
+        kernels.add_jacobian_product(self.panels, self.normal, self.tangential, self.wind, x, v, dx, dv, out)
