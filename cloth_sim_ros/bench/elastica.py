@@ -135,7 +135,7 @@ def _equilibrium(terms: list[Term], start: Array, masses: Array, column: NDArray
     Particles of the first `clamped` columns stay. Forces reach two columns far, so that pushing every fifth at once
     tells the Hessian's entries apart.
     """
-    from scipy.sparse import csc_array, eye_array
+    from scipy.sparse import csc_array, identity
     from scipy.sparse.linalg import splu
 
     x = np.ascontiguousarray(start.T)
@@ -183,7 +183,7 @@ def _equilibrium(terms: list[Term], start: Array, masses: Array, column: NDArray
         f = force()
         if np.abs(f).max() < 1e-6 * weight:
             break
-        step = splu(hessian() + shift * eye_array(size, format="csc")).solve(f)
+        step = splu(hessian() + shift * csc_array(identity(size))).solve(f)
         move(step)
         after = energy()
         if after <= least + 1e-13 * abs(least) and step @ f > 0.0:

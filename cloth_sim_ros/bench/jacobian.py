@@ -36,7 +36,7 @@ class SparseJacobian:
         self._count = model.particle_count
 
     def __call__(self, t: float, y: Array) -> Any:
-        from scipy.sparse import coo_matrix, csc_matrix, diags, eye_array, vstack
+        from scipy.sparse import coo_matrix, csc_matrix, diags, identity, vstack
         from scipy.sparse import hstack as beside
 
         n = self._count
@@ -65,5 +65,5 @@ class SparseJacobian:
             blocks.append(coo_matrix((np.concatenate(values), where), shape=(3 * n, 3 * n)).tocsc())
         free = np.tile(self._inverse > 0.0, 3).astype(float)
         blocks[1] = blocks[1] - diags(self._drag * free)
-        upper = beside([csc_matrix((3 * n, 3 * n)), eye_array(3 * n)])
+        upper = beside([csc_matrix((3 * n, 3 * n)), identity(3 * n)])
         return vstack([upper, beside(blocks)]).tocsc()
