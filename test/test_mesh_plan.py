@@ -150,6 +150,26 @@ def test_the_plan_is_what_runs(monkeypatch):
     assert np.abs(fused.velocities - plain.velocities).max() > 1e-3
 
 
+def test_what_a_scene_does_not_have_is_not_in_its_loop(monkeypatch):
+    """Left out by the types of what the compiled loop is given."""
+    given = {}
+
+    def record(x, v, steps, particles, speeds, motion, forces, held):
+        given.update(motion._asdict(), **forces._asdict(), speeds=speeds, held=held)
+
+    monkeypatch.setattr(mesh_leapfrog, "advance_mesh", record)
+    absent = {}
+    for name in ("mesh, bare", "mesh, undamped in air", "mesh, crossed", "springs"):
+        fused, _ = pair(SCENES[name])
+        fused.dynamics.plan.leapfrog(0.0, fused.state.x.copy(), fused.state.v.copy(), 1e-4, 1, None, 1.0)
+        absent[name] = {what for what, value in given.items() if value is None}
+    hinges = {"crossed", "altitude"}
+    assert absent["mesh, bare"] == {"gravity", "drag", "damped", "joints", "held", "speeds", *hinges}
+    assert absent["mesh, undamped in air"] == {"damped", "joints", "held", *hinges}
+    assert absent["mesh, crossed"] == {"undamped", "joints", "held", "altitude"}
+    assert absent["springs"] == {"held", *hinges}
+
+
 def test_the_order_of_locality_is_seen_nowhere_outside():
     """A sheet and the same with its particles renumbered move alike, each in its own numbers."""
     vertices = [line for line in MESH.decode().splitlines() if line[0] == "v"]

@@ -68,7 +68,9 @@ class Held(NamedTuple):
 
 
 class Particles(NamedTuple):
-    """`rows`, `force`: see `mesh_emit`, flat. `inverse`: 1/m [1/kg]. `order`: number outside of each."""
+    """`rows`, `force`: see `mesh_emit`, flat; forces are zero between runs. `inverse`: 1/m [1/kg]. `order`: number
+    outside of each.
+    """
 
     rows: Floats
     force: Floats
@@ -147,8 +149,7 @@ def _views(rows, force):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _load(particles, motion, x, v):  # type: ignore[no-untyped-def]
     """Copy positions and velocities in; the velocity that forces see starts as the velocity."""
-    rows, force, _, order = particles
-    force[:] = 0.0
+    rows, _, _, order = particles
     for i in range(len(order)):
         outside = order[i]
         for c in range(3):
@@ -156,10 +157,6 @@ def _load(particles, motion, x, v):  # type: ignore[no-untyped-def]
             rows[i * ROW + QUAD + c] = v[c, outside]
             if motion is not None:
                 motion[i * ROW + c] = v[c, outside]
-        # Cleared each time: after a state that was not finite they would spoil the next one.
-        rows[i * ROW + 3] = rows[i * ROW + QUAD + 3] = 0.0
-        if motion is not None:
-            motion[i * ROW + 3] = motion[i * ROW + QUAD + 3] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
