@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -122,9 +123,11 @@ class State:
     def to_bytes(self) -> bytes:
         """Return the state as the bytes of an .npz file; the same state gives the same bytes."""
         buffer = io.BytesIO()
-        known = {} if self.cloth is None else {_CLOTH: np.array(self.cloth, dtype=np.int64)}
+        everything: dict[str, Any] = self.arrays()
+        if self.cloth is not None:
+            everything[_CLOTH] = np.array(self.cloth, dtype=np.int64)
         # Without `allow_pickle`, which numpy 1.26 would take for one more array; none of them holds objects.
-        np.savez(buffer, **self.arrays(), **known)
+        np.savez(buffer, **everything)
         return buffer.getvalue()
 
     @classmethod
