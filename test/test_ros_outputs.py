@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from clocked_cloth import ClockedCloth
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_client import Client, positions, stamp_of
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
+from std_msgs.msg import Bool
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.parameters import ParameterError
@@ -138,8 +142,6 @@ def test_a_senseless_profile_is_refused(client: Client, policy: str, value: Any)
 
 
 def test_frames_of_one_stamp_belong_together(client: Client) -> None:
-    from geometry_msgs.msg import WrenchStamped
-
     with ClockedCloth(client) as cloth:
         clouds: list[PointCloud2] = []
         wrenches: list[WrenchStamped] = []
@@ -150,3 +152,48 @@ def test_frames_of_one_stamp_belong_together(client: Client) -> None:
         cloth.tick(10)
         client.spin_until(lambda: len(clouds) >= 10 and len(wrenches) >= 10, what="ten of each")
         assert [stamp_of(cloud) for cloud in clouds] == [stamp_of(wrench) for wrench in wrenches]
+
+
+def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
+    page = (Path(__file__).resolve().parent.parent / "docs" / "ros.md").read_text()
+    section = page.split("## Diagnostics\n")[1].split("\n## ")[0]
+    cells = [line.split("|") for line in section.splitlines() if line.startswith("| `")]
+    documented = {name for cell in cells for name in re.findall(r"`(\w+)`", cell[1])}
+    documented |= set(re.findall(r"`(energy_\w+)`", section))
+    with ClockedCloth(client, {"diagnostics.energy": True}) as cloth:
+        seen: list[DiagnosticStatus] = []
+        client.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10
+        )
+        client.spin_until(lambda: cloth.node._diagnostics._output.heard, what="the subscriber of diagnostics")
+        cloth.target("gripper", (0.5, 0.0, 0.5))
+        cloth.tick(30)
+        seen.clear()
+        cloth.node._diagnostics.send()
+        status = client.spin_until(lambda: seen and seen[0], what="diagnostics")
+        values = {entry.key: entry.value for entry in status.values}
+        assert status.name == "cloth_sim: cloth"
+        # Of a recording there is only something to say where there is one.
+        assert set(values) == documented - {"recording_file", "recording_dropped"}
+        assert (values["frame"], values["paused"], values["recording"]) == ("30", "false", "off")
+        assert (values["commands_received"], values["commands_refused"]) == ("1", "0")
+        # It falls from flat: what it gains in motion and stretch it has from its height, and the balance closes.
+        turned_over = 0.2 * 9.81 * (0.5 - float(cloth.simulation.positions[:, 2].mean() - 0.5))
+        assert abs(float(values["energy_balance_j"])) < 1e-3 * max(turned_over, 1e-2)
+        assert float(values["energy_dissipated_j"]) > 0.0
+
+
+def test_targets_are_taken_from_any_publisher_and_grasps_from_reliable_ones(client: Client) -> None:
+    profiles = {
+        policy: QoSProfile(depth=10, reliability=policy)
+        for policy in (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
+    }
+    with ClockedCloth(client):
+        for policy, profile in profiles.items():
+            for kind, leaf in ((PoseStamped, "target"), (PointStamped, "point")):
+                publisher = client.node.create_publisher(kind, f"/cloth_sim/gripper/{leaf}", profile)
+                client.spin_until(publisher.get_subscription_count, what=f"{leaf} of a {policy.name} publisher")
+        sure = client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", profiles[ReliabilityPolicy.RELIABLE])
+        unsure = client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", profiles[ReliabilityPolicy.BEST_EFFORT])
+        client.spin_until(sure.get_subscription_count, what="grasp of a reliable publisher")
+        assert unsure.get_subscription_count() == 0, "a grasp that may get lost is none"
