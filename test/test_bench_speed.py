@@ -53,6 +53,15 @@ def test_without_a_compiler_our_kernels_are_timed_alone(monkeypatch: pytest.Monk
     assert any("no C compiler" in note for note in written["notes"])
 
 
+def test_plans_are_timed_against_terms(tmp_path: Path) -> None:
+    file = tmp_path / "speed.json"
+    assert main(["speed", "--only", "plans", "--meshes", "100", "--seconds", "0", "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["tables"][0]["rows"]
+    assert [row[1] for row in rows] == [100] + 5 * [speed.PLAN_GRID**2]
+    assert all(row[2] > 0.0 and row[4] > 0.0 and row[5] > 0.0 for row in rows)
+    assert [row[3] == "-" for row in rows] == [False] + 5 * [True]
+
+
 def test_two_threads_move_the_sheet_to_the_same_bits() -> None:
     row = speed_kernels.thread_gain(12, np.float32, seconds=0.0)
     assert row.same

@@ -1,6 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast: ns per spring against hand-vectorised C, real-time factor of scene C, two threads against one."""
+"""How fast: ns per spring against hand-vectorised C, fused plans against terms, real-time factor of scene C, two
+threads against one.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +17,7 @@ from cloth_sim_ros.bench.problems import curtain
 from cloth_sim_ros.bench.reference_kernel import find_compiler
 from cloth_sim_ros.bench.report import Plot, Report, Table
 from cloth_sim_ros.bench.speed_kernels import kernel_time, thread_gain
+from cloth_sim_ros.bench.speed_plans import bending_time, grip_time, mesh_time
 
 #: A force evaluation takes at most so many times the C kernel's time.
 KERNEL_PROMISE = 1.5
@@ -24,7 +27,9 @@ CURTAIN_PROMISES = {32: 25.0, 64: 8.0, 128: 1.5}
 THREAD_PROMISE, THREADS_FROM = 1.7, 96
 #: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The second is the default.
 TOLERANCES = (1e-3, 1e-4)
-PARTS = ("kernels", "curtain", "threads")
+#: Grids for bending models and for grippers, particles a side.
+PLAN_GRID = 64
+PARTS = ("kernels", "plans", "curtain", "threads")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {parts}")
     for name, sizes, text in (
         ("--kernels", [32, 64, 96, 128, 256, 512], "sheets for the kernels, particles a side"),
+        ("--meshes", [1024, 4096, 16384, 100_000], "meshes for the plan of listed springs, particles"),
         ("--curtains", [*speed_curtain.SCORED_FRAMES], "sheets of scene C"),
         ("--threads", [64, 96, 128, 256], "sheets for two threads against one"),
     ):
@@ -45,6 +51,7 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Speed", "cloth_bench speed")
     parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
         "kernels": _kernels,
+        "plans": _plans,
         "curtain": _curtains,
         "threads": _threads,
     }
@@ -87,6 +94,21 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
                 )
     report.tables.append(table)
     report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
+
+
+def _plans(options: argparse.Namespace, report: Report) -> None:
+    columns = ["scene", "particles", "by terms", "as numbered", "by the plan", "terms to plan", "as numbered to plan"]
+    table = Table("Whole runs by a fused plan, ns per particle and step, one core", columns)
+    rows = [("mesh, vertices in random order", mesh_time(count, seconds=options.seconds)) for count in options.meshes]
+    for bending in ("opposite", "crossed", "altitude"):
+        rows.append((f"grid, bending {bending}", bending_time(PLAN_GRID, bending, seconds=options.seconds)))
+    for turning in (False, True):
+        scene = f"grid, gripper that {'moves and turns' if turning else 'moves'}"
+        rows.append((scene, grip_time(PLAN_GRID, turning=turning, seconds=options.seconds)))
+    for scene, row in rows:
+        given = ("-", "-") if row.as_given is None else (row.as_given, row.ratio_as_given)
+        table.rows.append([scene, row.particles, row.terms, given[0], row.plan, row.ratio, given[1]])
+    report.tables.append(table)
 
 
 def _curtains(options: argparse.Namespace, report: Report) -> None:

@@ -48,6 +48,7 @@ class MeshPlan:
 
     Args:
         dynamics: the equations; `fits` says whether they can be taken over.
+        reorder: whether to look for an order of locality; what comes out is the same to rounding.
     """
 
     @staticmethod
@@ -55,7 +56,7 @@ class MeshPlan:
         """Whether the model has pair springs, hinges, gravity, wind, drag and grips alone."""
         return all(type(term) in _KINDS for term in dynamics.model.terms)
 
-    def __init__(self, dynamics: Dynamics) -> None:
+    def __init__(self, dynamics: Dynamics, *, reorder: bool = True) -> None:
         self._dynamics = dynamics
         model = dynamics.model
         pairs = _springs(model.terms, PairSprings)
@@ -74,7 +75,7 @@ class MeshPlan:
             altitude=altitude,
             gravity=np.sum(pushes, axis=0) if pushes else None,
             drag=drag,
-            order=local_order(model.particle_count, np.concatenate(neighbours)),
+            order=local_order(model.particle_count, np.concatenate(neighbours)) if reorder else None,
         )
 
     @property
