@@ -52,10 +52,11 @@ class Bounds:
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at x."""
         count = self._model.particle_count
-        multiples = [found for found in (term.multiples() for term in self._others) if found is not None]
         stretch = getattr(self._fused, "stretch", count)
-        simple = self._fused is not None and self._pairs is None and len(multiples) == len(self._others)
-        if self._fused is None or not simple or stretch >= count:
+        if self._fused is None or self._pairs is not None or stretch >= count:
+            return self._of_all(x)
+        multiples = [found for found in (term.multiples() for term in self._others) if found is not None]
+        if len(multiples) < len(self._others):
             return self._of_all(x)
         # Stretch by stretch: the blocks of all would take more room than the state.
         omega2, damping = 0.0, 0.0

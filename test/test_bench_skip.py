@@ -1,0 +1,120 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene does not use is not run, proven by counts; the loop made by hand moves as the simulation does."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.bench.main import COMMANDS, main
+from cloth_sim_ros.bench.skip import MARKERS
+from cloth_sim_ros.bench.skip_counts import bytes_of_a_frame, calls_of_a_frame, modules_of
+from cloth_sim_ros.bench.skip_hand import HandMadeLoop
+from cloth_sim_ros.bench.skip_scenes import BARE, FORCES, Running, swinging, variants
+from cloth_sim_ros.bench.speed_curtain import cores
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+#: Of a frame of fixed work: the steps, whether they stayed finite, and what the next ones may be.
+NEEDED = {"_add_bounds": 1, "advance_sheet": 1, "all_finite": 1, "block_rates": 2}
+VARIANTS = {variant.name: variant for variant in variants()}
+
+
+def running(name, resolution=16):
+    return Running(VARIANTS[name], resolution).simulation
+
+
+@pytest.mark.parametrize("values", [BARE, FORCES], ids=["bare", "forces"])
+def test_the_loop_made_by_hand_moves_as_the_simulation_to_the_last_bit(values):
+    with cores(one=True):
+        scene = Scene.from_parameters({**values, "cloth.resolution": [9, 12]})
+        simulation, loop = Simulation(scene, swinging(scene)), HandMadeLoop(scene)
+        for _ in range(12):
+            frame = simulation.advance()
+            loop.frame()
+            assert loop.steps == frame.advance.steps
+        assert np.array_equal(simulation.state.x, loop.x)
+        assert np.array_equal(simulation.state.v, loop.v)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "damping: absent",
+        "drag: absent",
+        "gravity: absent",
+        "bending: absent",
+        "gripper: absent",
+        "gripper: idle",
+        "energy balance: absent",
+        "error control: absent",
+    ],
+)
+def test_a_frame_calls_the_kernels_that_it_needs_and_none_besides(name):
+    assert calls_of_a_frame(running(name)) == NEEDED
+
+
+def test_a_gripper_that_holds_is_part_of_the_steps():
+    assert calls_of_a_frame(running("gripper: active, holding")) == NEEDED
+
+
+def test_error_control_adds_a_look_at_the_end_and_at_rest():
+    more = calls_of_a_frame(running("error control: active"), frames=1)
+    assert set(more) - set(NEEDED) <= {"largest_distance", "all_below"}
+
+
+def test_a_sleeping_frame_calls_nothing_and_takes_no_memory():
+    asleep = running("sleep: active, asleep")
+    assert calls_of_a_frame(asleep, frames=5) == {}
+    needed, kept = bytes_of_a_frame(asleep)
+    assert needed < 2000
+    assert kept < 1000
+
+
+def test_a_frame_takes_the_room_of_the_state_that_it_makes():
+    simulation = running("gripper: absent", 32)
+    needed, kept = bytes_of_a_frame(simulation)
+    state = simulation.state.x.nbytes + simulation.state.v.nbytes
+    # The new positions and velocities, and the air's damping of each particle; the old ones go.
+    assert needed < 1.8 * state
+    assert kept < 4000
+
+
+def test_springs_that_a_plan_stands_for_have_no_lists():
+    simulation = running("sleep: idle, moving")
+    assert not [term.name for term in simulation.model.terms if "pairs" in vars(term)]
+
+
+@pytest.mark.parametrize(
+    ("values", "used"),
+    [
+        ({}, set()),
+        (
+            {"bending.model": "crossed", "material.bending_modulus": 1e-5, "cloth.resolution": [5, 5]},
+            {"bending springs across hinges"},
+        ),
+        ({"integrator": "implicit", "cloth.resolution": [5, 5]}, {"implicit steps"}),
+        ({"diagnostics.energy": True, "cloth.resolution": [5, 5]}, {"energy balance"}),
+    ],
+    ids=["default", "crossed", "implicit", "energy"],
+)
+def test_a_scene_loads_the_modules_that_it_uses(values, used):
+    loaded = modules_of(values)
+    assert {feature for feature, markers in MARKERS.items() if any(marker in loaded for marker in markers)} == used
+
+
+def test_both_commands_are_there_and_say_what_they_do(capsys):
+    for name in ("skip", "scale"):
+        assert name in COMMANDS
+        with pytest.raises(SystemExit) as stop:
+            main([name, "--help"])
+        assert stop.value.code == 0
+        assert "--json" in capsys.readouterr().out
+
+
+def test_a_small_run_reports_ratios(tmp_path, capsys):
+    status = main(["skip", "--only", "hand", "--sizes", "8", "--copies", "1", "--seconds", "0.01"])
+    told = capsys.readouterr().out
+    assert "| 8  | springs alone" in told or "| 8 | springs alone" in told
+    # At this size Python counts for more than the kernels: the promise is broken, and said to be.
+    assert status == 1
+    assert "NOT MET" in told
