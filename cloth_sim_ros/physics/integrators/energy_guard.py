@@ -17,6 +17,8 @@ from cloth_sim_ros.physics.terms.grips import Grips
 
 #: Growth that is accepted, relative to the kinetic energy, and to all energy (rounding).
 _SHARE, _ROUNDING = 5e-4, 1e-12
+#: Coordinates of a sheet at rest are off by so many roundings, and its springs stretched by them.
+_ROUNDINGS = 8.0
 
 
 class EnergyGuard:
@@ -45,7 +47,13 @@ class EnergyGuard:
         """Whether a run with steps of this length [s] that ended at t, x, v made energy."""
         before, after = self._own(self._t, self._x, self._v, step), self._own(t, x, v, step)
         moving = max(self._kinetic(self._v), self._kinetic(v))
-        return not after - before <= _SHARE * moving + _ROUNDING * abs(before)
+        return not after - before <= _SHARE * moving + _ROUNDING * abs(before) + self._noise(x)
+
+    def _noise(self, x: Array) -> float:
+        """Energy [J] of a sheet at rest that rounding of its coordinates leaves: w^2 / 2 times their squares."""
+        place = _ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
+        omega2, _ = self._dynamics.rates(x)
+        return 0.5 * float(self._dynamics.model.masses.sum()) * omega2 * place * place
 
     def _kinetic(self, v: Array) -> float:
         return 0.5 * float(np.sum(self._dynamics.model.masses * v * v))
