@@ -140,7 +140,13 @@ def attempt(
     Raises:
         PeerFailed: if it gives no result.
     """
-    job = {"script": peer.script, "sheet": str(sheet), "variant": peer.variant, "steps": steps, "frame": PERIOD}
+    job = {
+        "script": peer.script,
+        "sheet": str(sheet.absolute()),
+        "variant": peer.variant,
+        "steps": steps,
+        "frame": PERIOD,
+    }
     job |= {"frames": frames, "seconds": seconds, "whole": WHOLE}
     variables = peer_environment.clean_variables(
         OMP_NUM_THREADS=str(threads),
@@ -148,11 +154,20 @@ def attempt(
         # What Warp compiles belongs to the environment.
         WARP_CACHE_PATH=str(environment / "warp"),
     )
-    command = [str(peer_environment.python_of(environment)), "-I", str(Path(__file__).with_name("peer_run.py"))]
+    python = peer_environment.python_of(environment.absolute())
+    command = [str(python), "-I", str(Path(__file__).with_name("peer_run.py"))]
     limit = _STARTING + 2.0 * seconds
     try:
+        # Where the sheet lies: some peers leave a log in the folder that they are started in.
         done = subprocess.run(
-            command, input=json.dumps(job), env=variables, capture_output=True, text=True, timeout=limit, check=False
+            command,
+            input=json.dumps(job),
+            cwd=sheet.parent,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=limit,
+            check=False,
         )
     except subprocess.TimeoutExpired as error:
         raise PeerFailed(f"{peer.name}: no result after {limit:.0f} s") from error
