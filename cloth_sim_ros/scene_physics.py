@@ -16,7 +16,6 @@ from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads, grid_threads
-from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
@@ -29,9 +28,6 @@ from cloth_sim_ros.physics.terms.pair_springs import PairSprings
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene import Scene
-
-#: Bending models whose springs belong to hinges: a grid's loop over its rows does not have them.
-_HINGED = ("opposite", "crossed", "altitude")
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -151,8 +147,11 @@ def build_dynamics(scene: Scene) -> Dynamics:
     if isinstance(sheet, GridSheet):
         named = _grid_families(scene, sheet)
         springs = GridSprings(sheet.rows, sheet.columns, [family for part in named.values() for family in part])
-        GridPlan(dynamics, springs, frozenset(named))
-    if (not isinstance(sheet, GridSheet) or scene.bending.model in _HINGED) and MeshPlan.fits(dynamics):
+        if GridPlan(dynamics, springs, frozenset(named)).fused:
+            return dynamics
+    from cloth_sim_ros.physics.mesh_plan import MeshPlan
+
+    if MeshPlan.fits(dynamics):
         dynamics.plan = MeshPlan(dynamics)
     return dynamics
 
@@ -183,7 +182,7 @@ def _elastic_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
                 viscosity=material.viscosity,
             )
         ]
-    if scene.bending.model in _HINGED:
+    if scene.bending.model in ("opposite", "crossed", "altitude"):
         # Pairs that a spring joins already get no second one: across a cell's diagonal it is the other diagonal.
         shear = [term.pairs for term in terms if term.name == "shear" and isinstance(term, PairSprings)]
         terms.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))

@@ -76,7 +76,9 @@ SCENES = {
     "mesh, undamped in air": {**SHEET, "material.damping": 0.0},
     "mesh, viscous": {**SHEET, "material.viscosity": 0.05, "air.drag": 0.0},
     "mesh, wind": {**SHEET, "wind.velocity": [1.0, 2.0, -0.5]},
+    "mesh, air": {**SHEET, "wind.velocity": [1.0, 2.0, -0.5], "wind.normal_drag": 0.3, "wind.tangential_drag": 0.1},
     "mesh, crossed": {**SHEET, "bending.model": "crossed", "material.bending_modulus": 1e-8},
+    "grid, air": {"cloth.resolution": [7, 9], "material.damping": 0.0, "air.drag": 0.0, "wind.normal_drag": 0.3},
     "grid, opposite": {**BENDING, "bending.model": "opposite", "material.bending_modulus": 0.0},
     "grid, crossed": {**BENDING, "bending.model": "crossed"},
     "grid, altitude, undamped": {**BENDING, "bending.model": "altitude", "material.damping": 0.0},
@@ -163,10 +165,10 @@ def test_what_a_scene_does_not_have_is_not_in_its_loop(monkeypatch):
         fused, _ = pair(SCENES[name])
         fused.dynamics.plan.leapfrog(0.0, fused.state.x.copy(), fused.state.v.copy(), 1e-4, 1, None, 1.0)
         absent[name] = {what for what, value in given.items() if value is None}
-    hinges = {"crossed", "altitude"}
+    hinges = {"crossed", "altitude", "panels"}
     assert absent["mesh, bare"] == {"gravity", "drag", "damped", "joints", "held", "speeds", *hinges}
     assert absent["mesh, undamped in air"] == {"damped", "joints", "held", *hinges}
-    assert absent["mesh, crossed"] == {"undamped", "joints", "held", "altitude"}
+    assert absent["mesh, crossed"] == {"undamped", "joints", "held", "altitude", "panels"}
     assert absent["springs"] == {"held", *hinges}
 
 

@@ -130,13 +130,18 @@ class GridPlan:
                 wrenches.add_run(booked, duration, weight)
 
     @property
+    def fused(self) -> bool:
+        """Whether the leapfrog is taken over."""
+        return self._loop is not None
+
+    @property
     def step_cost(self) -> float:
         """Estimated cost of a step for one particle [ns]."""
-        return _STEP if self._loop is not None else TERM_STEP
+        return _STEP if self.fused else TERM_STEP
 
     def narrows(self) -> bool:
         """Whether single precision would make a difference to the next run."""
-        return self._loop is not None
+        return self.fused
 
     def _turns(self, grips: Grips, order: np.ndarray, t: float, step: float, steps: int) -> GridTurns | None:
         """Poses at each step, where a gripper that holds something turns; else points follow cubics."""

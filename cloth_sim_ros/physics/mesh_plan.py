@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
-from cloth_sim_ros.physics.kernels.mesh_leapfrog import MeshGrips, MeshLeapfrog, Springs
+from cloth_sim_ros.physics.kernels.mesh_leapfrog import MeshGrips, MeshLeapfrog, MeshPanels, Springs
 from cloth_sim_ros.physics.ordering import local_order
+from cloth_sim_ros.physics.terms.air_panels import AirPanels
 from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
 from cloth_sim_ros.physics.terms.base import Term
 from cloth_sim_ros.physics.terms.crossed import CrossedSprings
@@ -33,11 +34,22 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.terms.base import Array
 
 #: Kinds of terms that it takes over; one of a kind derived from these may do something else.
-_KINDS = (PairSprings, DeferredSprings, OppositeSprings, CrossedSprings, AltitudeSprings, Gravity, Wind, Drag, Grips)
+_KINDS = (
+    PairSprings,
+    DeferredSprings,
+    OppositeSprings,
+    CrossedSprings,
+    AltitudeSprings,
+    AirPanels,
+    Gravity,
+    Wind,
+    Drag,
+    Grips,
+)
 
-#: Cost of moving a particle, of a spring, a hinge of S8 and one of S9 [ns]. Measured once; constants, so that what is
-#: chosen by them is the same on any machine.
-_MOVE, _EACH = 3.0, (2.0, 8.0, 12.0)
+#: Cost of moving a particle, of a spring, a hinge of S8, one of S9 and a panel [ns]. Measured once; constants, so that
+#: what is chosen by them is the same on any machine.
+_MOVE, _EACH = 3.0, (2.0, 8.0, 12.0, 10.0)
 
 
 class MeshPlan:
@@ -53,7 +65,7 @@ class MeshPlan:
 
     @staticmethod
     def fits(dynamics: Dynamics) -> bool:
-        """Whether the model has pair springs, hinges, gravity, wind, drag and grips alone."""
+        """Whether the model has pair springs, hinges, air, gravity, drag and grips alone."""
         return all(type(term) in _KINDS for term in dynamics.model.terms)
 
     def __init__(self, dynamics: Dynamics, *, reorder: bool = True) -> None:
@@ -63,16 +75,21 @@ class MeshPlan:
         crossed, altitude = (_springs(model.terms, kind) for kind in (CrossedSprings, AltitudeSprings))
         pushes = [term.acceleration for term in model.terms if isinstance(term, Gravity | Wind)]
         drag = sum(term.rate for term in model.terms if isinstance(term, Drag))
+        air = [term for term in model.terms if isinstance(term, AirPanels)]
+        panels = _panels(air[0]) if air else None
         grips = [term for term in model.terms if isinstance(term, Grips)]
         self._grips = grips[0] if grips else None
         counts = [len(springs.particles) for springs in (pairs, crossed, altitude)]
+        counts.append(0 if panels is None else len(panels.particles))
         self._cost = _MOVE + sum(c * k for c, k in zip(_EACH, counts, strict=True)) / model.particle_count
-        neighbours = [pairs.particles, *(_edges(hinges.particles) for hinges in (crossed, altitude))]
+        groups = [crossed.particles, altitude.particles, *([] if panels is None else [panels.particles])]
+        neighbours = [pairs.particles, *(_edges(group) for group in groups)]
         self._loop = MeshLeapfrog(
             model.inverse_masses,
             pairs=pairs,
             crossed=crossed,
             altitude=altitude,
+            panels=panels,
             gravity=np.sum(pushes, axis=0) if pushes else None,
             drag=drag,
             order=local_order(model.particle_count, np.concatenate(neighbours)) if reorder else None,
@@ -139,6 +156,11 @@ def _springs(terms: tuple[Term, ...], kind: type[PairSprings | CrossedSprings | 
     return Springs.joined(parts, width)
 
 
-def _edges(hinges: np.ndarray) -> np.ndarray:
-    """The six pairs of each hinge's particles."""
-    return np.concatenate([hinges[:, [i, j]] for i in range(4) for j in range(i + 1, 4)])
+def _panels(term: AirPanels) -> MeshPanels:
+    return MeshPanels(particles=term.panels, normal=term.normal, tangential=term.tangential, wind=term.wind)
+
+
+def _edges(groups: np.ndarray) -> np.ndarray:
+    """All pairs of particles within each row."""
+    width = groups.shape[1]
+    return np.concatenate([groups[:, [i, j]] for i in range(width) for j in range(i + 1, width)])

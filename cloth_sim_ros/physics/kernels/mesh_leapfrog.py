@@ -28,6 +28,7 @@ from cloth_sim_ros.physics.kernels.mesh_sweep import (
     Held,
     Listed,
     Motion,
+    Panels,
     Particles,
     advance_mesh,
 )
@@ -75,14 +76,17 @@ class Springs:
     def renumbered(self, rank: Integers) -> Springs:
         """Particle i is called rank[i]; ordered by the lowest particle, then by the next."""
         particles = rank[self.particles]
-        ends = np.sort(particles, axis=1)
-        order = np.lexsort(ends.T[::-1])
-        return attrs.evolve(self, particles=particles).taken(order)
+        return attrs.evolve(self, particles=particles).taken(_order(particles))
 
-    def reach(self) -> int:
-        """Most blocks that one reaches ahead."""
-        blocks = self.particles // BLOCK
-        return int((blocks.max(axis=1) - blocks.min(axis=1)).max(initial=0)) if len(blocks) else 0
+
+@attrs.frozen(eq=False, kw_only=True)
+class MeshPanels:
+    """Panels of a surface in the air; see `terms.air_panels.AirPanels`."""
+
+    particles: Integers
+    normal: float
+    tangential: float
+    wind: Floats
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -105,6 +109,7 @@ class MeshLeapfrog:
         pairs: springs by their lists; rest length 0 makes a joint (S4).
         crossed: hinges of S8.
         altitude: hinges of S9.
+        panels: surface in the air.
         gravity: acceleration [m/s^2], shape (3,), or None.
         drag: a = -drag v [1/s]; 0 for none.
         order: particles in the order in which to take them, shape (n,); as they are numbered where left out. What
@@ -120,6 +125,7 @@ class MeshLeapfrog:
         pairs: Springs,
         crossed: Springs | None = None,
         altitude: Springs | None = None,
+        panels: MeshPanels | None = None,
         gravity: ArrayLike | None = None,
         drag: float = 0.0,
         order: Integers | None = None,
@@ -142,12 +148,16 @@ class MeshLeapfrog:
             self._listed(joints),
             self._batched(first, first.rest, first.stiffness),
             self._batched(second, second.rest, second.stiffness),
+            None if panels is None else self._surface(panels),
         )
-        self._lag = max(part.reach() for part in (undamped, damped_, joints, first, second)) or 1
+        found = [undamped.particles, damped_.particles, joints.particles, first.particles, second.particles]
+        if self._forces.panels is not None:
+            found.append(self._forces.panels.particles)
+        self._lag = max(_reach(particles) for particles in found) or 1
         # Through a second cache that does not hold everything several steps are better taken at once; no bit changes.
         bytes_used = 8 * (count * (2 * ROW + QUAD + 1) + 4 * len(pairs.rest))
         self._levels = _MANY_STEPS if bytes_used > _SECOND_CACHE else 1
-        self._predicts = drag > 0.0 or any(bool(part.damping.any()) for part in kinds)
+        self._predicts = drag > 0.0 or panels is not None or any(bool(part.damping.any()) for part in kinds)
         self._particles = Particles(
             aligned_zeros(count * ROW, np.float64),
             aligned_zeros(count * QUAD, np.float64),
@@ -209,21 +219,27 @@ class MeshLeapfrog:
             np.zeros((len(order), BOOKED_NUMBERS)),
         )
 
-    def _starts(self, springs: Springs) -> Integers:
+    def _starts(self, particles: Integers) -> Integers:
         """Where each block's own start, and the end."""
-        lowest = springs.particles.min(axis=1)
+        lowest = particles.min(axis=1)
         return np.searchsorted(lowest, BLOCK * np.arange(self._blocks + 1)).astype(np.int64)
 
     def _listed(self, springs: Springs) -> Listed | None:
         if not len(springs.particles):
             return None
         return Listed(
-            self._starts(springs),
+            self._starts(springs.particles),
             np.ascontiguousarray(springs.particles),
             np.ascontiguousarray(springs.rest),
             np.ascontiguousarray(springs.stiffness),
             np.ascontiguousarray(springs.damping),
         )
+
+    def _surface(self, panels: MeshPanels) -> Panels:
+        particles = self._rank[panels.particles]
+        particles = np.ascontiguousarray(particles[_order(particles)])
+        wind = np.ascontiguousarray(panels.wind)
+        return Panels(self._starts(particles), particles, panels.normal, panels.tangential, wind)
 
     def _batched(self, springs: Springs, *constants: Floats) -> Batches | None:
         """Cut each block's springs into batches with these constants and, where there is any, the damping.
@@ -235,7 +251,7 @@ class MeshLeapfrog:
             return None
         damped = bool(springs.damping.any())
         slots = (*constants, springs.damping) if damped else constants
-        starts = self._starts(springs)
+        starts = self._starts(springs.particles)
         batches = -(-np.diff(starts) // LANES)
         first = np.concatenate([[0], np.cumsum(batches)])
         block = np.repeat(np.arange(self._blocks), np.diff(starts))
@@ -249,15 +265,34 @@ class MeshLeapfrog:
         return Batches(first, (QUAD * particles).ravel(), table, 1 if damped else None)
 
 
+def _order(particles: Integers) -> Integers:
+    """The order by the lowest particle of each row, then by the next."""
+    return np.lexsort(np.sort(particles, axis=1).T[::-1])
+
+
+def _reach(particles: Integers) -> int:
+    """Most blocks that a row of particles reaches ahead."""
+    blocks = particles // BLOCK
+    return int((blocks.max(axis=1) - blocks.min(axis=1)).max(initial=0)) if len(blocks) else 0
+
+
 @cache
 def _stamp() -> tuple[int | None, ...]:
     """Sixteen bits of a digest of the sources that the compiled loop is made of, as a type.
 
     Numba's disk cache looks at the file of the compiled function alone: this keeps it from serving older kernels.
     """
-    from cloth_sim_ros.physics.kernels import grid_emit, held_points, hinge_emit, mesh_emit, pairs, tetrahedron
+    from cloth_sim_ros.physics.kernels import (
+        air_panels,
+        grid_emit,
+        held_points,
+        hinge_emit,
+        mesh_emit,
+        pairs,
+        tetrahedron,
+    )
 
-    modules = (grid_emit, held_points, hinge_emit, mesh_emit, pairs, tetrahedron)
+    modules = (air_panels, grid_emit, held_points, hinge_emit, mesh_emit, pairs, tetrahedron)
     sources = b"".join(Path(str(module.__file__)).read_bytes() for module in modules)
     number = int.from_bytes(hashlib.blake2b(sources, digest_size=2).digest())
     return tuple(1 if number >> bit & 1 else None for bit in range(16))

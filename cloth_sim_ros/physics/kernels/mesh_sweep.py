@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leapfrog sweeps over particles joined by listed springs: the compiled loops of `mesh_leapfrog`.
 
-Particles are taken in blocks of BLOCK. A block owns the springs, hinges and grips whose lowest particle lies in it.
+Particles are taken in blocks of BLOCK. A block owns the springs, hinges, panels and grips whose lowest particle lies in
+it.
 When a block's own are done, so are those of all blocks before, the forces on its particles are complete, and they
 move at once; nothing that comes later looks at them. So a step reads and writes each number once, and several steps
 can follow each other through the particles, each `lag` blocks behind the one before.
@@ -18,6 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.kernels.air_panels import add_forces as add_air_forces
 from cloth_sim_ros.physics.kernels.held_points import book, held_point
 from cloth_sim_ros.physics.kernels.hinge_emit import pull_altitude, pull_crossed
 from cloth_sim_ros.physics.kernels.mesh_emit import QUAD, ROW, move_particles, pull_springs
@@ -48,6 +50,16 @@ class Listed(NamedTuple):
     rest: Floats
     stiffness: Floats
     damping: Floats
+
+
+class Panels(NamedTuple):
+    """Panels of a surface in the air, particles (m, 3) or (m, 4), in order of their owners; see `air_panels`."""
+
+    starts: NDArray[np.int64]
+    particles: NDArray[np.int64]
+    normal: float
+    tangential: float
+    wind: Floats
 
 
 class Held(NamedTuple):
@@ -86,6 +98,7 @@ class Forces(NamedTuple):
     joints: Listed | None
     crossed: Batches | None
     altitude: Batches | None
+    panels: Panels | None
 
 
 class Motion(NamedTuple):
@@ -119,8 +132,8 @@ def _hold(held, block, entry, dt, rows, force):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _forces(block, rows, force, undamped, damped, joints, crossed, altitude):  # type: ignore[no-untyped-def]
-    """Add the forces of the springs and hinges that a block owns."""
+def _forces(block, rows, force, undamped, damped, joints, crossed, altitude, panels):  # type: ignore[no-untyped-def]
+    """Add the forces of the springs, hinges and panels that a block owns."""
     if undamped is not None:
         a, b = undamped.starts[block], undamped.starts[block + 1]
         pull_springs(rows, force, undamped.ends, undamped.table, a, b, undamped.damped)
@@ -137,6 +150,10 @@ def _forces(block, rows, force, undamped, damped, joints, crossed, altitude):  #
     if altitude is not None:
         a, b = altitude.starts[block], altitude.starts[block + 1]
         pull_altitude(rows, force, altitude.ends, altitude.table, a, b, altitude.damped)
+    if panels is not None:
+        a, b = panels.starts[block], panels.starts[block + 1]
+        x, v, f = _views(rows, force)
+        add_air_forces(panels.particles[a:b], panels.normal, panels.tangential, panels.wind, x, v, f)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -184,7 +201,17 @@ def _drift(particles, duration):  # type: ignore[no-untyped-def]
 def _take(block, entry, dt, particles, speeds, motion, forces, held, start):  # type: ignore[no-untyped-def]
     """Add a block's forces and move its particles."""
     rows, force, inverse, order = particles
-    _forces(block, rows, force, forces.undamped, forces.damped, forces.joints, forces.crossed, forces.altitude)
+    _forces(
+        block,
+        rows,
+        force,
+        forces.undamped,
+        forces.damped,
+        forces.joints,
+        forces.crossed,
+        forces.altitude,
+        forces.panels,
+    )
     if held is not None:
         _hold(held, block, entry, dt, rows, force)
     first, last = block * BLOCK, min(block * BLOCK + BLOCK, len(order))
