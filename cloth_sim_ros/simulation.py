@@ -134,6 +134,10 @@ class Simulation:
         """Particle velocities [m/s], a copy of shape (particle_count, 3)."""
         return self.state.velocities
 
+    def rests(self) -> bool:
+        """Whether the cloth would stay where it is, let go at rest here, by the rule by which it falls asleep."""
+        return self._sleep.rests(self.state, self.time)
+
     def energy(self) -> float:
         """Kinetic plus potential energy [J] at the present state."""
         return self.dynamics.energy(self.time, self.state.x, self.state.v)

@@ -27,7 +27,7 @@ from cloth_sim_ros.simulation import Simulation
 HAND_PROMISE = 1.02
 #: A frame that is slept through takes at most this part of one that moves.
 SLEEP_PROMISE = 0.03
-PARTS = ("hand", "features", "counts", "start")
+PARTS = ("hand", "features", "counts", "outputs", "start")
 #: What a scene that uses a feature loads, and others do not.
 MARKERS = {
     "mesh files": ("cloth_sim_ros.mesh_file", "trimesh"),
@@ -65,6 +65,7 @@ def run(options: argparse.Namespace) -> Report:
         "hand": _hand,
         "features": _features,
         "counts": _counts,
+        "outputs": _outputs,
         "start": _start,
     }
     for part in PARTS:
@@ -189,14 +190,36 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
     report.tables.append(imports)
 
 
-def _start(_options: argparse.Namespace, report: Report) -> None:
-    # In a process of its own: nothing here may load ROS.
-    command = [sys.executable, "-m", "cloth_sim_ros.ros.measure_start"]
+def _ask(module: str, report: Report) -> dict[str, Any] | None:
+    """What a measurement of the node prints. In a process of its own: nothing here may load ROS."""
+    command = [sys.executable, "-m", f"cloth_sim_ros.ros.{module}"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     try:
-        told = json.loads(done.stdout)
+        told: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
-        report.notes.append(f"start-up is not measured: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
+        report.notes.append(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
+        return None
+    return told
+
+
+def _outputs(_options: argparse.Namespace, report: Report) -> None:
+    told = _ask("measure_outputs", report)
+    if told is None:
+        return
+    table = Table(
+        f"What outputs add to a frame of {told['particles']} particles", ["there is", "frame ms", "to nobody"]
+    )
+    for name, found in told["presences"].items():
+        table.rows.append([name, found["median_ms"], found["to_nobody"]])
+    report.tables.append(table)
+    if not told["met"]:
+        ratio = told["presences"]["both"]["to_nobody"]
+        report.failures.append(f"with recorder and subscriber {ratio:.3f} times the frame; promised {told['goal']:g}")
+
+
+def _start(_options: argparse.Namespace, report: Report) -> None:
+    told = _ask("measure_start", report)
+    if told is None:
         return
     columns = ["start", "least s", "median s", "most s", "processor time s"]
     table = Table("From process start to the first cloud at a subscriber", columns)

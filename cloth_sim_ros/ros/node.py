@@ -150,10 +150,11 @@ class ClothNode:
         trial = Simulation(scene)
         name = scene.gripper_names[:1]
         place = tuple(trial.positions[-1].tolist())
-        # Holding nothing, holding, and turning while holding: each has compiled code of its own.
+        # Holding nothing, holding, turning while holding, a look whether it rests: each has compiled code of its own.
         trial.advance()
         trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
         trial.advance([Target(gripper, place, (0.0, 0.0, 0.01, 1.0)) for gripper in name])
+        trial.rests()
         trial.state.digest()
 
     def start(self) -> None:
