@@ -3,6 +3,9 @@
 """The fused plan of listed springs and hinges against the sum of the terms."""
 
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -219,6 +222,36 @@ def test_several_steps_in_one_sweep_change_no_bit(monkeypatch):
         simulation.advance()
         ends.append(simulation.state.digest())
     assert len(set(ends)) == 1
+
+
+NARROWER = """
+import sys
+from cloth_sim_ros.physics.kernels import grid_emit
+grid_emit.vector_bytes = lambda: 32
+from cloth_sim_ros.physics.kernels import mesh_emit
+assert mesh_emit.LANES == 4
+import numpy as np
+from cloth_sim_ros.physics.chain import Chain, SpringLaw
+from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.mesh_plan import MeshPlan
+"""
+RUN = """
+chain = Chain(law=SpringLaw(mass=0.1, rest_length=0.1, stiffness=5.0, k_d0=0.1), particle_count=300)
+x = np.ascontiguousarray(chain.positions().T) + 0.01 * np.random.default_rng(0).standard_normal((3, 300))
+v = np.zeros_like(x)
+MeshPlan(Dynamics(chain.model())).leapfrog(0.0, x, v, 1e-3, 20, None, 1.0)
+found = x.tobytes().hex()
+"""
+
+
+def test_narrower_vectors_give_the_same_bits(tmp_path):
+    # A cache of its own: kernels of another width have the same names.
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    code = NARROWER + RUN + "sys.stdout.write(found)"
+    narrower = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    names = {"np": np, "Chain": Chain, "SpringLaw": SpringLaw, "MeshPlan": MeshPlan, "Dynamics": Dynamics}
+    exec(RUN, names)
+    assert narrower.stdout == names["found"]
 
 
 def test_after_a_state_that_is_not_finite_nothing_is_left_behind():
