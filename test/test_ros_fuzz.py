@@ -102,8 +102,22 @@ VALUES = {
     "int": st.integers(-(2**63), 2**63 - 1),
     "bool": st.booleans(),
 }
+
+
+def allowed(entry: Any) -> st.SearchStrategy[Any]:
+    """Values that an entry by itself does not refuse."""
+    if entry.choices:
+        return st.sampled_from(entry.choices)
+    if entry.element == "double":
+        numbers = st.floats(entry.least, entry.most, exclude_min=entry.open_least)
+        return st.lists(numbers, min_size=entry.length, max_size=entry.length) if entry.is_array else numbers
+    return st.booleans()
+
+
 CHANGES = st.sampled_from(LIVE).flatmap(
-    lambda entry: st.tuples(st.just(entry), VALUES.get(entry.kind, st.just([])) | st.one_of(*VALUES.values()))
+    lambda entry: st.tuples(
+        st.just(entry), allowed(entry) | VALUES.get(entry.kind, st.just([])) | st.one_of(*VALUES.values())
+    )
 )
 
 
