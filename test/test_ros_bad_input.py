@@ -19,6 +19,8 @@ from ros_client import Client, pose, positions, start_cloth
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
+from cloth_sim_ros import Scene, Simulation
+
 TARGET = "/cloth_sim/gripper/target"
 
 
@@ -132,3 +134,25 @@ def check_parameters(client: Client) -> None:
     assert "out of range" in refusal("material.density", double_value=-1.0)
     assert "above 0.0 N/m" in refusal("material.stretch_modulus", double_value=0.0)
     assert "Wrong parameter type" in refusal("material.density", string_value="heavy")
+
+
+def test_a_motion_that_cant_go_on_stops_time_and_not_the_node(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    # A state of a cloth that flies apart: it is told in its frame; a reset would be another start of the same.
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (6, 7)}))
+    simulation.advance()
+    simulation.state.v[:] = 1e200
+    path = tmp_path / "apart.npz"
+    path.write_bytes(simulation.state.to_bytes())
+    process = start_cloth(start_process, "cloth.resolution:=[6, 7]", f"initial_state:={path}")
+    process.wait_for_output("time is stopped")
+    with Client() as client:
+        client.watch()
+        answer = client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False))
+        assert answer.success
+        cloud = client.wait_for_clouds(2)
+        assert np.isfinite(positions(cloud)).all()
+        assert client.call(Trigger, "/cloth_sim/save_state").success
+    assert process.interrupt() == 0
+    assert "Traceback" not in process.output

@@ -190,3 +190,39 @@ def test_a_state_that_does_not_know_its_cloth_is_judged_by_its_particles():
 def test_a_state_file_with_a_senseless_cloth_is_refused(cloth, words):
     with pytest.raises(ValueError, match=f"array 'cloth' .*{words}"):
         State.from_bytes(archive({**saved().arrays(), "cloth": cloth}))
+
+
+@pytest.mark.parametrize("name", ["stepper", "automatic"])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: a[:-1], "has shape"),
+        (lambda a: np.append(a, 1.0), "has shape"),
+        (lambda a: a.reshape(1, -1), "has shape"),
+        (lambda a: a.astype(np.int64), "it must be float64"),
+        (lambda a: np.full_like(a, np.nan), "it must be finite"),
+    ],
+)
+def test_what_another_version_remembered_of_its_steps_is_refused(name, change, words):
+    arrays = stepped()
+    arrays[f"memory.{name}"] = change(arrays[f"memory.{name}"])
+    with pytest.raises(ValueError, match=f"memory '{name}' .*{words}"):
+        State.from_bytes(archive(arrays))
+
+
+@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (0, 99.0), (1, 0.5), (2, -1.0), (3, 0.0)])
+def test_senseless_numbers_of_a_stepper_are_refused(place, value):
+    arrays = stepped()
+    arrays["memory.stepper"][place] = value
+    with pytest.raises(ValueError, match="memory 'stepper' begins with"):
+        State.from_bytes(archive(arrays))
+
+
+def stepped():
+    """Arrays of a state that remembers how it was stepped."""
+    simulation = Simulation(Scene.from_parameters(SMALL))
+    for _ in range(3):
+        simulation.advance()
+    arrays = {name: array.copy() for name, array in simulation.state.arrays().items()}
+    assert {"memory.stepper", "memory.automatic"} <= arrays.keys()
+    return arrays

@@ -62,7 +62,7 @@ def make_integrator(name: str, *, step: float | None = None, tolerance: float | 
 
 
 @attrs.define
-class _Memory:
+class Choice:
     """What the choice rests on from frame to frame."""
 
     #: 0 explicit, 1 implicit.
@@ -75,7 +75,7 @@ class _Memory:
     explicit: float = 0.0
 
     @classmethod
-    def of(cls, state: State) -> _Memory:
+    def of(cls, state: State) -> Choice:
         stored = state.memory.get(CHOICE)
         return cls() if stored is None else cls(*stored.tolist())
 
@@ -114,7 +114,7 @@ class Automatic(Integrator):
     def advance(
         self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
     ) -> Advance:
-        memory = _Memory.of(state)
+        memory = Choice.of(state)
         self._choose(memory, dynamics, state, duration)
         memory.wait -= 1.0
         if memory.implicit:
@@ -139,7 +139,7 @@ class Automatic(Integrator):
             why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
         return attrs.evolve(done, reason=f"auto: {why}; {done.reason}")
 
-    def _choose(self, memory: _Memory, dynamics: Dynamics, state: State, duration: float) -> None:
+    def _choose(self, memory: Choice, dynamics: Dynamics, state: State, duration: float) -> None:
         """Compare costs, from time to time and whenever the implicit method turns out dear."""
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > _DEAR * memory.explicit):
             return

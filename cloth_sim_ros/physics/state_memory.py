@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import attrs
 import numpy as np
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
@@ -25,7 +26,7 @@ _GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Refuse memory that grippers, grips, the pause or sleep can't go on from; names that are not known here pass.
+    """Refuse memory that steppers, grippers, the pause or sleep can't go on from; names that are not known here pass.
 
     The arrays of grippers and grips are there together, or none of them.
 
@@ -47,6 +48,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             raise ValueError(f"memory 'relaxed' is {memory['relaxed'][0]}; it must be at least 1")
     if "sleep" in memory:
         _check_one("sleep", memory["sleep"], _INT, (2,))
+    _check_steppers(memory)
     if not any(name in memory for name in _GRIPPERS):
         return
     for name in _GRIPPERS:
@@ -68,6 +70,25 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         raise ValueError(
             f"memory 'grip.particles' names particle {particles[wrong[0]]}; there are {particle_count}, counted from 0"
         )
+
+
+def _check_steppers(memory: Mapping[str, np.ndarray]) -> None:
+    """Refuse what an integrator remembers of its steps where this one could not have written it."""
+    from cloth_sim_ros.physics import automatic
+    from cloth_sim_ros.physics.integrators import base, control
+
+    stepper = memory.get(base.MEMORY)
+    if stepper is not None and stepper.size:
+        _check_one(base.MEMORY, stepper, _FLOAT, (len(attrs.fields(control.Memory)),))
+        columns, refine, wait, interval = stepper[:4].tolist()
+        if not (1 <= columns <= control.MOST_COLUMNS and refine >= 1.0 and wait >= 0.0 and interval >= 1.0):
+            raise ValueError(
+                f"memory '{base.MEMORY}' begins with {[columns, refine, wait, interval]}; they must be at least 1, 1, "
+                f"0 and 1, the first at most {control.MOST_COLUMNS}"
+            )
+    choice = memory.get(base.CHOICE)
+    if choice is not None:
+        _check_one(base.CHOICE, choice, _FLOAT, (len(attrs.fields(automatic.Choice)),))
 
 
 def _check_one(name: str, array: np.ndarray, dtype: np.dtype, shape: tuple[int, ...]) -> None:
