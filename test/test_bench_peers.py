@@ -90,7 +90,9 @@ def stand_in(tmp_path: Path) -> Peer:
 
 
 def attempt(peer: Peer, sheet: Path, environment: Path, steps: int, **options: Any) -> Attempt:
-    return peer_jobs.attempt(peer, sheet, steps, environment=environment, **{"frames": 3, "seconds": 60.0, **options})
+    return peer_jobs.attempt(
+        peer, sheet, steps, environment=environment, **{"frames": 3, "seconds": 60.0, "whole": 1.5, **options}
+    )
 
 
 def test_the_sheet_that_peers_get_is_ours() -> None:
@@ -123,21 +125,23 @@ def test_stretch_is_that_of_the_longest_edge() -> None:
 
 def test_a_run_tells_whether_the_sheet_stayed_whole(stand_in: Peer, sheet: Path, environment: Path) -> None:
     whole = attempt(stand_in, sheet, environment, 20)
-    assert (whole.whole, whole.frames, whole.stretch) == (True, 3, pytest.approx(1.0))
+    assert (whole.whole, whole.taken, whole.stretch) == (True, 60, pytest.approx(1.0))
     assert whole.remarks == ["was watched"]
     assert whole.versions == {"numpy": np.__version__}
     assert whole.factor == pytest.approx(3.0 / 60.0 / whole.wall)
     # 1.02^8 is 1.17: at the third frame 1.61, too much.
     torn = attempt(stand_in, sheet, environment, 8, frames=10)
-    assert (torn.whole, torn.frames, torn.stretch) == (False, 3, pytest.approx(1.02**24))
+    assert (torn.whole, torn.taken, torn.stretch) == (False, 24, pytest.approx(1.02**24))
     lost = attempt(attrs.evolve(stand_in, variant="nan"), sheet, environment, 20)
-    assert (lost.whole, lost.frames) == (False, 1)
+    assert (lost.whole, lost.taken) == (False, 20)
 
 
 def test_a_slow_engine_is_ended_and_says_how_far_it_came(stand_in: Peer, sheet: Path, environment: Path) -> None:
     slow = attempt(attrs.evolve(stand_in, variant="slow"), sheet, environment, 20, frames=1000, seconds=0.05)
     assert slow.whole
-    assert slow.frames < 10
+    # Within the first frame already.
+    assert slow.taken < 20
+    assert slow.simulated == pytest.approx(slow.taken / 20 / 60)
     assert slow.wall >= 0.05
 
 
@@ -160,7 +164,7 @@ def try_steps(bears: int) -> tuple[list[int], Attempt | None]:
 
     def run(steps: int) -> Attempt:
         tried.append(steps)
-        return Attempt(steps=steps, whole=steps >= bears, stretch=1.0, frames=1, wall=1.0, versions={}, remarks=[])
+        return Attempt(steps=steps, whole=steps >= bears, stretch=1.0, taken=1, wall=1.0, versions={}, remarks=[])
 
     return tried, peer_jobs.longest_step(run, 16)
 
@@ -312,3 +316,10 @@ def test_numbers_must_be_above_zero(option: str, capsys: pytest.CaptureFixture) 
     with pytest.raises(SystemExit):
         main(["peers", option, "0"])
     assert f"{option} is 0" in capsys.readouterr().err
+
+
+def test_what_counts_as_torn_can_be_set(stand_in: Peer, sheet: Path, environment: Path) -> None:
+    strict = attempt(stand_in, sheet, environment, 8, frames=10, whole=1.2)
+    assert (strict.whole, strict.taken) == (False, 16)
+    with pytest.raises(SystemExit):
+        main(["peers", "--stretch", "1.0"])

@@ -21,10 +21,8 @@ from cloth_sim_ros.bench.raw_sheet import FusedSprings
 from cloth_sim_ros.physics.terms.drag import Drag
 from cloth_sim_ros.physics.terms.gravity import Gravity
 
-#: A sheet with an edge longer than so many times its rest length is torn.
-WHOLE = 1.5
 #: Beyond the time limit of its frames a process may take so long to start, compile and build its sheet [s].
-_STARTING = 300.0
+_STARTING = 180.0
 #: Steps in a frame beyond which no longer step is looked for.
 _MOST_STEPS = 4096
 #: Between the longest step that kept the sheet whole and the shortest that did not, so many are tried.
@@ -57,9 +55,10 @@ class Attempt:
     #: Steps in a frame of 1/60 s.
     steps: int
     whole: bool
-    #: Largest stretch of an edge at a frame.
+    #: Largest stretch of an edge at a frame, and at the end.
     stretch: float
-    frames: int
+    #: Steps taken in all.
+    taken: int
     #: Wall time of the steps alone [s].
     wall: float
     versions: dict[str, str]
@@ -68,12 +67,12 @@ class Attempt:
     @property
     def factor(self) -> float:
         """Simulated seconds per wall second."""
-        return self.frames * PERIOD / self.wall
+        return self.simulated / self.wall
 
     @property
     def simulated(self) -> float:
         """Simulated time [s]."""
-        return self.frames * PERIOD
+        return self.taken / self.steps * PERIOD
 
 
 def sheet_tables(problem: Problem) -> dict[str, Any]:
@@ -124,7 +123,15 @@ def _checkerboard(index: np.ndarray) -> np.ndarray:
 
 
 def attempt(
-    peer: Peer, sheet: Path, steps: int, *, environment: Path, frames: int, seconds: float, threads: int = 1
+    peer: Peer,
+    sheet: Path,
+    steps: int,
+    *,
+    environment: Path,
+    frames: int,
+    seconds: float,
+    whole: float,
+    threads: int = 1,
 ) -> Attempt:
     """Run an engine with so many steps in a frame, in a process of its environment.
 
@@ -135,6 +142,7 @@ def attempt(
         environment: where the engines are installed.
         frames: to simulate at most.
         seconds: wall time of the steps after which it ends early.
+        whole: a sheet with an edge longer than so many times its rest length is torn, and the run ends.
         threads: that an engine which uses several may have.
 
     Raises:
@@ -147,7 +155,7 @@ def attempt(
         "steps": steps,
         "frame": PERIOD,
     }
-    job |= {"frames": frames, "seconds": seconds, "whole": WHOLE}
+    job |= {"frames": frames, "seconds": seconds, "whole": whole}
     variables = peer_environment.clean_variables(
         OMP_NUM_THREADS=str(threads),
         OPENBLAS_NUM_THREADS=str(threads),

@@ -61,6 +61,6 @@ PEERS = (
         script="peer_pypbd.py",
         variant="xpbd",
         differs="our stiffnesses as compliant constraints, one sweep a step; neither damping nor drag",
-        first_steps=lambda n: max(n * n // 64, 1),
+        first_steps=lambda n: max(n // 8, 1),
     ),
 )
