@@ -24,6 +24,8 @@ SHARE_PER_SECOND = 0.6
 AIM = 0.5
 #: Longest time between two judgements by a further column, in stretches.
 LONGEST_WAIT = 16
+#: Where the error is below this part of the budget, that time grows faster, and to four times as much.
+FAR = 0.05
 #: The smallest step is the stability limit divided by this: below it errors are accepted, flagged and counted.
 FINEST = 32.0
 #: Where the plain leapfrog could not meet its budget by steps four times smaller than that, none is chased: it runs at

@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, Un
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.control import (
     AIM,
+    FAR,
     FINEST,
     HOPELESS,
     LONGEST_WAIT,
@@ -294,8 +295,9 @@ class ControlledAdvance:
         most = NARROW_SHARE * self._budget
         if plan is None or self._memory.columns > 1 or least > most or not plan.narrows():
             return -1.0
-        # What was far too much will not become little.
-        return self._memory.rounding if self._memory.rounding > 1.5 * most else columns.rounding()
+        # What was far too much will not become little, nor the other way round before an event.
+        known = self._memory.rounding
+        return known if known > 1.5 * most or 0.0 <= known < 0.5 * most else columns.rounding()
 
     def _retry(self, columns: int, refine: float) -> None:
         self._choice = _Choice(columns, refine, self._choice.judge)
@@ -366,5 +368,8 @@ class ControlledAdvance:
         calm = memory.error <= AIM * self._budget * 1.01 and error <= self._budget
         # Nor is there much to judge where nothing is within reach.
         calm = calm or (self._flagged > 0 and columns == 1)
-        memory.interval = min(LONGEST_WAIT, 2 * memory.interval) if calm else 1
+        if memory.error <= FAR * self._budget:
+            memory.interval = min(4 * LONGEST_WAIT, 4 * memory.interval)
+        else:
+            memory.interval = min(LONGEST_WAIT, 2 * memory.interval) if calm else 1
         memory.wait = memory.interval
