@@ -181,7 +181,7 @@ class GridPlan:
 
 
 #: Particles from which a second thread gains more than meeting it costs. The bits do not depend on it.
-_WORTH_A_THREAD = 6000
+_WORTH_A_THREAD = 3000
 
 
 def _threads(springs: GridSprings) -> int:
