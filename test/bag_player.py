@@ -20,6 +20,8 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 
 _CLOCK_PERIOD = 1.0 / 40.0
+#: A turn of the node takes no longer than this, unless the machine is busy [s].
+_LONG = 0.02
 
 
 def message_class(name: str) -> Any:
@@ -91,7 +93,11 @@ def play(
                 sent += 1
                 coming = next(messages, None)
             else:
+                asked = time.monotonic()
                 spin(0.001)
+                # The node shares this thread. What a busy machine makes of it is not the player's time: another process
+                # would play on, and all that is late would come at once.
+                begun += max(0.0, time.monotonic() - asked - _LONG)
         if ticker is not None:
             # So that what came last has its frame, too.
             tick(time.monotonic() - begun + 0.1)
