@@ -103,6 +103,8 @@ class Report:
             return DiagnosticStatus.WARN, f"{rates['late']} frames late in the last second", values
         if self._simulation.paused:
             return DiagnosticStatus.OK, "paused", values
+        if self._simulation.asleep:
+            return DiagnosticStatus.OK, "asleep: the cloth is at rest", values
         return DiagnosticStatus.OK, "running", values
 
     def _describe_motion(self) -> dict[str, str]:
