@@ -88,17 +88,17 @@ def test_a_late_frame_takes_all_that_has_come(cloth: ClothNode, client: Client) 
     assert cloth.simulation.frame - begun < 8
 
 
-def test_latencies_are_found_in_the_clouds(ros_domain: int) -> None:
+def test_latencies_are_found(ros_domain: int) -> None:
     """Whatever they are on a busy machine: the measurement itself."""
     import rclpy
 
     rclpy.init(args=[])
     try:
-        found = measure_latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, jumps=5)
+        found = measure_latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
     finally:
         rclpy.try_shutdown()
     assert found.particles == 64
-    assert len(found.seconds) == 5
+    assert len(found.seconds) > 10
     assert (found.seconds > 0.0).all()
     assert found.summary()["integrator_why"]
     quick = measure_latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.001, diagnostics={})

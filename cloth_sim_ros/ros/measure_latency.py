@@ -3,10 +3,11 @@
 """Latency of a live cloth: from a target's publication to the arrival of the first cloud that reflects it.
 
 `python -m cloth_sim_ros.ros.measure_latency` starts a node of its own with its recorder on, holds a corner of the
-cloth, publishes a stream of targets as a robot would, lets them jump at random times, and looks for each jump in the
-clouds that arrive.
+cloth, leads it around by a stream of targets as a robot would, and listens to the clouds. Which frame took which target
+is then read from the recorded session: the cloud of that frame is the first one that reflects the target, and those
+before it that it made obsolete.
 
-A jump takes effect with the frame that is due next, and shows in the cloud at that frame's end. So the least latency
+A target takes effect with the frame that is due next, and shows in the cloud at that frame's end. So the least latency
 is between nothing and a frame, evenly, on top of what computing and sending a frame take.
 """
 
@@ -37,13 +38,12 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-#: Where the last particle of the default cloth hangs, and how far it is made to jump [m].
-_CORNER = (0.5, 0.0, 0.5)
-_JUMP = 0.006
-#: Longest wait for the node to begin, for an answer, or for a jump to show [s].
+#: Where the last particle of the default cloth hangs; radius [m] and speed [m/s] of the circle that it is led on.
+_CORNER, _RADIUS, _SPEED = np.array([0.5, 0.0, 0.5]), 0.1, 0.2
+#: Longest wait for the node to begin, for an answer, or for a cloud [s].
 _PATIENCE = 120.0
-#: Jumps that are made before those that count.
-_FIRST = 10
+#: Targets that are sent before those that count [s].
+_FIRST = 1.0
 
 
 @attrs.frozen(kw_only=True)
@@ -52,7 +52,7 @@ class Latencies:
 
     particles: int
     rate: float
-    #: From a target's publication to the arrival of the first cloud that reflects it [s], one each.
+    #: From each target's publication to the arrival of the first cloud that reflects it [s].
     seconds: np.ndarray
     #: The node's last diagnostics.
     diagnostics: dict[str, str]
@@ -72,7 +72,7 @@ class Latencies:
         return {
             "particles": self.particles,
             "rate_hz": self.rate,
-            "jumps": len(self.seconds),
+            "targets": len(self.seconds),
             "p1_ms": low,
             "median_ms": median,
             "p99_ms": high,
@@ -83,15 +83,14 @@ class Latencies:
 
 
 class Prober:
-    """Publishes targets and finds their jumps in the clouds.
+    """Publishes targets and listens to the clouds.
 
     Args:
-        stream: targets a second; they repeat the newest place between two jumps.
-        rate: frames a second of the node.
+        stream: targets a second, at random moments.
         alive: raises RuntimeError where the node has ended.
     """
 
-    def __init__(self, *, stream: float, rate: float, alive: Callable[[], None]) -> None:
+    def __init__(self, *, stream: float, alive: Callable[[], None]) -> None:
         self._alive = alive
         self._node = Node("latency_probe")
         self._executor = SingleThreadedExecutor()
@@ -100,13 +99,12 @@ class Prober:
         self._node.create_subscription(PointCloud2, "/cloth_sim/points", self._see, QoSProfile(depth=10))
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, QoSProfile(depth=10))
         self._between = 1.0 / stream
-        self._period = 1.0 / rate
-        self._height = 0.0
+        self._random = np.random.default_rng(1)
         self._next = time.monotonic()
-        self._sent: float | None = None
-        self._before: float | None = None
-        self._direction = 1.0
-        self._found: list[float] = []
+        self._begun: float | None = None
+        #: When each target was published [s], by its place, in order; and when each cloud arrived, by its stamp [ns].
+        self.published: dict[tuple[float, ...], float] = {}
+        self.arrived: dict[int, float] = {}
         self.particles = 0
         self.diagnostics: dict[str, str] = {}
 
@@ -119,30 +117,46 @@ class Prober:
         close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
         self._spin_until(close.service_is_ready)
         self._spin_until(self._targets.get_subscription_count)
-        end = time.monotonic() + 10.0 * self._period
-        self._spin_until(lambda: time.monotonic() > end)
+        seen = len(self.arrived)
+        self._spin_until(lambda: len(self.arrived) > seen + 10)
         answer = close.call_async(SetBool.Request(data=True))
         self._spin_until(answer.done)
         if not answer.result().success:
             raise RuntimeError(f"the gripper holds nothing: {answer.result().message}")
 
-    def measure(self, jumps: int) -> np.ndarray:
-        """Let targets jump so often, at random times within a frame; return the latencies [s]."""
-        random = np.random.default_rng(1)
+    def lead(self, seconds: float) -> None:
+        """Lead the corner around for some time [s], and a little longer for the last targets to be seen."""
         # No garbage collection of this process between a cloud's arrival and its time.
         gc.collect()
         gc.freeze()
-        for _ in range(jumps + _FIRST):
-            # Long enough for what the jump before stirred up to fade below the next one.
-            begin = time.monotonic() + self._period * float(random.uniform(6.0, 8.0))
-            self._spin_until(lambda begin=begin: time.monotonic() >= begin, busy=True)
-            self._direction = 1.0 if self._height == 0.0 else -1.0
-            self._height = _JUMP if self._height == 0.0 else 0.0
-            count = len(self._found)
-            self._sent = time.monotonic()
-            self._publish()
-            self._spin_until(lambda count=count: len(self._found) > count)
-        return np.array(self._found[_FIRST:])
+        self._begun = time.monotonic()
+        end = self._begun + _FIRST + seconds
+        self._spin_until(lambda: time.monotonic() >= end, limit=2.0 * (_FIRST + seconds))
+        seen = len(self.arrived)
+        self._spin_until(lambda: len(self.arrived) > seen + 10)
+
+    def latencies(self, folder: Path) -> np.ndarray:
+        """Return them [s], of the targets that were recorded in the session in a folder."""
+        from cloth_sim_ros.session.reader import SessionReader
+
+        (path,) = folder.glob("*.mcap")
+        places = list(self.published)
+        number = {place: index for index, place in enumerate(places)}
+        found: list[float] = []
+        shown = 0
+        first = (self._begun or 0.0) + _FIRST
+        with SessionReader(path) as reader:
+            for recorded in reader.clouds():
+                events = recorded.frame.events if recorded.frame is not None else ()
+                taken = [tuple(event["position"]) for event in events if event["kind"] == "target"]
+                arrival = self.arrived.get(recorded.cloud.stamp)
+                if not taken or arrival is None or taken[-1] not in number:
+                    continue
+                newest = number[taken[-1]] + 1
+                published = [self.published[place] for place in places[shown:newest]]
+                found += [arrival - moment for moment in published if moment >= first]
+                shown = max(shown, newest)
+        return np.array(found)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -152,14 +166,7 @@ class Prober:
     def _see(self, cloud: PointCloud2) -> None:
         now = time.monotonic()
         self.particles = cloud.width * cloud.height
-        height = float(np.frombuffer(cloud.data, dtype="<f4").reshape(self.particles, -1)[-1, 2])
-        before, self._before = self._before, height
-        if self._sent is None or before is None:
-            return
-        # By half the jump within a frame: nothing else moves a corner that is held.
-        if self._direction * (height - before) > 0.5 * _JUMP:
-            self._found.append(now - self._sent)
-            self._sent = None
+        self.arrived[cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec] = now
 
     def _hear(self, report: DiagnosticArray) -> None:
         for status in report.status:
@@ -167,26 +174,30 @@ class Prober:
                 self.diagnostics = {entry.key: entry.value for entry in status.values}
 
     def _publish(self) -> None:
+        place = _CORNER
+        if self._begun is not None:
+            turn = _SPEED / _RADIUS * (time.monotonic() - self._begun)
+            place = place + _RADIUS * np.array([0.0, -np.sin(turn), 1.0 - np.cos(turn)])
         message = PoseStamped()
         p = message.pose.position
-        p.x, p.y, p.z = _CORNER
-        p.z += self._height
+        p.x, p.y, p.z = (float(value) for value in place)
         message.pose.orientation.w = 1.0
+        if self._begun is not None:
+            self.published[(p.x, p.y, p.z)] = time.monotonic()
         self._targets.publish(message)
 
-    def _spin_until(self, condition: Any, *, busy: bool = False) -> None:
+    def _spin_until(self, condition: Callable[[], Any], *, limit: float = _PATIENCE) -> None:
         """Serve what arrives and keep the stream up until the condition holds."""
-        end = time.monotonic() + _PATIENCE
+        end = time.monotonic() + limit
         while not condition():
             now = time.monotonic()
             self._alive()
             if now > end:
-                raise RuntimeError(f"waited {_PATIENCE:g} s in vain")
+                raise RuntimeError(f"waited {limit:g} s in vain")
             if now >= self._next:
-                self._next = max(self._next + self._between, now)
+                self._next = now + self._between * float(self._random.uniform(0.5, 1.5))
                 self._publish()
-            # A fine grain where a moment is waited for that no message announces.
-            self._executor.spin_once(timeout_sec=max(0.0, min(self._next - now, 0.0005 if busy else 0.01)))
+            self._executor.spin_once(timeout_sec=max(0.0, min(self._next - now, 0.01)))
 
 
 @contextlib.contextmanager
@@ -222,7 +233,7 @@ def running_node(
 
 
 def measure(
-    *, resolution: tuple[int, int], rate: float, stream: float, jumps: int, further: Sequence[str] = ()
+    *, resolution: tuple[int, int], rate: float, stream: float, seconds: float, further: Sequence[str] = ()
 ) -> Latencies:
     """Measure with a node of its own.
 
@@ -230,20 +241,23 @@ def measure(
         resolution: rows and columns of the cloth.
         rate: frames a second.
         stream: targets a second.
-        jumps: how many are measured.
+        seconds: how long targets are counted [s].
         further: parameters of the node, ``name:=value``.
+
+    Raises:
+        RuntimeError: if the node ends, or does not answer.
     """
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        running_node(resolution=resolution, rate=rate, folder=Path(folder), further=further) as alive,
-    ):
-        prober = Prober(stream=stream, rate=rate, alive=alive)
-        try:
-            prober.hold()
-            seconds = prober.measure(jumps)
-        finally:
-            prober.close()
-    return Latencies(particles=prober.particles, rate=rate, seconds=seconds, diagnostics=prober.diagnostics)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        with running_node(resolution=resolution, rate=rate, folder=folder, further=further) as alive:
+            prober = Prober(stream=stream, alive=alive)
+            try:
+                prober.hold()
+                prober.lead(seconds)
+            finally:
+                prober.close()
+        found = prober.latencies(folder)
+    return Latencies(particles=prober.particles, rate=rate, seconds=found, diagnostics=prober.diagnostics)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -252,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--resolution", type=int, nargs=2, default=(64, 64), metavar=("ROWS", "COLUMNS"))
     parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
     parser.add_argument("--stream", type=float, default=100.0, help="targets a second")
-    parser.add_argument("--jumps", type=int, default=300, help="targets that are measured")
+    parser.add_argument("--seconds", type=float, default=20.0, help="how long targets are counted")
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
     options = parser.parse_args(arguments)
@@ -264,7 +278,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             resolution=tuple(options.resolution),
             rate=options.rate,
             stream=options.stream,
-            jumps=options.jumps,
+            seconds=options.seconds,
             further=options.parameters,
         )
     finally:
