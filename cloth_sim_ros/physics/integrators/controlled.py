@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.integrators.control import (
     LONGEST_WAIT,
     MOST_COLUMNS,
     NARROW_LEAST,
+    NARROW_MOTION,
     NARROW_SHARE,
     ROUNDING,
     SHARE_PER_SECOND,
@@ -281,10 +282,13 @@ class ControlledAdvance:
 
     def _narrows(self) -> bool:
         """Whether this attempt takes single precision: one run, not judged, of which it was measured what rounding
-        does.
+        does, of a motion that is large against that: what comes to rest has to find its place.
         """
         rounding, choice = self._memory.rounding, self._choice
-        return 0.0 <= rounding <= NARROW_SHARE * self._budget and choice.columns == 1 and not choice.judge
+        if choice.columns > 1 or choice.judge or not 0.0 <= rounding <= NARROW_SHARE * self._budget:
+            return False
+        v = self._state.v
+        return max(float(v.max()), -float(v.min())) * self._stretch > NARROW_MOTION * rounding
 
     def _rounding(self, columns: Columns) -> float:
         """What single precision changes over the stretch [m]; negative where it does not come into question."""
