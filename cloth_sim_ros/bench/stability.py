@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to run (all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
+    parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument(
         "--limit", type=float, default=60.0, metavar="SECONDS", help="a case of the scan that takes longer has failed"
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Stability", "cloth_bench stability")
     if "scan" in options.parts:
         every = every_case()
-        cases = every[:: options.every]
+        cases = every[:: options.every][: options.only]
         _tell(report, _scan(cases, options), len(every))
     if "limits" in options.parts:
         table, failures = limits()

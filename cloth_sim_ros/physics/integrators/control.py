@@ -69,6 +69,8 @@ class Memory:
     damping: float = -1.0
     #: Least such squared frequency since the last restart: the sheet at its softest.
     softest: float = -1.0
+    #: What fixed steps made of energy since then and did not lose again [J].
+    made: float = 0.0
 
     @classmethod
     def of(cls, state: State) -> Memory:
@@ -83,7 +85,7 @@ class Memory:
         """Write the memory into a state."""
         numbers = (self.columns, self.refine, self.wait, self.interval, self.error, self.ratio)
         state.memory[MEMORY] = np.array(
-            (*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping, self.softest)
+            (*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping, self.softest, self.made)
         )
 
 

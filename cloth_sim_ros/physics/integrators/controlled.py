@@ -33,6 +33,8 @@ from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.terms.grips import Grips
 
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
 LONGEST_STRETCH = 0.04
@@ -46,6 +48,12 @@ _ATTEMPTS = 40
 STALLED = 0.5
 #: Share of a particle's motion over a stretch from which an error says nothing of what smaller steps would do.
 UNRESOLVED = 1e-3
+#: Decay of the fastest waves over a stretch below which they count as undamped.
+UNDAMPED = 2.0
+#: Steps at the stability limit from which they turn so often within a stretch that combined runs part.
+MANY_STEPS = 300
+#: Least refinement of combined runs there.
+LEAST_REFINED = 4.0
 #: Growth of the bound of the squared frequency from which the energy of fixed steps is looked at.
 STIFFENED = 1.02
 
@@ -100,7 +108,6 @@ class ControlledAdvance:
             # What the guard asked for is tried with larger steps from time to time.
             memory.refine = max(1.0, 0.5 * memory.refine)
         self._choice = _Choice(columns, memory.refine, controlled and memory.wait <= 0)
-        self._guard: EnergyGuard | None = None
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._kept: Columns | None = None
 
@@ -116,8 +123,6 @@ class ControlledAdvance:
             if MEMORY not in state.memory:
                 refuse_unstable(options.step, limit, options.name)
         self._limit = limit
-        if options.tolerance is None and options.columns == 1:
-            self._guard = EnergyGuard(self._dynamics, self._t, state.x, state.v)
         start, begun = state.share(), (memory.omega2, memory.damping)
         rejected = 0
         while True:
@@ -232,28 +237,48 @@ class ControlledAdvance:
             self._limit = limit
             self._retry(choice.columns, choice.refine)
             return None
-        if self._guard is not None and self._stiffened(omega2) and self._guard.makes_energy(t + self._stretch, x, v, h):
-            self._refine_for_energy()
-            return None
+        if self._watches_energy(omega2):
+            guard = EnergyGuard(self._dynamics, t, state.x, state.v)
+            made, too_much = (
+                guard.made(t + self._stretch, x, v, h, self._memory.made) if guard.applies() else (0.0, False)
+            )
+            if too_much:
+                self._refine_for_energy()
+                return None
+            self._memory.made = made
         self._limit = min(self._limit, limit) if part + 1 < self._parts else self._limit
         self._memory.omega2, self._memory.damping = omega2, damping
         self._steps += sum(columns.counts[: choice.columns])
         state.x, state.v = x, v
         return error
 
-    def _stiffened(self, omega2: float) -> bool:
-        """Whether the motion's stiffness changes so that energy has to be looked at, and could be helped."""
-        memory = self._memory
+    def _watches_energy(self, omega2: float) -> bool:
+        """Whether a result's energy has to be looked at.
+
+        Combined runs let waves that they don't resolve grow, unless those are damped; the plain leapfrog's energy can
+        grow where stiffness changes, or where the error is beyond all help.
+        """
+        memory, choice = self._memory, self._choice
+        if choice.refine >= FINEST:
+            return False
+        if choice.columns > 1:
+            return self._undamped()
+        if self._options.tolerance is not None:
+            return self._flagged > 0
         least, most = min(memory.omega2, omega2), max(memory.omega2, omega2)
         # A start may be bent upon it already.
         begins = memory.softest < 0.0
         memory.softest = least if begins else min(memory.softest, least)
-        looks = begins or most > STIFFENED * memory.softest or self._choice.refine > 1.0
-        return looks and self._choice.refine < FINEST and self._guard is not None and self._guard.applies()
+        return begins or most > STIFFENED * memory.softest or choice.refine > 1.0
+
+    def _undamped(self) -> bool:
+        """Whether fast waves last for a stretch. Grips damp what they hold alone; air damps all waves a little."""
+        springs = (term for term in self._dynamics.model.terms if not isinstance(term, Grips | Drag))
+        return self._memory.damping * self._stretch < UNDAMPED or not any(term.damped for term in springs)
 
     def _refine_for_energy(self) -> None:
         memory = self._memory
-        memory.refine = 2.0 * self._choice.refine
+        memory.refine = min(FINEST, (2.0 if self._choice.columns == 1 else 1.5) * self._choice.refine)
         memory.wait = memory.interval = min(LONGEST_WAIT, 2 * memory.interval)
         self._retry(self._choice.columns, memory.refine)
 
@@ -343,6 +368,10 @@ class ControlledAdvance:
             self._choice = _Choice(1, HOPELESS, True)
             return None
         wanted, refine = cheapest(errors, choice.refine, self._budget, most)
+        if wanted > 1 and self._undamped() and self._first / choice.refine > MANY_STEPS:
+            # Fast waves would grow in combined runs: plain ones if smaller steps do, else smaller steps at least.
+            plain = cheapest(errors[:1], choice.refine, self._budget, 1)
+            wanted, refine = plain if plain[1] < 0.5 * FINEST else (wanted, max(refine, LEAST_REFINED))
         if refine >= FINEST:
             # Nothing converges here: the plain leapfrog at the smallest step at least makes no energy.
             wanted, refine = 1, HOPELESS if hopeless(errors[0], choice.refine, self._budget) else FINEST

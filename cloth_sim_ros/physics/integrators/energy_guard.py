@@ -15,8 +15,8 @@ from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.grips import Grips
 
-#: Growth that is accepted, relative to the kinetic energy, and to all energy (rounding).
-_SHARE, _ROUNDING = 5e-4, 1e-12
+#: Energy that may be made in all, relative to the kinetic energy, and to all energy (rounding).
+_SHARE, _ROUNDING = 2e-3, 1e-12
 #: Coordinates of a sheet at rest are off by so many roundings, and its springs stretched by them.
 _ROUNDINGS = 8.0
 
@@ -43,11 +43,26 @@ class EnergyGuard:
                     return False
         return True
 
-    def makes_energy(self, t: float, x: Array, v: Array, step: float) -> bool:
-        """Whether a run with steps of this length [s] that ended at t, x, v made energy."""
-        before, after = self._own(self._t, self._x, self._v, step), self._own(t, x, v, step)
-        moving = max(self._kinetic(self._v), self._kinetic(v))
-        return not after - before <= _SHARE * moving + _ROUNDING * abs(before) + self._noise(x)
+    def made(self, t: float, x: Array, v: Array, step: float, before: float) -> tuple[float, bool]:
+        """Book a run with steps of this length [s] that ended at t, x, v.
+
+        Args:
+            t: time at its end [s].
+            x: positions at its end (3, n) [m].
+            v: velocities at its end (3, n) [m/s].
+            step: length of its steps [s].
+            before: energy that earlier runs made [J].
+
+        Returns:
+            Energy that is made by now [J], and whether the run made more than may be.
+        """
+        start = own_energy(self._dynamics, self._t, self._x, self._v, step)
+        rise = own_energy(self._dynamics, t, x, v, step) - start
+        most = _SHARE * max(self._kinetic(self._v), self._kinetic(v)) + _ROUNDING * abs(start) + self._noise(x)
+        made = max(0.0, before + rise)
+        if not np.isfinite(rise):
+            return before, True
+        return min(made, most), rise > 0.0 and made > most
 
     def _noise(self, x: Array) -> float:
         """Energy [J] of a sheet at rest that rounding of its coordinates leaves: w^2 / 2 times their squares."""
@@ -58,10 +73,10 @@ class EnergyGuard:
     def _kinetic(self, v: Array) -> float:
         return 0.5 * float(np.sum(self._dynamics.model.masses * v * v))
 
-    def _own(self, t: float, x: Array, v: Array, step: float) -> float:
-        """The leapfrog's own energy [J]; v'Kv by the forces half a step ahead and half a step back."""
-        still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
-        self._dynamics.acceleration(t, x + 0.5 * step * v, still, ahead)
-        self._dynamics.acceleration(t, x - 0.5 * step * v, still, back)
-        swing = -0.125 * step * float(np.sum(self._dynamics.model.masses * v * (ahead - back)))
-        return self._dynamics.energy(t, x, v) - swing
+
+def own_energy(dynamics: Dynamics, t: float, x: Array, v: Array, step: float) -> float:
+    """Return the leapfrog's own energy [J] at steps of a length [s]; v'Kv by the forces half a step ahead and back."""
+    still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
+    dynamics.acceleration(t, x + 0.5 * step * v, still, ahead)
+    dynamics.acceleration(t, x - 0.5 * step * v, still, back)
+    return dynamics.energy(t, x, v) + 0.125 * step * float(np.sum(dynamics.model.masses * v * (ahead - back)))

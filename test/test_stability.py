@@ -1,0 +1,103 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A few cases of the stability scan, limits about stretched states, and the processes that the scan runs in."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.bench import main as bench
+from cloth_sim_ros.bench.case_pool import run_cases
+from cloth_sim_ros.bench.stability import LARGEST_GAIN
+from cloth_sim_ros.bench.stability_cases import Case, every_case, run_case
+from cloth_sim_ros.bench.stability_limits import LARGEST_DEVIATION, limit_found, stretched_sheet
+from cloth_sim_ros.physics.integrators.implicit import Implicit
+from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
+from cloth_sim_ros.physics.state import State
+
+
+def test_the_scan_is_as_large_as_it_should_be() -> None:
+    cases = every_case()
+    assert len(set(cases)) == len(cases) >= 2000
+
+
+@pytest.mark.parametrize(
+    ("case", "integrator"),
+    [
+        # Energy from springs pushed to a point, at a fixed step.
+        (Case("grid", "inverted cell", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
+        (Case("grid", "stretched x 3", 100.0, 0.0, 60.0, "fixed"), "leapfrog"),
+        # Combined runs that amplify undamped waves.
+        (Case("grid", "release", 100.0, 0.0, 240.0, "auto"), "extrapolated"),
+        # Stages without a solution within reach.
+        (Case("grid", "coincident", 1e6, 0.5, 60.0, "auto"), "implicit"),
+        (Case("grid", "yanked at 10 m/s", 1e6, 3.0, 30.0, "auto"), "implicit"),
+        (Case("grid", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
+        (Case("mesh", "crumpled", 1.0, 0.5, 60.0, "auto"), "extrapolated"),
+    ],
+    ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
+)
+def test_what_is_attacked_stays_finite_and_makes_no_energy(case: Case, integrator: str) -> None:
+    verdict = run_case(case)
+    assert verdict.finite, verdict.trouble
+    assert verdict.gain <= LARGEST_GAIN
+    assert integrator in verdict.integrators
+
+
+@pytest.mark.parametrize(("stretch", "k_d0"), [(1.0, 0.0), (2.0, 0.2), (3.0, 1.0)])
+def test_the_limit_found_about_a_stretched_state_is_the_one_predicted(stretch: float, k_d0: float) -> None:
+    dynamics, x = stretched_sheet(stretch, k_d0, resolution=8)
+    bound = Leapfrog().step_limit(*dynamics.rates(x))
+    predicted = sharp_step_limit(dynamics, 0.0, x, bound)
+    assert limit_found(dynamics, x, predicted) == pytest.approx(predicted, rel=LARGEST_DEVIATION)
+
+
+def test_an_implicit_step_without_a_solution_comes_to_rest_where_forces_balance() -> None:
+    """Coincident particles of a sheet too stiff for its steps: it must neither freeze there nor gain energy."""
+    dynamics, x = stretched_sheet(1.0, 0.5, resolution=8)
+    state = State(x.T.copy())
+    state.x = state.x.copy()
+    state.x[:, 27] = state.x[:, 36]
+    before = dynamics.energy(0.0, state.x, state.v)
+    Implicit(tolerance=1e-6).advance(dynamics, state, 0.0, 0.5)
+    assert dynamics.energy(0.0, state.x, state.v) < 0.05 * before
+    assert np.isfinite(state.x).all()
+
+
+def _square(case: int) -> int:
+    if case == 3:
+        raise SystemExit(1)
+    if case == 4:
+        time.sleep(60.0)
+    return case * case
+
+
+def test_a_case_that_takes_too_long_or_ends_its_process_is_told_and_the_others_go_on() -> None:
+    dones = {done.case: done for done in run_cases(_square, [1, 2, 3, 4, 5], warm_up=0, workers=2, limit=1.0)}
+    assert {case: done.result for case, done in dones.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
+    assert dones[3].trouble == "its process ended"
+    assert dones[4].trouble == "took longer than 1 s"
+
+
+def test_a_scan_that_was_broken_off_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every verdict is in the file: nothing runs again, what the file says is told."""
+    kept = tmp_path / "verdicts.jsonl"
+    first, second = every_case()[:2]
+    lines = []
+    for case, gain in ((first, 0.0), (second, 0.5)):
+        entry = {name: getattr(case, name) for name in ("sheet", "attack", "stiffness", "damping", "rate", "stepping")}
+        result = {"integrators": ["leapfrog"], "finite": True, "strain": 0.1, "gain": gain}
+        lines.append(json.dumps({"case": entry, "result": result, "seconds": 1.0, "trouble": ""}))
+    kept.write_text("\n".join([*lines, '{"cut off']))
+    every = len(every_case())
+    status = bench.main(["stability", "--parts", "scan", "--resume", str(kept), "--only", "2"])
+    told = capsys.readouterr().out
+    assert status == 1
+    assert f"2 cases of {every}" in told
+    assert "gains 0.5 of the energy turned over" in told
