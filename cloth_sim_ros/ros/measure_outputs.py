@@ -61,7 +61,8 @@ class Candidate:
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if heard:
             command = [sys.executable, "-m", "cloth_sim_ros.ros.measure_outputs", "--listen", topic]
-            self._listener = subprocess.Popen(command)
+            # Not this process's own output: who reads that waits until nobody can write there any more.
+            self._listener = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             end = time.monotonic() + _PATIENCE
             while not self._node.count_subscribers(topic):
                 if time.monotonic() > end:
@@ -88,10 +89,11 @@ class Candidate:
 
     def close(self) -> None:
         """Let go of everything."""
-        self._recording.end(reason="measured", timeout=10.0)
         if self._listener is not None:
-            self._listener.terminate()
-            self._listener.wait(timeout=10.0)
+            # It has nothing to put in order, and rclpy may hang between a signal and the end.
+            self._listener.kill()
+            self._listener.wait()
+        self._recording.end(reason="measured", timeout=10.0)
         self._node.destroy_node()
 
     def _now(self) -> int:
