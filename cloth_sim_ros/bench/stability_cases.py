@@ -33,6 +33,7 @@ DAMPINGS = (0.0, 0.1, 0.5, 1.0, 3.0)
 STEPPINGS = ("auto", "fixed")
 #: Sheets besides the grid with axial bending, and what of the scan they get.
 MORE_SHEETS = ("mesh", "opposite", "crossed", "altitude")
+SHEETS = ("grid", *MORE_SHEETS)
 MORE_STIFFNESSES, MORE_RATES, MORE_DAMPINGS = (1.0, 1e2, 1e4), (60.0,), (0.0, 0.5)
 #: Target of the position error [m].
 TOLERANCE = 1e-3

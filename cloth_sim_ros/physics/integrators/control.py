@@ -42,6 +42,18 @@ NARROW_LEAST = 4e-8
 ROUNDING = 2e-14
 
 
+#: Share of its error that a further column leaves, at most, where columns converge.
+STALLED = 0.5
+#: Share of a particle's motion over a stretch from which an error says nothing of what smaller steps would do.
+UNRESOLVED = 1e-3
+#: Decay of the fastest waves over a stretch below which they count as undamped.
+UNDAMPED = 2.0
+#: Steps at the stability limit from which they turn so often within a stretch that combined runs part.
+MANY_STEPS = 300
+#: Least refinement of combined runs there.
+LEAST_REFINED = 4.0
+
+
 @attrs.define
 class Memory:
     """What one advance tells the next; all of it lies in the state."""

@@ -17,13 +17,18 @@ from cloth_sim_ros.physics.integrators.control import (
     FAR,
     FINEST,
     HOPELESS,
+    LEAST_REFINED,
     LONGEST_WAIT,
+    MANY_STEPS,
     MOST_COLUMNS,
     NARROW_LEAST,
     NARROW_MOTION,
     NARROW_SHARE,
     ROUNDING,
     SHARE_PER_SECOND,
+    STALLED,
+    UNDAMPED,
+    UNRESOLVED,
     Memory,
     cheapest,
     hopeless,
@@ -44,16 +49,6 @@ LIVELIER = 3.0
 #: Refinement beyond which a judgement asks whether a further column were cheaper.
 COSTLY = 1.5
 _ATTEMPTS = 40
-#: Share of its error that a further column leaves, at most, where columns converge.
-STALLED = 0.5
-#: Share of a particle's motion over a stretch from which an error says nothing of what smaller steps would do.
-UNRESOLVED = 1e-3
-#: Decay of the fastest waves over a stretch below which they count as undamped.
-UNDAMPED = 2.0
-#: Steps at the stability limit from which they turn so often within a stretch that combined runs part.
-MANY_STEPS = 300
-#: Least refinement of combined runs there.
-LEAST_REFINED = 4.0
 #: Growth of the bound of the squared frequency from which the energy of fixed steps is looked at.
 STIFFENED = 1.02
 
@@ -110,6 +105,8 @@ class ControlledAdvance:
         self._choice = _Choice(columns, memory.refine, controlled and memory.wait <= 0)
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._kept: Columns | None = None
+        #: Least refinement that this advance's energy allows.
+        self._least = 1.0
 
     def run(self) -> Advance:
         """Do it."""
@@ -279,6 +276,7 @@ class ControlledAdvance:
     def _refine_for_energy(self) -> None:
         memory = self._memory
         memory.refine = min(FINEST, (2.0 if self._choice.columns == 1 else 1.5) * self._choice.refine)
+        self._least = memory.refine
         memory.wait = memory.interval = min(LONGEST_WAIT, 2 * memory.interval)
         self._retry(self._choice.columns, memory.refine)
 
@@ -377,7 +375,7 @@ class ControlledAdvance:
             wanted, refine = 1, HOPELESS if hopeless(errors[0], choice.refine, self._budget) else FINEST
         if not accepted and wanted == choice.columns and refine < FINEST:
             refine = max(refine, min(FINEST, 1.1 * choice.refine))
-        refine = max(refine, 0.5 * choice.refine)
+        refine = max(refine, 0.5 * choice.refine, self._least)
         self._remember(errors, wanted, refine, activity, error)
         if accepted:
             memory.rounding = self._rounding(columns)
