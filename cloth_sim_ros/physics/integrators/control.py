@@ -52,6 +52,13 @@ UNDAMPED = 2.0
 MANY_STEPS = 300
 #: Least refinement of combined runs there.
 LEAST_REFINED = 4.0
+#: Refinement beyond which a judgement asks whether a further column were cheaper.
+COSTLY = 1.5
+#: Growth of the bound of the squared frequency from which the energy of fixed steps is looked at.
+STIFFENED = 1.02
+#: The error of a stretch that is more violent than the one judged last is taken to be larger by this power of the
+#: change of its velocities; where that is too much, it is judged itself.
+LIVELIER = 3.0
 
 
 @attrs.define

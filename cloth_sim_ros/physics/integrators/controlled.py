@@ -14,10 +14,12 @@ from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, Un
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.control import (
     AIM,
+    COSTLY,
     FAR,
     FINEST,
     HOPELESS,
     LEAST_REFINED,
+    LIVELIER,
     LONGEST_WAIT,
     MANY_STEPS,
     MOST_COLUMNS,
@@ -27,6 +29,7 @@ from cloth_sim_ros.physics.integrators.control import (
     ROUNDING,
     SHARE_PER_SECOND,
     STALLED,
+    STIFFENED,
     UNDAMPED,
     UNRESOLVED,
     Memory,
@@ -43,14 +46,7 @@ from cloth_sim_ros.physics.terms.grips import Grips
 
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
 LONGEST_STRETCH = 0.04
-#: The error of a stretch that is more violent than the one judged last is taken to be larger by this power of the
-#: change of its velocities; where that is too much, it is judged itself.
-LIVELIER = 3.0
-#: Refinement beyond which a judgement asks whether a further column were cheaper.
-COSTLY = 1.5
 _ATTEMPTS = 40
-#: Growth of the bound of the squared frequency from which the energy of fixed steps is looked at.
-STIFFENED = 1.02
 
 
 class Options(Protocol):
