@@ -414,3 +414,20 @@ def test_arrays_that_a_kernel_would_misread_are_refused():
         GridForces(springs).add(good, good, np.zeros((4, 3)).T)
     with pytest.raises(ValueError, match="v is float32; it must be"):
         GridLeapfrog(springs, np.ones(4)).advance(good, good.astype(np.float32), 1, 1e-3)
+
+
+def test_two_loops_of_a_sheet_share_their_room_and_keep_their_bits():
+    springs, inverse = GridSprings(11, 40, weak(CHOICES["all"])), some_masses(440)
+    plan = GridLeapfrog(springs, inverse, drag=1.5)
+    beside = GridLeapfrog(springs, inverse, drag=1.5, dtype=np.float32, beside=plan)
+    assert np.shares_memory(plan._sheet.state, beside._sheet.state)
+    results = []
+    for double, single in (
+        (plan, beside),
+        [GridLeapfrog(springs, inverse, drag=1.5, dtype=t) for t in (float, np.float32)],
+    ):
+        x, v = crumpled(11, 40)
+        for loop in (double, single, double, single):
+            loop.advance(x, v, 7, 2e-4)
+        results.append((x, v))
+    assert np.array_equal(results[0], results[1])

@@ -32,16 +32,18 @@ class LeapfrogPlan(Protocol):
         self,
         t: float,
         x: Array,
-        v: Array,
+        v: Array | None,
         step: float,
         steps: int,
         observer: Observer | None,
         weight: float,
         *,
         narrow: bool,
+        start: tuple[Array, Array] | None,
     ) -> None:
-        """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
-        weight. `narrow` asks for single precision inside, where that is faster.
+        """Advance x, v (3, n) in place, or from `start`, see `integrators.march.leapfrog`, from time t by so many steps
+        [s]; the observer's weights are multiplied by weight. `narrow` asks for single precision inside, where that is
+        faster.
         """
 
     def narrows(self) -> bool:

@@ -77,7 +77,15 @@ class GridPlan:
         # Each precision has a loop of its own, made when it is first asked for.
         @cache
         def loop(dtype: Any) -> GridLeapfrog:
-            return GridLeapfrog(springs, model.inverse_masses, gravity=gravity, drag=drag, dtype=dtype, threads=threads)
+            beside = None if dtype == np.float64 else loop(np.float64)
+            return GridLeapfrog(
+                *(springs, model.inverse_masses),
+                gravity=gravity,
+                drag=drag,
+                dtype=dtype,
+                threads=threads,
+                beside=beside,
+            )
 
         self._loop = loop
 
@@ -102,25 +110,29 @@ class GridPlan:
         self,
         t: float,
         x: Array,
-        v: Array,
+        v: Array | None,
         step: float,
         steps: int,
         observer: Observer | None,
         weight: float,
         *,
         narrow: bool = False,
+        start: tuple[Array, Array] | None = None,
     ) -> None:
-        """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
-        weight. `narrow` computes in single precision about the first particle; what changes is added in double.
+        """Advance x, v (3, n) in place, or from `start`, see `integrators.march.leapfrog`, from time t by so many steps
+        [s]; the observer's weights are multiplied by weight. `narrow` computes in single precision about the first
+        particle; what changes is added in double.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
         if self._loop is None:
-            leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight)
+            leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight, start=start)
             return
         if observer is not None and wrenches is None:
-            leapfrog_by_terms(self._dynamics, t, x.copy(), v.copy(), step, steps, observer, weight)
+            x0, v0 = (x, v) if start is None else start
+            assert v0 is not None
+            leapfrog_by_terms(self._dynamics, t, x0.copy(), v0.copy(), step, steps, observer, weight)
         grips, order = self._held(t, step, steps)
-        self._loop(np.float32 if narrow else np.float64).advance(x, v, steps, step, grips=grips)
+        self._loop(np.float32 if narrow else np.float64).advance(x, v, steps, step, grips=grips, start=start)
         if wrenches is not None:
             back, duration = np.argsort(order), weight * step * steps
             if grips is not None and grips.turns is not None:

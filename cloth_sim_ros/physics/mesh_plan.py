@@ -104,21 +104,24 @@ class MeshPlan:
         self,
         t: float,
         x: Array,
-        v: Array,
+        v: Array | None,
         step: float,
         steps: int,
         observer: Observer | None,
         weight: float,
         *,
         narrow: bool = False,
+        start: tuple[Array, Array] | None = None,
     ) -> None:
-        """Advance x, v (3, n) in place from time t by so many steps [s]; the observer's weights are multiplied by
-        weight. `narrow` makes no difference.
+        """Advance x, v (3, n) in place, or from `start`, see `integrators.march.leapfrog`, from time t by so many steps
+        [s]; the observer's weights are multiplied by weight. `narrow` makes no difference.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
         if observer is not None and wrenches is None:
-            leapfrog_by_terms(self._dynamics, t, x.copy(), v.copy(), step, steps, observer, weight)
-        booked = self._loop.advance(t, x, v, steps, step, grips=self._held())
+            x0, v0 = (x, v) if start is None else start
+            assert v0 is not None
+            leapfrog_by_terms(self._dynamics, t, x0.copy(), v0.copy(), step, steps, observer, weight)
+        booked = self._loop.advance(t, x, v, steps, step, grips=self._held(), start=start)
         if wrenches is not None:
             wrenches.add_booked(booked, weight * step * steps, weight)
 

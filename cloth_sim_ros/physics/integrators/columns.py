@@ -26,6 +26,11 @@ from cloth_sim_ros.physics.terms.base import Array
 #: Step counts of the columns, relative to the first. Wider ones cost more, narrower ones amplify rounding and what
 #: high modes do: the sums of |w| of the first 1 to 5 columns are 1, 4.6, 17.7, 32 and 70.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
+#: Particles from which no array is kept that can be made again: of runs that only judge others the velocities, of
+#: combinations that are only compared the positions. No bit depends on it.
+LARGE = 50_000
+#: Particles of a large sheet whose combinations are compared at once.
+_STRETCH = 4096
 
 
 @lru_cache(maxsize=256)
@@ -81,46 +86,84 @@ class Columns:
         self.counts = tuple(counts)
         self.narrow = narrow
         self.evaluations = 0
-        self._runs: list[tuple[Array, Array]] = []
+        self._large = start.particle_count >= LARGE
+        self._runs: list[tuple[Array, Array | None]] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
 
     def combine(self, columns: int) -> tuple[Array, Array]:
         """Return positions and velocities of T_K, K = columns."""
         if columns not in self._combined:
-            while len(self._runs) < columns:
-                self._run()
-            self._combined[columns] = self._weighted(columns)
+            self._make(columns)
+            if columns == 1:
+                self._combined[1] = self._runs[0][0], self._velocities(0)
+                return self._combined[1]
+            x = self._positions(columns, slice(None))
+            v = np.zeros_like(x)
+            for column, weight in enumerate(weights(self.counts[:columns])):
+                _add_weighted(v, weight, self._velocities(column))
+            self._combined[columns] = x, v
         return self._combined[columns]
 
     def difference(self, columns: int) -> float:
         """Return the largest distance of a particle in T_(K+1) from the same in T_K [m], K = columns; the error of
         T_K.
         """
-        return float(largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0]))
+        if not self._large:
+            return float(largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0]))
+        self._make(columns + 1, judging=True)
+        largest = 0.0
+        for first in range(0, self._start.particle_count, _STRETCH):
+            here = slice(first, first + _STRETCH)
+            distance = largest_distance(self._positions(columns + 1, here), self._positions(columns, here))
+            largest = max(largest, float(distance))
+        return largest
 
     def rounding(self) -> float:
         """Return what single precision would change [m]: the largest distance of a particle in the first run."""
-        single, _ = self._march(0, None, 1.0, narrow=True)
+        single, _ = self._march(0, None, 1.0, narrow=True, velocities=False)
         return float(largest_distance(single, self.combine(1)[0]))
 
-    def _run(self) -> None:
-        column = len(self._runs)
-        seen = column < len(self._observed)
-        observer, weight = (self._observer, self._observed[column]) if seen else (None, 1.0)
-        self._runs.append(self._march(column, observer, weight, narrow=self.narrow))
+    def _make(self, columns: int, *, judging: bool = False) -> None:
+        """Make the runs that are not there yet; of the last one positions alone where it only judges a large sheet."""
+        while len(self._runs) < columns:
+            column = len(self._runs)
+            velocities = not (judging and self._large and column + 1 == columns)
+            seen = column < len(self._observed)
+            observer, weight = (self._observer, self._observed[column]) if seen else (None, 1.0)
+            self._runs.append(self._march(column, observer, weight, narrow=self.narrow, velocities=velocities))
 
-    def _march(self, column: int, observer: Observer | None, weight: float, *, narrow: bool) -> tuple[Array, Array]:
-        steps = self.counts[column]
-        x, v = self._start.x.copy(), self._start.v.copy()
+    def _march(
+        self, column: int, observer: Observer | None, weight: float, *, narrow: bool, velocities: bool = True
+    ) -> tuple[Array, Array | None]:
+        steps, start = self.counts[column], (self._start.x, self._start.v)
+        x, v = np.empty_like(start[0]), np.empty_like(start[1]) if velocities else None
         step = self._duration / steps
-        self.evaluations += leapfrog(self._dynamics, self._t, x, v, step, steps, observer, weight, narrow=narrow)
+        self.evaluations += leapfrog(
+            *(self._dynamics, self._t, x, v, step, steps, observer, weight), narrow=narrow, start=start
+        )
         return x, v
 
-    def _weighted(self, columns: int) -> tuple[Array, Array]:
+    def _velocities(self, column: int) -> Array:
+        if self._runs[column][1] is None:
+            # It judged, and is part of the result after all.
+            self._runs[column] = self._march(column, None, 1.0, narrow=self.narrow)
+        v = self._runs[column][1]
+        assert v is not None
+        return v
+
+    def _positions(self, columns: int, here: slice) -> Array:
+        """Positions of T_K, K = columns, of some particles, C-contiguous."""
+        first = np.ascontiguousarray(self._runs[0][0][:, here])
         if columns == 1:
-            return self._runs[0]
-        x, v = np.zeros_like(self._start.x), np.zeros_like(self._start.v)
-        for weight, (a, b) in zip(weights(self.counts[:columns]), self._runs, strict=False):
-            x += weight * a
-            v += weight * b
-        return x, v
+            return first
+        x = np.zeros_like(first)
+        for weight, (a, _) in zip(weights(self.counts[:columns]), self._runs, strict=False):
+            _add_weighted(x, weight, a[:, here])
+        return x
+
+
+def _add_weighted(out: Array, weight: float, array: Array) -> None:
+    """out += weight array, without an array of all products."""
+    for first in range(0, out.shape[1], _STRETCH):
+        here = slice(first, first + _STRETCH)
+        out[:, here] += weight * array[:, here]

@@ -16,15 +16,16 @@ def leapfrog(
     dynamics: Dynamics,
     t: float,
     x: Array,
-    v: Array,
+    v: Array | None,
     step: float,
     steps: int,
     observer: Observer | None = None,
     weight: float = 1.0,
     *,
     narrow: bool = False,
+    start: tuple[Array, Array] | None = None,
 ) -> int:
-    """Advance x, v (3, n) in place by leapfrog with a predicted midpoint velocity; return the force evaluations.
+    """Advance x, v (3, n) by leapfrog with a predicted midpoint velocity; return the force evaluations.
 
     With h the step: ``x_m = x + h/2 v``, ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``,
     ``x' = x_m + h/2 v'``. The midpoint velocity is predicted with the accelerations of the two steps before; both are
@@ -33,18 +34,19 @@ def leapfrog(
     Args:
         dynamics: equations of motion.
         t: time at the start [s].
-        x: positions [m].
-        v: velocities [m/s].
+        x: positions [m]; set to those at the end.
+        v: velocities [m/s]; likewise. None where those at the end are not asked for.
         step: length of one step [s].
         steps: number of steps.
         observer: called at each midpoint.
         weight: factor on the observer's weights.
         narrow: take the fused plan's single precision, where it has one.
+        start: positions and velocities to start from, which stay as they are; those in x and v where left out.
     """
     if dynamics.plan is not None:
-        dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight, narrow=narrow)
+        dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight, narrow=narrow, start=start)
     else:
-        leapfrog_by_terms(dynamics, t, x, v, step, steps, observer, weight)
+        leapfrog_by_terms(dynamics, t, x, v, step, steps, observer, weight, start=start)
     return steps + 1
 
 
@@ -52,13 +54,20 @@ def leapfrog_by_terms(
     dynamics: Dynamics,
     t: float,
     x: Array,
-    v: Array,
+    v: Array | None,
     step: float,
     steps: int,
     observer: Observer | None,
     weight: float,
+    *,
+    start: tuple[Array, Array] | None = None,
 ) -> None:
     """As `leapfrog`, evaluating the terms one by one."""
+    if start is not None:
+        x[:] = start[0]
+        v = start[1].copy() if v is None else v
+        v[:] = start[1]
+    assert v is not None, "steps begin with velocities"
     a, before, predicted = (np.empty_like(x) for _ in range(3))
     dynamics.acceleration(t, x, v, a)
     before[:] = a

@@ -83,6 +83,8 @@ class GridLeapfrog:
             rounding takes from them, so that it does not add up. alternate: evaluate the families marked `weak` at
             every second step only, with twice the impulse. threads: the sheet is cut into as many bands of rows, each
             moved by a thread of its own. The bits do not depend on it.
+        beside: another loop of the same sheet, which never runs at the same time: they share the room for the copy of
+            the state, where this one's fits.
 
     Not safe for two calls at once: the object owns its padded copy of the state.
 
@@ -100,6 +102,7 @@ class GridLeapfrog:
         dtype: Any = np.float64,
         alternate: bool = False,
         threads: int = 1,
+        beside: GridLeapfrog | None = None,
     ) -> None:
         inverse = np.asarray(inverse_masses, dtype=np.float64)
         count = springs.rows * springs.columns
@@ -118,11 +121,11 @@ class GridLeapfrog:
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
         self._plans: dict[tuple[float, bool], tuple[Any, ...]] = {}
-        self._sheet = self._cut(inverse, threads)
+        self._sheet: Sheet = self._cut(inverse, threads, None if beside is None else beside._sheet.state)
         self._workers = ThreadPoolExecutor(threads - 1, thread_name_prefix="grid") if threads > 1 else None
 
-    def _cut(self, inverse: Array, threads: int) -> Sheet:
-        """Cut the sheet into bands of about equal height."""
+    def _cut(self, inverse: Array, threads: int, room: NDArray[Any] | None) -> Sheet:
+        """Cut the sheet into bands of about equal height. Each run clears what it takes of the room."""
         springs = self.springs
         pitch, table, table_rows = grid_tables(springs, inverse, self._dtype)
         components = CARRY + 3 if self._dtype == np.float32 else CARRY
@@ -132,9 +135,13 @@ class GridLeapfrog:
         beyond = np.zeros(halo, dtype=np.intp)
         borders = springs.rows * np.arange(threads + 1) // threads
         size = (int(np.diff(borders).max()) + 2 * halo) * stride
+        if room is not None and room.nbytes >= threads * size * self._dtype.itemsize:
+            state = room.reshape(-1).view(self._dtype)[: threads * size]
+        else:
+            state = aligned_zeros(threads * size, self._dtype)
         return Sheet(
             *(springs.rows, springs.columns, pitch, components, levels, borders),
-            state=aligned_zeros(threads * size, self._dtype).reshape(threads, size),
+            state=state.reshape(threads, size),
             ring=aligned_zeros(threads * levels * 9 * pitch, self._dtype).reshape(threads, levels * 9 * pitch),
             table=table,
             table_rows=np.concatenate([beyond, table_rows, beyond]),
@@ -173,26 +180,42 @@ class GridLeapfrog:
         )
         self.advance(np.zeros((3, count)), np.zeros((3, count)), 3, 0.0, grips=held if grips else None)
 
-    def advance(self, x: Array, v: Array, steps: int, dt: float, *, grips: GridGrips | None = None) -> None:
-        """Advance positions x [m] and velocities v [m/s] in place by `steps` steps of dt [s].
+    def advance(
+        self,
+        x: Array,
+        v: Array | None,
+        steps: int,
+        dt: float,
+        *,
+        grips: GridGrips | None = None,
+        start: tuple[Array, Array] | None = None,
+    ) -> None:
+        """Advance positions x [m] and velocities v [m/s] by `steps` steps of dt [s], in place, or from those of
+        `start`, which stay as they are; v may then be None, and only positions are set. No bit depends on it.
 
-        Both (3, rows * columns) float64, C-contiguous. With `alternate` the number of steps must be odd: then the
+        All (3, rows * columns) float64, C-contiguous. With `alternate` the number of steps must be odd: then the
         impulses of the weak families lie symmetrically in the call, the first and the last counting 1.5 times.
 
         Raises:
-            ValueError: for another shape, or a number of steps that is not positive or, with `alternate`, even.
+            ValueError: for another shape, a number of steps that is not positive or, with `alternate`, even, or v that
+                is missing without a start.
         """
         expected = (3, self.springs.rows * self.springs.columns)
-        for name, array in (("x", x), ("v", v)):
-            check_array(name, array, expected)
+        x0, v0 = (x, v) if start is None else start
+        if v0 is None:
+            raise ValueError("v is None without a start; give the velocities that the steps begin with")
+        for name, array in (("x", x), ("v", v), ("start's x", x0), ("start's v", v0)):
+            if array is not None:
+                check_array(name, array, expected)
         if steps < 1:
             raise ValueError(f"{steps} steps; at least one is needed")
         if self.alternate and steps % 2 == 0:
             raise ValueError(f"{steps} steps; weak families at every second step need an odd number")
-        origin = np.zeros(3) if self._dtype == np.float64 else x[:, 0].copy()
+        origin = np.zeros(3) if self._dtype == np.float64 else x0[:, 0].copy()
         shape, fast, once, ends, full = self._step_plan(dt, grips is not None)
         common: tuple[Any, ...] = (
-            *(x.reshape(-1), v.reshape(-1), origin, steps, dt, shape, fast, once),
+            *(x0.reshape(-1), v0.reshape(-1), x.reshape(-1), np.empty(0) if v is None else v.reshape(-1)),
+            *(origin, steps, dt, shape, fast, once),
             # A single step is both the first and the last: its weak families count once.
             *(ends if steps > 1 else once, full),
             None if grips is None else _near(grips, origin),

@@ -117,8 +117,10 @@ def _load(band, x, v, origin):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _unload(band, x, v, origin, half):  # type: ignore[no-untyped-def]
-    """Add what changed since `_load` rounded the same numbers, so that single precision rounds the change alone."""
+def _unload(band, x0, v0, x, v, origin, half):  # type: ignore[no-untyped-def]
+    """Set x, and v unless it is empty, to x0, v0 and what changed since `_load` rounded these, so that single precision
+    rounds the change alone.
+    """
     columns, pitch, halo = band.columns, band.pitch, REACH * band.levels
     count = band.rows * columns
     number = band.state.dtype.type
@@ -128,8 +130,11 @@ def _unload(band, x, v, origin, half):  # type: ignore[no-untyped-def]
             start = c * count + row * columns
             for j in range(columns):
                 position, speed = band.state[place + c * pitch + j], band.state[place + (3 + c) * pitch + j]
-                x[start + j] += (position - number(x[start + j] - origin[c])) - half * speed
-                v[start + j] += speed - number(v[start + j])
+                x[start + j] = x0[start + j] + ((position - number(x0[start + j] - origin[c])) - half * speed)
+            if len(v):
+                for j in range(columns):
+                    speed = band.state[place + (3 + c) * pitch + j]
+                    v[start + j] = v0[start + j] + (speed - number(v0[start + j]))
             if band.components > CARRY:
                 for j in range(columns):
                     x[start + j] += band.state[place + (CARRY + c) * pitch + j]
@@ -323,7 +328,7 @@ def _begin(sheet, number, x, v, origin, dt, shape, once, grips):  # type: ignore
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _continue(  # type: ignore[no-untyped-def]
-    sheet, number, turn, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
+    sheet, number, turn, x0, v0, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
 ):
     """One more sweep of a band; the last one ends with writing the state."""
     band = _band(sheet, number)
@@ -333,7 +338,7 @@ def _continue(  # type: ignore[no-untyped-def]
     if begin + sheet.levels < steps:
         _post(sheet, band, number, turn + 1)
     else:
-        _unload(band, x, v, origin, 0.5 * dt)
+        _unload(band, x0, v0, x, v, origin, 0.5 * dt)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -349,14 +354,15 @@ def _is_ready(done, number, tasks):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def advance_sheet(  # type: ignore[no-untyped-def]
-    sheet, own, done, claims, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
+    sheet, own, done, claims, x0, v0, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
 ):
     """Advance a sheet by `steps` steps of dt, alone or together with other threads; return when all is done.
 
     `own`: the band to prefer. `done`, `claims`: zeros to begin with, for each band its tasks done and whether one is
-    being done, COUNTER_SPACING apart. `x`, `v` are flat. `shape` and `once` describe an ordinary step. With `fast`,
-    the shape without the weak families, odd steps leave them out and even steps use the values `full`, where they
-    count double; but the first and the last `ends`, 1.5 times.
+    being done, COUNTER_SPACING apart. From `x0`, `v0` to `x`, `v`, all flat; these may be the same arrays, and `v`
+    empty, which then is not written. `shape` and `once` describe an ordinary step. With `fast`, the shape without the
+    weak families, odd steps leave them out and even steps use the values `full`, where they count double; but the
+    first and the last `ends`, 1.5 times.
     """
     bands = len(sheet.borders) - 1
     tasks = 1 + (steps + sheet.levels - 1) // sheet.levels
@@ -374,9 +380,12 @@ def advance_sheet(  # type: ignore[no-untyped-def]
             if _is_ready(done, number, tasks):
                 task = load_acquire(done, number * COUNTER_SPACING)
                 if task == 0:
-                    _begin(sheet, number, x, v, origin, dt, shape, once, grips)
+                    _begin(sheet, number, x0, v0, origin, dt, shape, once, grips)
                 else:
-                    _continue(sheet, number, task - 1, x, v, origin, steps, dt, shape, fast, once, ends, full, grips)
+                    _continue(
+                        *(sheet, number, task - 1, x0, v0, x, v, origin, steps, dt),
+                        *(shape, fast, once, ends, full, grips),
+                    )
                 store_release(done, number * COUNTER_SPACING, task + 1)
                 # Who found another thread missing looks after its work sooner the next time, until it is back.
                 patience = min(2 * patience, _PATIENCE) if number == own else _IMPATIENCE

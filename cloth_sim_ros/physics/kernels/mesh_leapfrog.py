@@ -169,9 +169,18 @@ class MeshLeapfrog:
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
 
     def advance(
-        self, t: float, x: Floats, v: Floats, steps: int, dt: float, *, grips: MeshGrips | None = None
+        self,
+        t: float,
+        x: Floats,
+        v: Floats | None,
+        steps: int,
+        dt: float,
+        *,
+        grips: MeshGrips | None = None,
+        start: tuple[Floats, Floats] | None = None,
     ) -> Floats | None:
-        """Advance positions x [m] and velocities v [m/s], (3, n), in place from time t by `steps` steps of dt [s].
+        """Advance positions x [m] and velocities v [m/s], (3, n), from time t by `steps` steps of dt [s], in place, or
+        from those of `start`, which stay as they are; v may then be None, and only positions are set.
 
         Returns:
             For each grip its impulse [N s] and torque impulse [N m s] on the gripper about its pose, and the work done
@@ -192,7 +201,9 @@ class MeshLeapfrog:
         )
         order, held = self._held(grips, t, steps, dt)
         speeds = self._speeds if self._predicts or held is not None else None
-        advance_mesh(x, v, steps, self._particles, speeds, motion, self._forces, held)
+        x0, v0 = (x, v) if start is None else start
+        v = np.empty((0, 0)) if v is None else v
+        advance_mesh(x0, v0, x, v, steps, self._particles, speeds, motion, self._forces, held)
         if held is None:
             return None
         booked = np.empty_like(held.booked)

@@ -178,14 +178,15 @@ def _load(particles, motion, x, v):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _unload(particles, motion, x, v, half):  # type: ignore[no-untyped-def]
-    """Copy positions, half a step back from where they are, and velocities out."""
+    """Copy positions, half a step back from where they are, and velocities out, these unless v is empty."""
     rows, _, _, order = particles
     for i in range(len(order)):
         outside = order[i]
         for c in range(3):
             speed = rows[i * ROW + QUAD + c] if motion is None else motion[i * ROW + c]
             x[c, outside] = rows[i * ROW + c] - half * speed
-            v[c, outside] = speed
+            if len(v):
+                v[c, outside] = speed
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -219,12 +220,12 @@ def _take(block, entry, dt, particles, speeds, motion, forces, held, start):  # 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def advance_mesh(x, v, steps, particles, speeds, motion, forces, held):  # type: ignore[no-untyped-def]
-    """Advance x, v (3, n) by so many steps. `speeds`: flat, room for `motion` of `mesh_emit.move_particles`, or None
-    where no force depends on velocity.
+def advance_mesh(x0, v0, x, v, steps, particles, speeds, motion, forces, held):  # type: ignore[no-untyped-def]
+    """Advance x0, v0 (3, n) by so many steps to x, v, which may be the same arrays, and v empty. `speeds`: flat, room
+    for `motion` of `mesh_emit.move_particles`, or None where no force depends on velocity.
     """
     step = motion.values[0]
-    _load(particles, speeds, x, v)
+    _load(particles, speeds, x0, v0)
     if speeds is not None:
         for block in range(motion.blocks):
             _take(block, 0, 0.0, particles, speeds, motion, forces, held, 1)
