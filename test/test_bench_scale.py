@@ -8,7 +8,7 @@ import pytest
 
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.physics import automatic
-from cloth_sim_ros.physics.integrators import stage_matrix
+from cloth_sim_ros.physics.integrators import last_resort, stage_matrix
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -32,7 +32,7 @@ def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
     monkeypatch.setattr(automatic, "AFFORDABLE", 1e-9)
     with pytest.raises(AssertionError, match="a matrix was asked for"):
         Simulation(scene).advance()
-    monkeypatch.setattr(automatic, "MOST_IMPLICIT", 100)
+    monkeypatch.setattr(last_resort, "MOST_IMPLICIT", 100)
     Simulation(scene).advance()
 
 

@@ -145,6 +145,9 @@ class _Cliff(Term):
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         f[0] += np.where(x[0] > 0.0, 1e6, 0.0)
 
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        return 1e6 * float(np.sum(np.maximum(v[0], 0.0), where=x[0] > 0.0))
+
 
 def test_errors_below_the_smallest_step_are_accepted_flagged_and_counted() -> None:
     dynamics = Dynamics(Model([1.0], [_Cliff()]))

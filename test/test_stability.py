@@ -20,6 +20,8 @@ from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
 
 
 def test_the_scan_is_as_large_as_it_should_be() -> None:
@@ -40,6 +42,11 @@ def test_the_scan_is_as_large_as_it_should_be() -> None:
         (Case("grid", "yanked at 10 m/s", 1e6, 3.0, 30.0, "auto"), "implicit"),
         (Case("grid", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
         (Case("mesh", "crumpled", 1.0, 0.5, 60.0, "auto"), "extrapolated"),
+        # Steps that change in mid-run, and with them the leapfrog's own energy.
+        (Case("opposite", "inverted cell", 1.0, 0.0, 60.0, "fixed"), "leapfrog"),
+        # Folded shut: forces of S8 beyond all bounds, which no explicit step follows.
+        (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "auto"), "implicit"),
+        (Case("crossed", "half in one point", 1.0, 0.5, 60.0, "fixed"), "implicit"),
     ],
     ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
 )
@@ -68,6 +75,16 @@ def test_an_implicit_step_without_a_solution_comes_to_rest_where_forces_balance(
     Implicit(tolerance=1e-6).advance(dynamics, state, 0.0, 0.5)
     assert dynamics.energy(0.0, state.x, state.v) < 0.05 * before
     assert np.isfinite(state.x).all()
+
+
+def test_wind_that_sets_a_sheet_going_makes_no_step_smaller() -> None:
+    """Its work is no energy from nowhere."""
+    values = {"cloth.resolution": [12, 12], "wind.velocity": [0.0, 8.0, 0.0], "integrator": "leapfrog", "step": 2e-4}
+    simulation = Simulation(Scene.from_parameters(values))
+    for _ in range(3):
+        done = simulation.advance().advance
+        assert done is not None
+        assert (done.rejected, done.steps) == (0, 84)
 
 
 def _square(case: int) -> int:

@@ -152,7 +152,8 @@ class EnergyAccount:
     def __init__(self, simulation: WatchedSimulation) -> None:
         self._simulation = simulation
         self._kinetic = _kinetic(simulation)
-        self._start = self._least = simulation.energy()
+        self._start = simulation.energy()
+        self._least = self._least_own = self._start
         self._put_in = 0.0
         # Below the tolerance motion is not resolved: what the weight does over that distance is the least that counts.
         self._turned = 9.81 * float(simulation.model.masses.sum()) * TOLERANCE
@@ -162,18 +163,21 @@ class EnergyAccount:
     def close(self, work: float, step: float | None) -> None:
         """Book a frame over which so much was put in [J]; by fixed leapfrog steps of that length [s], if it is given.
 
-        Those keep an energy of their own; the energy swings about it by h^2/8 v'Kv and comes back.
+        Those keep an energy of their own; the energy swings about it by h^2/8 v'Kv and comes back. Where the step
+        changes the energy stays and that own energy, another one now, leaps. What was gained shows in both.
         """
         self._put_in += work
         run = self._simulation
-        energy = run.energy() if step is None else own_energy(run.dynamics, run.time, run.state.x, run.state.v, step)
-        energy -= self._put_in
+        energy = own = run.energy()
+        if step is not None:
+            own = own_energy(run.dynamics, run.time, run.state.x, run.state.v, step)
+        energy, own = energy - self._put_in, own - self._put_in
         kinetic = _kinetic(self._simulation)
         self._turned += abs(kinetic - self._kinetic) + abs(work)
         self._turned = max(self._turned, self._start - energy)
         self._kinetic = kinetic
-        self.gain = max(self.gain, (energy - self._least) / self._turned)
-        self._least = min(self._least, energy)
+        self.gain = max(self.gain, min(energy - self._least, own - self._least_own) / self._turned)
+        self._least, self._least_own = min(self._least, energy), min(self._least_own, own)
 
 
 def run_case(case: Case) -> Verdict:

@@ -15,6 +15,7 @@ from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, 
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
+from cloth_sim_ros.physics.integrators.last_resort import within_reach
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.march import leapfrog_limit
 from cloth_sim_ros.physics.state import State
@@ -29,8 +30,6 @@ MULTIPLY_ADD = 0.35
 ITERATIONS = 10.0
 #: Explicit steps are kept while they cost less than this share of real time: they follow what implicit ones damp out.
 AFFORDABLE = 0.5
-#: Sheets of more particles are always stepped explicitly: one implicit frame would take half a minute and gigabytes.
-MOST_IMPLICIT = 50_000
 #: Frames between two comparisons.
 REVIEW = 30
 #: A change has to pay by this factor: the two would else take turns.
@@ -144,7 +143,7 @@ class Automatic(Integrator):
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > _DEAR * memory.explicit):
             return
         memory.explicit = _explicit_frame(dynamics, state, duration)
-        better = memory.explicit > AFFORDABLE * duration * 1e9 and dynamics.model.particle_count <= MOST_IMPLICIT
+        better = memory.explicit > AFFORDABLE * duration * 1e9 and within_reach(dynamics)
         if better:
             implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
             better = implicit <= (_DEAR if memory.implicit else 1.0) * memory.explicit

@@ -90,6 +90,8 @@ class Memory:
     softest: float = -1.0
     #: What fixed steps made of energy since then and did not lose again [J].
     made: float = 0.0
+    #: Longest stable step since then [s].
+    longest: float = 0.0
 
     @classmethod
     def of(cls, state: State) -> Memory:
@@ -104,7 +106,10 @@ class Memory:
         """Write the memory into a state."""
         numbers = (self.columns, self.refine, self.wait, self.interval, self.error, self.ratio)
         state.memory[MEMORY] = np.array(
-            (*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping, self.softest, self.made)
+            (
+                *(*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping),
+                *(self.softest, self.made, self.longest),
+            )
         )
 
 

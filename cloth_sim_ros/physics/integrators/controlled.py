@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import attrs
 
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.control import (
     AIM,
@@ -38,6 +38,7 @@ from cloth_sim_ros.physics.integrators.control import (
 )
 from cloth_sim_ros.physics.integrators.energy_guard import EnergyGuard
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
+from cloth_sim_ros.physics.integrators.last_resort import last_resort, within_reach
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
@@ -47,27 +48,6 @@ from cloth_sim_ros.physics.terms.grips import Grips
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
 LONGEST_STRETCH = 0.04
 _ATTEMPTS = 40
-
-
-class Options(Protocol):
-    """What the loop needs to know of its integrator."""
-
-    name: str
-    tolerance: float | None
-    step: float | None
-    columns: int
-
-    def step_limit(self, omega2: float, damping_rate: float) -> float:
-        """Largest stable step [s]."""
-
-
-@attrs.frozen
-class _Choice:
-    """Columns and refinement of an attempt, and whether a further column judges it."""
-
-    columns: int
-    refine: float
-    judge: bool
 
 
 class ControlledAdvance:
@@ -98,11 +78,11 @@ class ControlledAdvance:
         if not controlled and memory.wait <= 0:
             # What the guard asked for is tried with larger steps from time to time.
             memory.refine = max(1.0, 0.5 * memory.refine)
-        self._choice = _Choice(columns, memory.refine, controlled and memory.wait <= 0)
+        self._choice = Choice(columns, memory.refine, controlled and memory.wait <= 0)
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._kept: Columns | None = None
-        #: Least refinement that this advance's energy allows.
-        self._least = 1.0
+        #: Least refinement that this advance's energy allows; whether none does.
+        self._least, self._lost = 1.0, False
 
     def run(self) -> Advance:
         """Do it."""
@@ -110,7 +90,8 @@ class ControlledAdvance:
         if memory.omega2 < 0.0:
             memory.omega2, memory.damping = self._dynamics.rates(state.x)
         limit = options.step_limit(memory.omega2, memory.damping)
-        if options.step is not None and options.step > limit:
+        self._lost = self._out_of_reach(limit)
+        if options.step is not None and options.step > limit and not self._lost:
             # Blocks bound it from below.
             limit = sharp_step_limit(self._dynamics, self._t, state.x, limit)
             if MEMORY not in state.memory:
@@ -121,6 +102,8 @@ class ControlledAdvance:
         while True:
             if self._observer is not None:
                 self._observer.restart()
+            if self._lost:
+                return self._last_resort(rejected)
             self._flagged = self._steps = 0
             try:
                 error = self._attempt(start)
@@ -132,14 +115,14 @@ class ControlledAdvance:
             state.x, state.v = start.x, start.v
             memory.omega2, memory.damping = begun
             rejected += 1
-            if rejected == _ATTEMPTS:
+            self._lost = self._lost or (rejected == _ATTEMPTS and within_reach(self._dynamics))
+            if rejected >= _ATTEMPTS and not self._lost:
                 raise UnstableError(
                     f"{options.name}: no step down to {self._stretch / self._first:.3g} s "
                     "kept the motion finite and within its stability limit"
                 )
         memory.store(state)
-        controlled = options.tolerance is not None
-        h = self._stretch / self._first
+        controlled, h = options.tolerance is not None, self._stretch / self._first
         return Advance(
             steps=self._steps,
             evaluations=self._evaluations,
@@ -147,38 +130,25 @@ class ControlledAdvance:
             limit=limit,
             rejected=rejected,
             integrator=options.name,
-            binds=self._binds(),
+            binds=binds(options, self._choice, self._first, h),
             error=error if controlled else None,
             flagged=self._flagged,
-            reason=self._reason(h),
+            reason=reason(options, self._choice, self._first, h),
         )
 
-    def _binds(self) -> str:
-        if self._options.step is not None and self._stretch / self._first > 0.99 * self._options.step:
-            return "step"
-        if self._options.tolerance is not None and self._choice.refine > 1.0:
-            return "accuracy"
-        return "frame" if self._first == 1 else "stability"
-
-    def _reason(self, h: float) -> str:
-        columns = self._choice.columns
-        order = f"order {columns + 1}" + (f" by {columns} runs" if columns > 1 else "")
-        if self._options.step is not None and self._binds() == "step":
-            return f"{self._options.name}: {order}, fixed step of {h:.3g} s"
-        if self._options.tolerance is None:
-            why = "set by stability" if self._options.step is None else f"of {self._options.step:.3g} s"
-            if self._choice.refine > 1.0:
-                return (
-                    f"{self._options.name}: {order}, step {why} made {h:.3g} s: springs pushed to a point made energy"
-                )
-            if self._options.step is not None:
-                return f"{self._options.name}: {order}, step {why} made {h:.3g} s: the motion stiffened"
-            return f"{self._options.name}: {order}, step {h:.3g} s {why}, no tolerance"
-        held = f"tolerance {self._options.tolerance:g} m"
-        if self._choice.refine > 1.0:
-            return f"{self._options.name}: {order}, step {h:.3g} s set by the {held}"
-        bound = "one step a frame" if self._first == 1 else f"step {h:.3g} s set by stability"
-        return f"{self._options.name}: {order}, {bound}; it holds the {held}"
+    def _last_resort(self, rejected: int) -> Advance:
+        self._memory.store(self._state)
+        done = last_resort(
+            self._dynamics, self._state, self._t, self._duration, self._observer, instead_of=self._options.name
+        )
+        return attrs.evolve(
+            done,
+            evaluations=self._evaluations + done.evaluations,
+            limit=self._limit,
+            rejected=rejected,
+            binds="stability",
+            error=done.error if self._options.tolerance is not None else None,
+        )
 
     def _attempt(self, start: State) -> float | None:
         """Run all stretches; return the sum of their errors, or None if another choice has to be tried from the
@@ -191,7 +161,7 @@ class ControlledAdvance:
                 return None
             total += error
         if self._choice.judge:
-            self._choice = _Choice(self._choice.columns, self._choice.refine, False)
+            self._choice = Choice(self._choice.columns, self._choice.refine, False)
         else:
             self._memory.wait -= 1
         return total
@@ -209,10 +179,11 @@ class ControlledAdvance:
         x, v = columns.combine(choice.columns)
         if not all_finite(x, v):
             self._evaluations += columns.evaluations - before
-            if choice.refine >= FINEST:
+            if choice.refine >= FINEST and not within_reach(self._dynamics):
                 raise UnstableError(
                     f"{self._options.name}: not finite even by steps of {self._stretch / self._first:.3g} s"
                 )
+            self._lost = choice.refine >= FINEST
             self._retry(choice.columns, 2.0 * choice.refine)
             return None
         error: float | None = 0.0
@@ -224,18 +195,21 @@ class ControlledAdvance:
         omega2, damping = self._dynamics.rates(x)
         limit = self._options.step_limit(omega2, damping)
         h = self._stretch / self._first
-        if not h <= limit and self._options.step is not None:
+        self._lost = self._out_of_reach(limit)
+        if not h <= limit and self._options.step is not None and not self._lost:
             limit = sharp_step_limit(self._dynamics, t + self._stretch, x, limit)
-        if not h <= limit:
+        if self._lost or not h <= limit:
             self._limit = limit
             self._retry(choice.columns, choice.refine)
             return None
         if self._watches_energy(omega2):
             guard = EnergyGuard(self._dynamics, t, state.x, state.v)
-            made, too_much = (
-                guard.made(t + self._stretch, x, v, h, self._memory.made) if guard.applies() else (0.0, False)
-            )
+            finest = choice.refine >= FINEST
+            # What is left of many small gains is no reason to give up.
+            known = 0.0 if finest else self._memory.made
+            made, too_much = guard.made(t + self._stretch, x, v, h, known) if guard.applies() else (0.0, False)
             if too_much:
+                self._lost = finest
                 self._refine_for_energy()
                 return None
             self._memory.made = made
@@ -245,6 +219,11 @@ class ControlledAdvance:
         state.x, state.v = x, v
         return error
 
+    def _out_of_reach(self, limit: float) -> bool:
+        """Whether a step limit [s] is far below what it was once: an explicit method would never come to an end."""
+        self._memory.longest = max(self._memory.longest, min(limit, self._stretch))
+        return limit < self._memory.longest / FINEST and within_reach(self._dynamics)
+
     def _watches_energy(self, omega2: float) -> bool:
         """Whether a result's energy has to be looked at.
 
@@ -252,7 +231,7 @@ class ControlledAdvance:
         grow where stiffness changes, or where the error is beyond all help.
         """
         memory, choice = self._memory, self._choice
-        if choice.refine >= FINEST:
+        if choice.refine >= FINEST and not within_reach(self._dynamics):
             return False
         if choice.columns > 1:
             return self._undamped()
@@ -323,7 +302,7 @@ class ControlledAdvance:
         return known if known > 1.5 * most or 0.0 <= known < 0.5 * most else columns.rounding()
 
     def _retry(self, columns: int, refine: float) -> None:
-        self._choice = _Choice(columns, refine, self._choice.judge)
+        self._choice = Choice(columns, refine, self._choice.judge)
 
     def _error(self, columns: Columns) -> float | None:
         """Return the stretch's estimated error [m], or None after choosing what to try next."""
@@ -343,7 +322,7 @@ class ControlledAdvance:
                 return estimate
             if columns.narrow:
                 # A judgement compares runs in double precision.
-                self._choice = _Choice(choice.columns, choice.refine, True)
+                self._choice = Choice(choice.columns, choice.refine, True)
                 return None
         errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
         error = errors[-1]
@@ -359,7 +338,7 @@ class ControlledAdvance:
         if not accepted and choice.refine < HOPELESS and self._unresolved(errors, activity):
             # What these errors say of smaller steps is nothing to go by.
             self._remember(errors, 1, HOPELESS, activity, error)
-            self._choice = _Choice(1, HOPELESS, True)
+            self._choice = Choice(1, HOPELESS, True)
             return None
         wanted, refine = cheapest(errors, choice.refine, self._budget, most)
         if wanted > 1 and self._undamped() and self._first / choice.refine > MANY_STEPS:
@@ -376,7 +355,7 @@ class ControlledAdvance:
         if accepted:
             memory.rounding = self._rounding(columns)
             return error
-        self._choice = _Choice(wanted, refine, False)
+        self._choice = Choice(wanted, refine, False)
         return None
 
     def _unresolved(self, errors: list[float], activity: float) -> bool:

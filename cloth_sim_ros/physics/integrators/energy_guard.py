@@ -54,8 +54,11 @@ class EnergyGuard:
             before: energy that earlier runs made [J].
 
         Returns:
-            Energy that is made by now [J], and whether the run made more than may be.
+            Energy that is made by now [J], and whether the run made more than may be; nothing where air moves, whose
+            work is not known.
         """
+        if self._dynamics.supply(self._t, self._x, self._v) or self._dynamics.supply(t, x, v):
+            return before, False
         start = own_energy(self._dynamics, self._t, self._x, self._v, step)
         rise = own_energy(self._dynamics, t, x, v, step) - start
         most = _SHARE * max(self._kinetic(self._v), self._kinetic(v)) + _ROUNDING * abs(start) + self._noise(x)
