@@ -17,6 +17,7 @@ from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameter
 from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance, restart
+from cloth_sim_ros.physics.integrators.columns import LARGE
 from cloth_sim_ros.physics.sleep import Sleep, is_asleep, wake
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
@@ -328,6 +329,10 @@ class Simulation:
         self.energy_report = None
         self._no_wrenches = np.zeros((len(self.grippers.names), 6))
         self._hold_tolerance()
+        if self.model.particle_count >= LARGE:
+            from cloth_sim_ros.memory import give_back
+
+            give_back()
 
     def _hold_tolerance(self) -> None:
         """Let integrator and sleep follow the tolerance in force: the scene's, relaxed by what the state says."""

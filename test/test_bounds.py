@@ -4,10 +4,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from cloth_sim_ros.events import Grasp, Target
 from cloth_sim_ros.physics.grid_plan import GridPlan
-from cloth_sim_ros.physics.stability import block_rates
+from cloth_sim_ros.physics.kernels import mesh_bounds
+from cloth_sim_ros.physics.stability import Bounds, block_rates
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -51,6 +53,58 @@ def test_rates_of_stretches_of_rows_are_those_of_all(stretch, monkeypatch):
     assert dynamics.rates(x) == at_once
     x[1, 40] = np.nan
     assert np.isnan(dynamics.rates(x)).all()
+
+
+def mesh_file(count=1500):
+    """A Delaunay triangulation whose neighbours lie far apart in the file."""
+    points = np.random.default_rng(4).uniform(size=(count, 2))
+    corners = Delaunay(points).simplices
+    a, b, c = (points[corners[:, i]] for i in range(3))
+    turned = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+    corners[turned] = corners[turned][:, ::-1]
+    lines = [f"v {x} {y} 0" for x, y in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in corners]
+    return "\n".join(lines).encode()
+
+
+def held_mesh(values):
+    common = {"cloth.mesh": "sheet.obj", "cloth.anchors": ["3"], "bending.model": "none", "grippers": ["a", "b"]}
+    simulation = Simulation(Scene.from_parameters({**common, **values}, files={"sheet.obj": mesh_file()}))
+    place = simulation.positions[-1]
+    simulation.advance([Target("a", place), Target("b", place), Grasp("a", True), Grasp("b", True)])
+    assert simulation.grippers.held(0).size
+    simulation.state.x += 0.01 * np.random.default_rng(1).standard_normal(simulation.state.x.shape)
+    return simulation
+
+
+@pytest.mark.parametrize("stretch", [256, 512, 8192])
+@pytest.mark.parametrize("values", [{}, {"material.damping": 0.0, "air.drag": 0.0}], ids=["damped", "undamped"])
+def test_rates_of_a_mesh_in_the_order_of_its_loop_are_those_of_its_terms(values, stretch, monkeypatch):
+    monkeypatch.setattr(mesh_bounds, "_STRETCH", stretch)
+    simulation = held_mesh(values)
+    x = simulation.state.x
+    x[:, 5] = x[:, next(b for a, b in simulation.model.term("structural").pairs if a == 5)]
+    found = [simulation.dynamics.rates(x) for _ in range(2)]
+    assert found[0] == found[1]
+    assert found[0] == pytest.approx(Bounds(simulation.model).rates(x), rel=1e-12)
+    x[1, 40] = np.nan
+    assert np.isnan(simulation.dynamics.rates(x)[0])
+
+
+def test_a_mesh_keeps_no_lists_that_its_loop_has():
+    values = {"cloth.mesh": "sheet.obj", "cloth.anchors": ["3"], "bending.model": "none", "integrator": "extrapolated"}
+    simulation = Simulation(Scene.from_parameters(values, files={"sheet.obj": mesh_file()}))
+    for _ in range(3):
+        simulation.advance()
+    springs = simulation.model.term("structural")
+    assert "pairs" not in vars(springs)
+    assert springs.energy(0.0, simulation.state.x) > 0.0
+    assert "pairs" in vars(springs)
+
+
+def test_a_mesh_with_hinges_has_its_bounds_from_all_terms():
+    simulation = held_mesh({"bending.model": "crossed", "material.bending_modulus": 1e-4})
+    assert simulation.dynamics.plan.bounds is None
+    assert np.isfinite(simulation.dynamics.rates(simulation.state.x)).all()
 
 
 def test_block_rates_are_the_largest_eigenvalues():

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.physics.surface import grid_triangles
+from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -127,15 +128,16 @@ def _measure(simulation: Simulation, *, seconds: float) -> dict[str, Any]:
 def _needed(simulation: Simulation) -> dict[str, int]:
     """Bytes of the state, of one set of forces, and of the scene's own tables.
 
-    The tables: masses and their inverses, the state that a reset returns to, and of a mesh its triangles and its
-    springs' pairs, rest lengths, stiffness and damping. A grid has no lists.
+    The tables: masses and their inverses, the state that a reset returns to, and of a mesh its file, its vertices and
+    triangles and its springs' pairs, rest lengths, stiffness and damping, as a list has them, whatever they are kept
+    as. A grid has no lists.
     """
     state = sum(array.nbytes for array in simulation.state.arrays().values())
-    model = simulation.model
+    model, scene = simulation.model, simulation.scene
     tables = model.masses.nbytes + model.inverse_masses.nbytes + state
     for term in model.terms:
-        tables += sum(value.nbytes for value in vars(term).values() if isinstance(value, np.ndarray))
-    scene = simulation.scene
+        lists = term.made() if scene.cloth.mesh and isinstance(term, DeferredSprings) else term
+        tables += sum(value.nbytes for value in vars(lists).values() if isinstance(value, np.ndarray))
     if scene.cloth.mesh:
         sheet = scene.sheet
         tables += sheet.triangles().nbytes + sheet.positions().nbytes + len(scene.files[_MESH])

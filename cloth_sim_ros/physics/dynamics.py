@@ -114,5 +114,5 @@ class Dynamics:
         x.
         """
         if self._bounds is None:
-            self._bounds = Bounds(self.model, self.forces)
+            self._bounds = Bounds(self.model, self.forces or getattr(self.plan, "bounds", None))
         return self._bounds.rates(x)

@@ -94,6 +94,9 @@ class MeshPlan:
             drag=drag,
             order=local_order(model.particle_count, np.concatenate(neighbours)) if reorder else None,
         )
+        taken = frozenset(term.name for term in model.terms if isinstance(term, PairSprings))
+        #: Bounds of the springs, where there are none but these; in the order of the loop.
+        self.bounds = self._loop.bounds(taken)
 
     @property
     def step_cost(self) -> float:
@@ -146,16 +149,20 @@ class MeshPlan:
 def _springs(terms: tuple[Term, ...], kind: type[PairSprings | CrossedSprings | AltitudeSprings]) -> Springs:
     """All springs, or hinges, of the terms of a kind."""
     width = 2 if kind is PairSprings else 4
-    parts = [
-        Springs(
-            particles=term.pairs if isinstance(term, PairSprings) else term.hinges,
-            rest=term.rest_length,
-            stiffness=term.stiffness,
-            damping=term.damping,
+    parts = []
+    for term in terms:
+        if not isinstance(term, kind):
+            continue
+        # The loop has tables of its own: lists that nobody asked for yet are not kept for it.
+        lists = term.made() if isinstance(term, DeferredSprings) else term
+        parts.append(
+            Springs(
+                particles=lists.pairs if isinstance(lists, PairSprings) else lists.hinges,
+                rest=lists.rest_length,
+                stiffness=lists.stiffness,
+                damping=lists.damping,
+            )
         )
-        for term in terms
-        if isinstance(term, kind)
-    ]
     return Springs.joined(parts, width)
 
 

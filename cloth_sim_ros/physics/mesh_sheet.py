@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.surface import Surface
 from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
 from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
 
 #: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
@@ -48,8 +51,8 @@ class MeshSheet:
 
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
-    ) -> PairSprings:
-        """Return edge springs that make a sheet of Young's modulus Y [N/m].
+    ) -> DeferredSprings:
+        """Return edge springs that make a sheet of Young's modulus Y [N/m], their lists made when they are asked for.
 
         An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
         3(2), 1998), half of it at the border by
@@ -59,6 +62,19 @@ class MeshSheet:
         ends, or, with a
         viscosity [N s/m], k viscosity / Y.
         """
+        make = partial(
+            self._edge_springs,
+            stretch_modulus=stretch_modulus,
+            k_d0=k_d0,
+            density=density,
+            viscosity=viscosity,
+            name=name,
+        )
+        return DeferredSprings(make, name=name, weak=False, damped=k_d0 > 0.0 or viscosity > 0.0)
+
+    def _edge_springs(
+        self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float, name: str
+    ) -> PairSprings:
         a, b = self.surface.edges.T
         away = self.rest[b] - self.rest[a]
         square = np.sum(away * away, axis=1)

@@ -36,6 +36,8 @@ class Bounds:
 
     def __init__(self, model: Model, fused: FusedForces | None = None) -> None:
         self._model, self._fused = model, fused
+        # The order in which it goes through the particles, and each one's place in it, where these are its own.
+        self._order, self._rank = getattr(fused, "order", None), getattr(fused, "rank", None)
         terms = [term for term in model.terms if fused is None or term.name not in fused.names]
         springs = [part for term in terms for part in _pair_springs(term)]
         self._others = [term for term in terms if not _pair_springs(term)]
@@ -53,10 +55,9 @@ class Bounds:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at x."""
         count = self._model.particle_count
         stretch = getattr(self._fused, "stretch", count)
-        if self._fused is None or self._pairs is not None or stretch >= count:
-            return self._of_all(x)
         multiples = [found for found in (term.multiples() for term in self._others) if found is not None]
-        if len(multiples) < len(self._others):
+        whole = self._pairs is not None or len(multiples) < len(self._others)
+        if self._fused is None or whole or (stretch >= count and self._order is None):
             return self._of_all(x)
         # Stretch by stretch: the blocks of all would take more room than the state.
         omega2, damping = 0.0, 0.0
@@ -69,11 +70,12 @@ class Bounds:
             damped.fill(0.0)
             self._fused.add_bounds(x, stiff, damped, first)  # type: ignore[call-arg]
             for particles, k, c in multiples:
-                _add_multiples(stiff, particles, k, here)
-                _add_multiples(damped, particles, c, here)
+                self._add_multiples(stiff, particles, k, here)
+                self._add_multiples(damped, particles, c, here)
+            inverse = self._model.inverse_masses[self._particles(here)]
             # Not max(): that loses a NaN.
-            omega2 = float(np.maximum(omega2, self._largest(stiff, here, rates)))
-            damping = float(np.maximum(damping, self._largest(damped, here, rates)))
+            omega2 = float(np.maximum(omega2, _largest(stiff, inverse, rates)))
+            damping = float(np.maximum(damping, _largest(damped, inverse, rates)))
         return omega2, damping
 
     def _of_all(self, x: Array) -> tuple[float, float]:
@@ -90,24 +92,29 @@ class Bounds:
         for term in self._others:
             term.add_stiffness(x, stiff)
             term.add_damping(x, damped)
-        everybody = slice(0, count)
-        return self._largest(stiff, everybody, rates), self._largest(damped, everybody, rates)
+        inverse = self._model.inverse_masses
+        return _largest(stiff, inverse, rates), _largest(damped, inverse, rates)
 
-    def _largest(self, blocks: Array, here: slice, rates: Array) -> float:
-        rates = rates[: here.stop - here.start]
-        block_rates(blocks.reshape(-1), self._model.inverse_masses[here], rates)
-        return float(rates.max())
+    def _particles(self, here: slice) -> slice | NDArray[np.int64]:
+        """The particles of a stretch."""
+        return here if self._order is None else self._order[here]
+
+    def _add_multiples(self, blocks: Array, particles: NDArray[np.int64] | None, k: Array | float, here: slice) -> None:
+        """Add k I to the blocks of a stretch of particles."""
+        if particles is None:
+            blocks[:3] += k if isinstance(k, float) else k[self._particles(here)]
+        elif particles.size:
+            places = particles if self._rank is None else self._rank[particles]
+            near = (places >= here.start) & (places < here.stop)
+            for part in blocks[:3]:
+                # Several grippers may hold one particle: plain indexing would not add up.
+                np.add.at(part, places[near] - here.start, np.broadcast_to(k, particles.shape)[near])
 
 
-def _add_multiples(blocks: Array, particles: NDArray[np.int64] | None, k: Array | float, here: slice) -> None:
-    """Add k I to the blocks of a stretch of particles."""
-    if particles is None:
-        blocks[:3] += k if isinstance(k, float) else k[here]
-    elif particles.size:
-        near = (particles >= here.start) & (particles < here.stop)
-        for part in blocks[:3]:
-            # Several grippers may hold one particle: plain indexing would not add up.
-            np.add.at(part, particles[near] - here.start, np.broadcast_to(k, particles.shape)[near])
+def _largest(blocks: Array, inverse_masses: Array, rates: Array) -> float:
+    rates = rates[: len(inverse_masses)]
+    block_rates(blocks.reshape(-1), inverse_masses, rates)
+    return float(rates.max())
 
 
 _SPRING = ("rest_length", "stiffness", "damping")

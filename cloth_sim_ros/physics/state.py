@@ -59,7 +59,7 @@ class State:
         self.x: Array = np.array(position.T, order="C")
         #: Velocities [m/s], component-major, shape (3, particle_count).
         # Without any the system need not give memory to zeros that are never written.
-        self.v: Array = np.zeros_like(self.x) if velocities is None else np.array(velocity.T, order="C")
+        self.v: Array = np.zeros(self.x.shape) if velocities is None else np.array(velocity.T, order="C")
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
         self.cloth = cloth

@@ -28,6 +28,8 @@ Layout = Literal["left", "right", "alternating", "both"]
 LAYOUTS: tuple[Layout, ...] = ("left", "right", "alternating", "both")
 
 IndexArray = NDArray[np.int64]
+#: Of tables that are kept for as long as the cloth is there.
+ShortIndexArray = NDArray[np.int32]
 
 
 class SurfaceError(ValueError):
@@ -45,14 +47,10 @@ class Surface:
     """Number of particles; every index is below it. Particles in no triangle are allowed (a loose thread)."""
     triangles: IndexArray
     """Particles of each triangle, counter-clockwise seen from the normal's side, (m, 3)."""
-    edges: IndexArray
+    edges: ShortIndexArray
     """Every edge once, lower index first, sorted, (e, 2)."""
-    edge_triangles: IndexArray
+    edge_triangles: ShortIndexArray
     """Triangles on either side of each edge, -1 where there is none, (e, 2)."""
-    hinges: IndexArray
-    """`(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4)."""
-    hinge_edges: IndexArray
-    """Index into `edges` of each hinge, (h,)."""
     boundary_edges: IndexArray
     """Edges of one triangle, directed as that triangle runs, (b, 2)."""
 
@@ -89,18 +87,34 @@ class Surface:
                 f"triangles {one[bad] // 3} and {two[bad] // 3} run the same way along their shared edge "
                 f"({tail[one[bad]]}, {head[one[bad]]}): turn one of them round"
             )
-        opposite = np.roll(faces, -2, axis=1).ravel()
         surface = cls(
             particle_count=count,
             triangles=faces,
-            edges=np.ascontiguousarray(np.sort(np.stack((tail[one], head[one]), axis=1), axis=1)),
-            edge_triangles=np.stack((one // 3, np.where(inner, two // 3, -1)), axis=1),
-            hinges=np.stack((tail[one[inner]], head[one[inner]], opposite[one[inner]], opposite[two[inner]]), axis=1),
-            hinge_edges=np.flatnonzero(inner),
+            edges=np.sort(np.stack((tail[one], head[one]), axis=1), axis=1).astype(np.int32),
+            edge_triangles=np.stack((one // 3, np.where(inner, two // 3, -1)), axis=1).astype(np.int32),
             boundary_edges=np.stack((tail[one[~inner]], head[one[~inner]]), axis=1),
         )
         surface._check_fans()
         return surface
+
+    @property
+    def hinge_edges(self) -> IndexArray:
+        """Index into `edges` of each hinge, (h,)."""
+        return np.flatnonzero(self.edge_triangles[:, 1] >= 0)
+
+    @property
+    def hinges(self) -> IndexArray:
+        """`(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4); made anew for each
+        caller.
+        """
+        inner = self.hinge_edges
+        low, high = self.edges[inner].T[:, :, None]
+        one, two = (self.triangles[side] for side in self.edge_triangles[inner].T)
+        wings = [np.sum(np.where((side != low) & (side != high), side, 0), axis=1) for side in (one, two)]
+        # As the first triangle runs: it goes from low to high where high follows low.
+        along = np.any((one == low) & (np.roll(one, -1, axis=1) == high), axis=1)
+        first, second = np.where(along, low[:, 0], high[:, 0]), np.where(along, high[:, 0], low[:, 0])
+        return np.stack((first, second, *wings), axis=1)
 
     @property
     def is_closed(self) -> bool:
@@ -148,9 +162,10 @@ class Surface:
         size = self.triangles.size
         corner_of = np.arange(size).reshape(-1, 3)
         left, right = self.edge_triangles[self.hinge_edges].T
+        edges = self.hinges[:, :2]
         ends_a, ends_b = [], []
         for end in (0, 1):
-            particle = self.hinges[:, end][:, None]
+            particle = edges[:, end][:, None]
             ends_a.append(corner_of[left][self.triangles[left] == particle])
             ends_b.append(corner_of[right][self.triangles[right] == particle])
         rows, columns = np.concatenate(ends_a), np.concatenate(ends_b)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.kernels.grid_springs import aligned_zeros
 from cloth_sim_ros.physics.kernels.held_points import BOOKED_NUMBERS, POSE_NUMBERS, tabulate_poses
+from cloth_sim_ros.physics.kernels.mesh_bounds import MeshBounds
 from cloth_sim_ros.physics.kernels.mesh_emit import LANES, QUAD, ROW
 from cloth_sim_ros.physics.kernels.mesh_sweep import (
     BLOCK,
@@ -167,6 +168,15 @@ class MeshLeapfrog:
         self._speeds = aligned_zeros(count * ROW, np.float64)
         self._drag = float(drag)
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
+
+    def bounds(self, names: frozenset[str]) -> MeshBounds | None:
+        """Bounds of its springs, which are those of the terms of these names; None where it has anything but springs
+        of some length.
+        """
+        springs, others = self._forces[:2], self._forces[2:]
+        if any(part is not None for part in others):
+            return None
+        return MeshBounds(names, self._particles, self._rank, self._lag, *springs)
 
     def advance(
         self,

@@ -26,6 +26,10 @@ class DeferredSprings(PairSprings):
         self._make = make
         self.name, self.weak, self.damped = name, weak, damped
 
+    def made(self) -> PairSprings:
+        """The springs; made for the caller alone where the lists were not asked for yet."""
+        return self if "pairs" in vars(self) else self._make()
+
     def __getattr__(self, name: str) -> Any:
         """Make the lists; asked by Python for an attribute that is not there yet."""
         if name not in _LISTS:
