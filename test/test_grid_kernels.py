@@ -285,15 +285,15 @@ def plain_alternating_leapfrog(x, v, springs, inverse_mass, steps, dt):
 def test_alternating_families_equal_the_plain_scheme():
     springs = GridSprings(11, 13, weak(ALL))
     inverse = some_masses(143)
-    plan = GridLeapfrog(springs, inverse, alternate=True)
+    plan = GridLeapfrog(springs, inverse)
     x, v = crumpled(11, 13)
     for steps, dt in ((9, 2e-4), (1, 2e-4), (3, 1e-4)):
         expected_x, expected_v = plain_alternating_leapfrog(x, v, springs, inverse, steps, dt)
-        plan.advance(x, v, steps, dt)
+        plan.advance(x, v, steps, dt, alternate=True)
         assert close(x, expected_x, 1e-12)
         assert close(v, expected_v, 1e-11)
     with pytest.raises(ValueError, match="10 steps; weak families"):
-        plan.advance(x, v, 10, 2e-4)
+        plan.advance(x, v, 10, 2e-4, alternate=True)
 
 
 def smooth(rows, columns):
@@ -310,8 +310,8 @@ def observed_order(springs, *, drag=0.0, alternate=False):
 
     def end(steps, alternate):
         x, v = smooth(springs.rows, springs.columns)
-        GridLeapfrog(springs, inverse, gravity=GRAVITY, drag=drag, alternate=alternate).advance(
-            x, v, steps, 0.05 / steps
+        GridLeapfrog(springs, inverse, gravity=GRAVITY, drag=drag).advance(
+            x, v, steps, 0.05 / steps, alternate=alternate
         )
         return x
 
@@ -340,10 +340,10 @@ def test_any_number_of_threads_gives_the_same_bits(choice, dtype, alternate):
     for threads in (1, 2, 3, 5):
         x, v = crumpled(11, 13)
         grips = some_grips()
-        options = {"gravity": GRAVITY, "drag": 1.5, "dtype": dtype, "alternate": alternate}
+        options = {"gravity": GRAVITY, "drag": 1.5, "dtype": dtype}
         plan = GridLeapfrog(springs, some_masses(143), threads=threads, **options)
         for _ in range(3):
-            plan.advance(x, v, 7, 2e-4, grips=grips)
+            plan.advance(x, v, 7, 2e-4, grips=grips, alternate=alternate)
         results.append((x, v, grips.impulses, grips.work))
     for other in results[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))

@@ -7,6 +7,7 @@ import pytest
 
 from cloth_sim_ros.events import Grasp, Target
 from cloth_sim_ros.physics import grid_plan
+from cloth_sim_ros.physics.dynamics import Economy
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.mesh_plan import MeshPlan
@@ -110,7 +111,7 @@ def test_the_plan_is_what_runs(monkeypatch):
     """Guards the comparison above: with the plan's loop broken, the motion is wrong."""
     fused, plain = pair({})
 
-    def stay(x, v, steps, step, *, grips, start):
+    def stay(x, v, steps, step, *, grips, alternate, start):
         x[:], v[:] = start
 
     monkeypatch.setattr(fused.dynamics.plan._loop(np.float64), "advance", stay)
@@ -134,7 +135,7 @@ def test_a_turning_gripper_keeps_the_fused_loop_and_its_wrench(narrow, monkeypat
         x, v = simulation.state.x.copy(), simulation.state.v.copy()
         observer = WrenchObserver(simulation._grips)
         # The path of the frame before goes on.
-        leapfrog(simulation.dynamics, 2 / 60, x, v, 1e-4, 100, observer, narrow=narrow)
+        leapfrog(simulation.dynamics, 2 / 60, x, v, 1e-4, 100, observer, economy=Economy(narrow=narrow))
         ends.append(x)
         wrenches.append(observer.mean_wrenches)
     assert ends[0] == pytest.approx(ends[1], abs=2e-7 if narrow else 1e-12)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.events import Grasp, Target
+from cloth_sim_ros.physics.dynamics import Economy
 from cloth_sim_ros.physics.integrators import columns
 from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.surface import grid_triangles
@@ -42,16 +43,16 @@ def started(values):
 def test_a_run_from_other_arrays_gives_the_bits_of_one_in_place_and_leaves_them(values, how):
     simulation = started(values)
     dynamics, x, v = simulation.dynamics, simulation.state.x, simulation.state.v
-    narrow = how == "single"
+    economy = Economy(narrow=how == "single")
     if how == "by terms":
         dynamics.plan = None
     before = x.copy(), v.copy()
     here = x.copy(), v.copy()
-    leapfrog(dynamics, 0.0, *here, 1e-4, 9, narrow=narrow)
+    leapfrog(dynamics, 0.0, *here, 1e-4, 9, economy=economy)
     there = np.full_like(x, np.nan), np.full_like(v, np.nan)
-    leapfrog(dynamics, 0.0, *there, 1e-4, 9, narrow=narrow, start=(x, v))
+    leapfrog(dynamics, 0.0, *there, 1e-4, 9, economy=economy, start=(x, v))
     alone = np.full_like(x, np.nan)
-    leapfrog(dynamics, 0.0, alone, None, 1e-4, 9, narrow=narrow, start=(x, v))
+    leapfrog(dynamics, 0.0, alone, None, 1e-4, 9, economy=economy, start=(x, v))
     assert np.array_equal(x, before[0])
     assert np.array_equal(v, before[1])
     assert np.array_equal(here[0], there[0])

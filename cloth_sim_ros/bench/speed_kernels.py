@@ -79,9 +79,9 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
             forces.add(x, v, f)
 
     def stepper(*, alternate: bool) -> Callable[[], None]:
-        loop = _loop(sheet, springs, dtype, alternate=alternate)
+        loop = _loop(sheet, springs, dtype)
         position, velocity = x.copy(), v.copy()
-        return lambda: loop.advance(position, velocity, steps, _STILL)
+        return lambda: loop.advance(position, velocity, steps, _STILL, alternate=alternate)
 
     candidates = {
         "forces": evaluate,

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +19,25 @@ if TYPE_CHECKING:
 #: Cost of a leapfrog step by terms for one particle [ns]. Measured once, as those of the plans are: constants, so that
 #: what is chosen by them is the same on any machine.
 TERM_STEP = 90.0
+
+
+class Economy(NamedTuple):
+    """What a run of the fused leapfrog saves on."""
+
+    #: Single precision inside.
+    narrow: bool = False
+    #: Weak springs at every second step only; the number of steps is odd.
+    alternate: bool = False
+
+    @property
+    def words(self) -> str:
+        """What it saves on, to be added to a sentence."""
+        weak = "; weak springs at every second step" if self.alternate else ""
+        return weak + ("; in single precision" if self.narrow else "")
+
+
+#: A run that saves on nothing.
+THOROUGH = Economy()
 
 
 class LeapfrogPlan(Protocol):
@@ -38,16 +57,22 @@ class LeapfrogPlan(Protocol):
         observer: Observer | None,
         weight: float,
         *,
-        narrow: bool,
+        economy: Economy,
         start: tuple[Array, Array] | None,
     ) -> None:
         """Advance x, v (3, n) in place, or from `start`, see `integrators.march.leapfrog`, from time t by so many steps
-        [s]; the observer's weights are multiplied by weight. `narrow` asks for single precision inside, where that is
-        faster.
+        [s]; the observer's weights are multiplied by weight. What the plan can't save on makes no difference.
         """
 
     def narrows(self) -> bool:
-        """Whether `narrow` would make a difference to the next run."""
+        """Whether single precision would make a difference to the next run."""
+
+    @property
+    def alternate_share(self) -> float:
+        """Share of the step limit up to which weak springs may be taken at every second step; 0 where they may not."""
+
+    def alternate_stiffest(self) -> float:
+        """Bound of the squared frequency [1/s^2] up to which that holds, held as the sheet is held now."""
 
 
 class FusedForces(Protocol):

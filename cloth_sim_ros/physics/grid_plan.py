@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import TERM_STEP
+from cloth_sim_ros.physics.alternation import STIFFER, stable_share
+from cloth_sim_ros.physics.dynamics import TERM_STEP, THOROUGH, Economy
 from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
 from cloth_sim_ros.physics.kernels.grid_bounds import GridBounds
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
@@ -116,12 +117,12 @@ class GridPlan:
         observer: Observer | None,
         weight: float,
         *,
-        narrow: bool = False,
+        economy: Economy = THOROUGH,
         start: tuple[Array, Array] | None = None,
     ) -> None:
         """Advance x, v (3, n) in place, or from `start`, see `integrators.march.leapfrog`, from time t by so many steps
-        [s]; the observer's weights are multiplied by weight. `narrow` computes in single precision about the first
-        particle; what changes is added in double.
+        [s]; the observer's weights are multiplied by weight. Single precision is about the first particle; what changes
+        is added in double.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
         if self._loop is None:
@@ -132,7 +133,8 @@ class GridPlan:
             assert v0 is not None
             leapfrog_by_terms(self._dynamics, t, x0.copy(), v0.copy(), step, steps, observer, weight)
         grips, order = self._held(t, step, steps)
-        self._loop(np.float32 if narrow else np.float64).advance(x, v, steps, step, grips=grips, start=start)
+        loop = self._loop(np.float32 if economy.narrow else np.float64)
+        loop.advance(x, v, steps, step, grips=grips, alternate=economy.alternate, start=start)
         if wrenches is not None:
             back, duration = np.argsort(order), weight * step * steps
             if grips is not None and grips.turns is not None:
@@ -154,6 +156,20 @@ class GridPlan:
     def narrows(self) -> bool:
         """Whether single precision would make a difference to the next run."""
         return self.fused
+
+    @cached_property
+    def alternate_share(self) -> float:
+        """Share of the step limit up to which weak springs may be taken at every second step; 0 where they may not."""
+        masses = self._dynamics.model.masses
+        return stable_share(self._bounds.springs.families, float(np.median(masses))) if self.fused else 0.0
+
+    def alternate_stiffest(self) -> float:
+        """Bound of the squared frequency [1/s^2] up to which that holds, held as the sheet is held now."""
+        springs, count = self._bounds.springs, self._dynamics.model.particle_count
+        lengths = {family.name: family.rest_length for family in springs.families}
+        rows, columns = np.divmod(np.arange(count), springs.columns)
+        flat = np.stack([lengths["right"] * columns, lengths["down"] * rows, np.zeros(count)])
+        return STIFFER * self._dynamics.rates(flat)[0]
 
     def _turns(self, grips: Grips, order: np.ndarray, t: float, step: float, steps: int) -> GridTurns | None:
         """Poses at each step, where a gripper that holds something turns; else points follow cubics."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloth_sim_ros.physics.dynamics import THOROUGH, Economy
 from cloth_sim_ros.physics.integrators.march import leapfrog_by_terms
 from cloth_sim_ros.physics.kernels.mesh_leapfrog import MeshGrips, MeshLeapfrog, MeshPanels, Springs
 from cloth_sim_ros.physics.ordering import local_order
@@ -113,11 +114,11 @@ class MeshPlan:
         observer: Observer | None,
         weight: float,
         *,
-        narrow: bool = False,
+        economy: Economy = THOROUGH,
         start: tuple[Array, Array] | None = None,
     ) -> None:
         """Advance x, v (3, n) in place, or from `start`, see `integrators.march.leapfrog`, from time t by so many steps
-        [s]; the observer's weights are multiplied by weight. `narrow` makes no difference.
+        [s]; the observer's weights are multiplied by weight. `economy` makes no difference.
         """
         wrenches = observer if isinstance(observer, WrenchObserver) else None
         if observer is not None and wrenches is None:
@@ -131,6 +132,13 @@ class MeshPlan:
     def narrows(self) -> bool:
         """False: there is no loop in single precision."""
         return False
+
+    #: Weak springs are taken at every step.
+    alternate_share = 0.0
+
+    def alternate_stiffest(self) -> float:
+        """Bound of the squared frequency [1/s^2] up to which they would not have to be: there is none."""
+        return 0.0
 
     def _held(self) -> MeshGrips | None:
         grips = self._grips

@@ -23,11 +23,12 @@ class Options(Protocol):
 
 @attrs.frozen
 class Choice:
-    """Columns and refinement of an attempt, and whether a further column judges it."""
+    """Columns and refinement of an attempt, whether another run judges it, and whether it saves on nothing."""
 
     columns: int
     refine: float
     judge: bool
+    thorough: bool = False
 
 
 def binds(options: Options, choice: Choice, steps: int, step: float) -> str:

@@ -16,7 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
@@ -65,7 +65,7 @@ class Columns:
         observer: sees the first ``observed`` columns with the weights of their combination: its integrals are
             extrapolated as the state is.
         observed: number of columns of the combination that will be taken.
-        narrow: take single precision, where the dynamics have it.
+        economy: what the first run saves on; all others save on nothing but precision.
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class Columns:
         *,
         observer: Observer | None = None,
         observed: int = 0,
-        narrow: bool = False,
+        economy: Economy = THOROUGH,
     ) -> None:
         self._dynamics, self._start, self._t, self._duration = dynamics, start, t, duration
         self._observer = observer
         self._observed = weights(tuple(counts[:observed])) if observer is not None else ()
         self.counts = tuple(counts)
-        self.narrow = narrow
+        self.economy = economy
         self.evaluations = 0
         self._large = start.particle_count >= LARGE
         self._runs: list[tuple[Array, Array | None]] = []
@@ -118,10 +118,12 @@ class Columns:
             largest = max(largest, float(distance))
         return largest
 
-    def rounding(self) -> float:
-        """Return what single precision would change [m]: the largest distance of a particle in the first run."""
-        single, _ = self._march(0, None, 1.0, narrow=True, velocities=False)
-        return float(largest_distance(single, self.combine(1)[0]))
+    def check(self) -> float:
+        """Return the largest distance [m] of a particle in the first run, which saves on something, from the same in a
+        run by the steps of the second that saves on nothing but precision: the first one's error.
+        """
+        plain, _ = self._march(self.counts[1], None, 1.0, Economy(narrow=self.economy.narrow), velocities=False)
+        return float(largest_distance(plain, self.combine(1)[0]))
 
     def _make(self, columns: int, *, judging: bool = False) -> None:
         """Make the runs that are not there yet; of the last one positions alone where it only judges a large sheet."""
@@ -130,23 +132,23 @@ class Columns:
             velocities = not (judging and self._large and column + 1 == columns)
             seen = column < len(self._observed)
             observer, weight = (self._observer, self._observed[column]) if seen else (None, 1.0)
-            self._runs.append(self._march(column, observer, weight, narrow=self.narrow, velocities=velocities))
+            self._runs.append(self._march(self.counts[column], observer, weight, self.economy, velocities=velocities))
 
     def _march(
-        self, column: int, observer: Observer | None, weight: float, *, narrow: bool, velocities: bool = True
+        self, steps: int, observer: Observer | None, weight: float, economy: Economy, *, velocities: bool = True
     ) -> tuple[Array, Array | None]:
-        steps, start = self.counts[column], (self._start.x, self._start.v)
+        start = (self._start.x, self._start.v)
         x, v = np.empty_like(start[0]), np.empty_like(start[1]) if velocities else None
         step = self._duration / steps
         self.evaluations += leapfrog(
-            *(self._dynamics, self._t, x, v, step, steps, observer, weight), narrow=narrow, start=start
+            *(self._dynamics, self._t, x, v, step, steps, observer, weight), economy=economy, start=start
         )
         return x, v
 
     def _velocities(self, column: int) -> Array:
         if self._runs[column][1] is None:
             # It judged, and is part of the result after all.
-            self._runs[column] = self._march(column, None, 1.0, narrow=self.narrow)
+            self._runs[column] = self._march(self.counts[column], None, 1.0, self.economy)
         v = self._runs[column][1]
         assert v is not None
         return v

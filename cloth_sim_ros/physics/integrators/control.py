@@ -38,6 +38,15 @@ NARROW_SHARE = 0.02
 NARROW_MOTION = 1e3
 #: A stretch of single precision changes no less than this part of the distances within the sheet.
 NARROW_LEAST = 4e-8
+#: What single precision changes is measured over this part of a stretch's steps, and taken to be larger by the margin.
+ROUNDING_PART = 8
+ROUNDING_MARGIN = 1.5
+#: Share of the budget that may be lost where weak springs are evaluated at every second step, the error of the steps
+#: included.
+ALTERNATE_SHARE = 0.75
+#: In motion that changes a stretch no less than by this part of the distances within the sheet: where the budget has
+#: no room for it, it is not measured, and its code not compiled.
+ALTERNATE_LEAST = 3e-6
 #: Below this rounding rules [m]: a difference of combinations says nothing.
 ROUNDING = 2e-14
 
@@ -92,6 +101,10 @@ class Memory:
     made: float = 0.0
     #: Longest stable step since then [s].
     longest: float = 0.0
+    #: Error of a stretch with weak springs at every second step [m], when last measured; negative when unknown.
+    alternating: float = -1.0
+    #: Squared frequency [1/s^2] up to which that is stable; negative when unknown.
+    stiffest: float = -1.0
 
     @classmethod
     def of(cls, state: State) -> Memory:
@@ -107,8 +120,8 @@ class Memory:
         numbers = (self.columns, self.refine, self.wait, self.interval, self.error, self.ratio)
         state.memory[MEMORY] = np.array(
             (
-                *(*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping),
-                *(self.softest, self.made, self.longest),
+                *(*numbers, self.activity, self.stretch, self.rounding, self.omega2, self.damping, self.softest),
+                *(self.made, self.longest, self.alternating, self.stiffest),
             )
         )
 

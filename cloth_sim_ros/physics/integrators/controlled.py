@@ -8,25 +8,21 @@ import math
 
 import attrs
 
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
 from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.control import (
     AIM,
+    ALTERNATE_SHARE,
     COSTLY,
     FAR,
     FINEST,
     HOPELESS,
     LEAST_REFINED,
-    LIVELIER,
     LONGEST_WAIT,
     MANY_STEPS,
     MOST_COLUMNS,
-    NARROW_LEAST,
-    NARROW_MOTION,
-    NARROW_SHARE,
-    ROUNDING,
     SHARE_PER_SECOND,
     STALLED,
     STIFFENED,
@@ -36,6 +32,7 @@ from cloth_sim_ros.physics.integrators.control import (
     cheapest,
     hopeless,
 )
+from cloth_sim_ros.physics.integrators.economies import Economies
 from cloth_sim_ros.physics.integrators.energy_guard import EnergyGuard
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.integrators.last_resort import last_resort, within_reach
@@ -72,8 +69,9 @@ class ControlledAdvance:
         self._budget = SHARE_PER_SECOND * self._stretch * options.tolerance if options.tolerance else math.inf
         memory = Memory.of(state)
         if abs(memory.stretch - self._stretch) > 1e-6 * self._stretch:
-            memory.stretch, memory.wait, memory.rounding = self._stretch, 0, -1.0
+            memory.stretch, memory.wait, memory.rounding, memory.alternating = self._stretch, 0, -1.0, -1.0
         self._memory = memory
+        self._economies = Economies(dynamics, memory, self._stretch, self._budget)
         columns = min(memory.columns, options.columns) if controlled else options.columns
         if not controlled and memory.wait <= 0:
             # What the guard asked for is tried with larger steps from time to time.
@@ -81,6 +79,7 @@ class ControlledAdvance:
         self._choice = Choice(columns, memory.refine, controlled and memory.wait <= 0)
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._kept: Columns | None = None
+        self._saved = THOROUGH
         #: Least refinement that this advance's energy allows; whether none does.
         self._least, self._lost = 1.0, False
 
@@ -97,6 +96,8 @@ class ControlledAdvance:
             if MEMORY not in state.memory:
                 refuse_unstable(options.step, limit, options.name)
         self._limit = limit
+        if self._choice.judge:
+            self._economies.prepare(self._t, state, limit)
         start, begun = state.share(), (memory.omega2, memory.damping)
         rejected = 0
         while True:
@@ -133,7 +134,7 @@ class ControlledAdvance:
             binds=binds(options, self._choice, self._first, h),
             error=error if controlled else None,
             flagged=self._flagged,
-            reason=reason(options, self._choice, self._first, h),
+            reason=reason(options, self._choice, self._first, h) + self._saved.words,
         )
 
     def _last_resort(self, rejected: int) -> Advance:
@@ -170,11 +171,15 @@ class ControlledAdvance:
         state, choice = self._state, self._choice
         t = self._t + part * self._stretch
         # A stretch that stability would take in one step is refined from there.
-        longest = min(SAFETY * self._limit, self._stretch)
+        economy = self._economy()
+        longest = min(self._economies.share(economy, SAFETY) * self._limit, self._stretch)
         if self._options.step is not None:
             longest = self._options.step if self._options.step <= self._limit else min(self._options.step, longest)
         self._first = steps_for(self._stretch, longest / choice.refine)
-        columns = self._columns(part, t, start)
+        if economy.alternate:
+            self._first |= 1
+        columns = self._columns(part, t, start, economy)
+        self._saved = economy
         before = columns.evaluations
         x, v = columns.combine(choice.columns)
         if not all_finite(x, v):
@@ -255,14 +260,13 @@ class ControlledAdvance:
         memory.wait = memory.interval = min(LONGEST_WAIT, 2 * memory.interval)
         self._retry(self._choice.columns, memory.refine)
 
-    def _columns(self, part: int, t: float, start: State) -> Columns:
+    def _columns(self, part: int, t: float, start: State, economy: Economy) -> Columns:
         """The runs of a stretch; those of the first are kept over attempts with the same steps, unless somebody looks
         on.
         """
         counts = step_counts(self._first, MOST_COLUMNS + 1)
-        narrow = self._narrows()
         kept = self._kept
-        if part == 0 and kept is not None and kept.counts == counts and kept.narrow == narrow:
+        if part == 0 and kept is not None and kept.counts == counts and kept.economy == economy:
             return kept
         columns = Columns(
             self._dynamics,
@@ -272,34 +276,20 @@ class ControlledAdvance:
             counts,
             observer=self._observer,
             observed=self._choice.columns,
-            narrow=narrow,
+            economy=economy,
         )
         if part == 0 and self._observer is None:
             self._kept = columns
         return columns
 
-    def _narrows(self) -> bool:
-        """Whether this attempt takes single precision: one run, not judged, of which it was measured what rounding
-        does, of a motion that is large against that: what comes to rest has to find its place.
-        """
-        rounding, choice = self._memory.rounding, self._choice
-        if choice.columns > 1 or choice.judge or not 0.0 <= rounding <= NARROW_SHARE * self._budget:
-            return False
-        v = self._state.v
-        return max(float(v.max()), -float(v.min())) * self._stretch > NARROW_MOTION * rounding
-
-    def _rounding(self, columns: Columns) -> float:
-        """What single precision changes over the stretch [m]; negative where it does not come into question."""
-        plan = self._dynamics.plan
-        x = self._state.x
-        # Only one run at a time of the coarse combinations is made in it, and only where it can fit the budget.
-        least = NARROW_LEAST * float((x.max(axis=1) - x.min(axis=1)).max())
-        most = NARROW_SHARE * self._budget
-        if plan is None or self._memory.columns > 1 or least > most or not plan.narrows():
-            return -1.0
-        # What was far too much will not become little, nor the other way round before an event.
-        known = self._memory.rounding
-        return known if known > 1.5 * most or 0.0 <= known < 0.5 * most else columns.rounding()
+    def _economy(self) -> Economy:
+        """What the first run of the next attempt saves on; combinations save on nothing."""
+        choice = self._choice
+        # A thorough judgement alone makes steps larger again.
+        refined = choice.judge and choice.refine > 1.0
+        if choice.columns > 1 or choice.thorough or refined or self._options.tolerance is None:
+            return THOROUGH
+        return self._economies.of(self._state)
 
     def _retry(self, columns: int, refine: float) -> None:
         self._choice = Choice(columns, refine, self._choice.judge)
@@ -310,9 +300,7 @@ class ControlledAdvance:
         activity = float(largest_distance(columns.combine(choice.columns)[1], self._state.v))
         if not choice.judge:
             if choice.columns == 1:
-                livelier = max(1.0, activity / memory.activity) if memory.activity else math.inf
-                estimate = max(memory.error, ROUNDING) * livelier**LIVELIER
-                estimate += memory.rounding if columns.narrow else 0.0
+                estimate = self._economies.estimate(columns.economy, activity)
             else:
                 estimate = columns.difference(choice.columns - 1) * memory.ratio
             if estimate <= self._budget:
@@ -320,10 +308,8 @@ class ControlledAdvance:
             if choice.columns == 1 and memory.wait > 0 and hopeless(memory.error, choice.refine, self._budget):
                 self._flagged += 1
                 return estimate
-            if columns.narrow:
-                # A judgement compares runs in double precision.
-                self._choice = Choice(choice.columns, choice.refine, True)
-                return None
+        if columns.economy != THOROUGH:
+            return self._judge_economy(columns, activity)
         errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
         error = errors[-1]
         accepted = error <= self._budget
@@ -353,10 +339,25 @@ class ControlledAdvance:
         refine = max(refine, 0.5 * choice.refine, self._least)
         self._remember(errors, wanted, refine, activity, error)
         if accepted:
-            memory.rounding = self._rounding(columns)
             return error
         self._choice = Choice(wanted, refine, False)
         return None
+
+    def _judge_economy(self, columns: Columns, activity: float) -> float | None:
+        """As `_error`, of a run that saves on something, by one that saves on nothing but precision."""
+        memory, choice = self._memory, self._choice
+        error = columns.check()
+        lost = error + (memory.rounding if columns.economy.narrow else 0.0)
+        memory.error = error
+        if columns.economy.alternate:
+            memory.alternating = lost
+        if lost > ALTERNATE_SHARE * self._budget:
+            # Without leaving out springs, if they were; else all is found out anew.
+            self._choice = Choice(choice.columns, choice.refine, True, thorough=not columns.economy.alternate)
+            return None
+        memory.activity = activity
+        self._wait_longer(calm=True, quickly=columns.economy.alternate)
+        return lost
 
     def _unresolved(self, errors: list[float], activity: float) -> bool:
         """Whether an error is not small beside the motion itself, and a column more does not even halve it."""
@@ -374,8 +375,13 @@ class ControlledAdvance:
         calm = memory.error <= AIM * self._budget * 1.01 and error <= self._budget
         # Nor is there much to judge where nothing is within reach.
         calm = calm or (self._flagged > 0 and columns == 1)
+        self._wait_longer(calm=calm)
+
+    def _wait_longer(self, *, calm: bool, quickly: bool = False) -> None:
+        """Put off the next judgement."""
+        memory = self._memory
         if memory.error <= FAR * self._budget:
             memory.interval = min(4 * LONGEST_WAIT, 4 * memory.interval)
         else:
-            memory.interval = min(LONGEST_WAIT, 2 * memory.interval) if calm else 1
+            memory.interval = min(LONGEST_WAIT, (4 if quickly else 2) * memory.interval) if calm else 1
         memory.wait = memory.interval

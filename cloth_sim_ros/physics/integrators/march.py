@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.kernels.leapfrog import drift_and_predict, kick_and_drift
 from cloth_sim_ros.physics.terms.base import Array
@@ -22,7 +22,7 @@ def leapfrog(
     observer: Observer | None = None,
     weight: float = 1.0,
     *,
-    narrow: bool = False,
+    economy: Economy = THOROUGH,
     start: tuple[Array, Array] | None = None,
 ) -> int:
     """Advance x, v (3, n) by leapfrog with a predicted midpoint velocity; return the force evaluations.
@@ -40,11 +40,11 @@ def leapfrog(
         steps: number of steps.
         observer: called at each midpoint.
         weight: factor on the observer's weights.
-        narrow: take the fused plan's single precision, where it has one.
+        economy: what the fused plan saves on, where there is one.
         start: positions and velocities to start from, which stay as they are; those in x and v where left out.
     """
     if dynamics.plan is not None:
-        dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight, narrow=narrow, start=start)
+        dynamics.plan.leapfrog(t, x, v, step, steps, observer, weight, economy=economy, start=start)
     else:
         leapfrog_by_terms(dynamics, t, x, v, step, steps, observer, weight, start=start)
     return steps + 1

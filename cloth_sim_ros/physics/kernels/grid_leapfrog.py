@@ -80,11 +80,11 @@ class GridLeapfrog:
         drag: a = -drag v [1/s]; 0 for none.
         dtype: float64, or float32 for arithmetic in single precision about the sheet's first particle. Either way
             `advance` takes and gives float64 and adds the change to it; in single precision the positions carry what
-            rounding takes from them, so that it does not add up. alternate: evaluate the families marked `weak` at
-            every second step only, with twice the impulse. threads: the sheet is cut into as many bands of rows, each
-            moved by a thread of its own. The bits do not depend on it.
-        beside: another loop of the same sheet, which never runs at the same time: they share the room for the copy of
-            the state, where this one's fits.
+            rounding takes from them, so that it does not add up.
+        threads: the sheet is cut into as many bands of rows, each moved by a thread of its own. The bits do not depend
+            on it.
+        beside: another loop of the same sheet, which never runs at the same time: they share threads, and the
+            room for the copy of the state, where this one's fits.
 
     Not safe for two calls at once: the object owns its padded copy of the state.
 
@@ -100,7 +100,6 @@ class GridLeapfrog:
         gravity: ArrayLike | None = None,
         drag: float = 0.0,
         dtype: Any = np.float64,
-        alternate: bool = False,
         threads: int = 1,
         beside: GridLeapfrog | None = None,
     ) -> None:
@@ -115,14 +114,16 @@ class GridLeapfrog:
                 f"{threads} threads for {springs.rows} rows; take from 1 to {max(springs.rows // REACH, 1)}"
             )
         self.springs = springs
-        self.alternate = alternate and any(family.weak for family in springs.families)
+        self._weak = any(family.weak for family in springs.families)
         self._dtype = np.dtype(dtype)
         self._drag = float(drag)
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
-        self._plans: dict[tuple[float, bool], tuple[Any, ...]] = {}
+        self._plans: dict[tuple[float, bool, bool], tuple[Any, ...]] = {}
         self._sheet: Sheet = self._cut(inverse, threads, None if beside is None else beside._sheet.state)
-        self._workers = ThreadPoolExecutor(threads - 1, thread_name_prefix="grid") if threads > 1 else None
+        self._workers: ThreadPoolExecutor | None = None if beside is None else beside._workers
+        if self._workers is None and threads > 1:
+            self._workers = ThreadPoolExecutor(threads - 1, thread_name_prefix="grid")
 
     def _cut(self, inverse: Array, threads: int, room: NDArray[Any] | None) -> Sheet:
         """Cut the sheet into bands of about equal height. Each run clears what it takes of the room."""
@@ -148,9 +149,9 @@ class GridLeapfrog:
             boxes=np.zeros((threads, 2, 2, halo * stride if threads > 1 else 0), dtype=self._dtype),
         )
 
-    def _step_plan(self, dt: float, grips: bool) -> tuple[Any, ...]:
+    def _step_plan(self, dt: float, grips: bool, alternate: bool) -> tuple[Any, ...]:
         """Shapes and values of the steps, as `advance_sheet` takes them. The last ones are kept."""
-        known = self._plans.get((dt, grips))
+        known = self._plans.get((dt, grips, alternate))
         if known is not None:
             return known
 
@@ -160,7 +161,7 @@ class GridLeapfrog:
 
         plan: tuple[Any, ...]
         once = count_weak({False: 1.0, True: 1.0})
-        if self.alternate:
+        if alternate:
             fast = count_weak({False: 1.0}).shape
             ends, full = (count_weak({False: 1.0, True: factor}).values for factor in (1.5, 2.0))
             plan = (once.shape, fast, once.values, ends, full)
@@ -168,17 +169,19 @@ class GridLeapfrog:
             plan = (once.shape, None, once.values, once.values, once.values)
         if len(self._plans) == _KEPT_PLANS:
             self._plans.pop(next(iter(self._plans)))
-        self._plans[dt, grips] = plan
+        self._plans[dt, grips, alternate] = plan
         return plan
 
-    def compile(self, *, grips: bool = False) -> None:
+    def compile(self, *, grips: bool = False, alternate: bool = False) -> None:
         """Compile, or load from the disk cache, what `advance` needs; the first time takes a few seconds."""
         count = self.springs.rows * self.springs.columns
         held = GridGrips(
             *(np.zeros(1, dtype=np.int64), np.zeros((1, 3, 4)), np.zeros(1), np.zeros(1)),
             *(np.zeros((1, 3)), np.zeros((1, 3))),
         )
-        self.advance(np.zeros((3, count)), np.zeros((3, count)), 3, 0.0, grips=held if grips else None)
+        self.advance(
+            np.zeros((3, count)), np.zeros((3, count)), 3, 0.0, grips=held if grips else None, alternate=alternate
+        )
 
     def advance(
         self,
@@ -188,13 +191,15 @@ class GridLeapfrog:
         dt: float,
         *,
         grips: GridGrips | None = None,
+        alternate: bool = False,
         start: tuple[Array, Array] | None = None,
     ) -> None:
         """Advance positions x [m] and velocities v [m/s] by `steps` steps of dt [s], in place, or from those of
         `start`, which stay as they are; v may then be None, and only positions are set. No bit depends on it.
 
-        All (3, rows * columns) float64, C-contiguous. With `alternate` the number of steps must be odd: then the
-        impulses of the weak families lie symmetrically in the call, the first and the last counting 1.5 times.
+        All (3, rows * columns) float64, C-contiguous. `alternate` evaluates the families marked `weak` at every
+        second step only, with twice the impulse. The number of steps must be odd then: so the impulses lie
+        symmetrically in the call, the first and the last counting 1.5 times.
 
         Raises:
             ValueError: for another shape, a number of steps that is not positive or, with `alternate`, even, or v that
@@ -209,10 +214,11 @@ class GridLeapfrog:
                 check_array(name, array, expected)
         if steps < 1:
             raise ValueError(f"{steps} steps; at least one is needed")
-        if self.alternate and steps % 2 == 0:
+        alternate = alternate and self._weak
+        if alternate and steps % 2 == 0:
             raise ValueError(f"{steps} steps; weak families at every second step need an odd number")
         origin = np.zeros(3) if self._dtype == np.float64 else x0[:, 0].copy()
-        shape, fast, once, ends, full = self._step_plan(dt, grips is not None)
+        shape, fast, once, ends, full = self._step_plan(dt, grips is not None, alternate)
         common: tuple[Any, ...] = (
             *(x0.reshape(-1), v0.reshape(-1), x.reshape(-1), np.empty(0) if v is None else v.reshape(-1)),
             *(origin, steps, dt, shape, fast, once),
