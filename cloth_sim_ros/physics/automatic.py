@@ -72,6 +72,8 @@ class Choice:
     wait: float = 0.0
     #: Cost of an explicit frame at the stability limit when last compared [ns].
     explicit: float = 0.0
+    #: What one cost that missed the tolerance none the less [ns].
+    vain: float = 0.0
 
     @classmethod
     def of(cls, state: State) -> Choice:
@@ -79,7 +81,7 @@ class Choice:
         return cls() if stored is None else cls(*stored.tolist())
 
     def store(self, state: State) -> None:
-        state.memory[CHOICE] = np.array((self.implicit, self.cost, self.wait, self.explicit))
+        state.memory[CHOICE] = np.array((self.implicit, self.cost, self.wait, self.explicit, self.vain))
 
 
 class Automatic(Integrator):
@@ -131,6 +133,11 @@ class Automatic(Integrator):
             cost = done.evaluations * _implicit_iteration(dynamics)
             # A single frame that had to be repeated is no reason to change.
             memory.cost = 0.8 * memory.cost + 0.2 * cost if memory.cost else cost
+        elif done.flagged:
+            cost = done.evaluations * dynamics.step_cost * dynamics.model.particle_count
+            if cost > AFFORDABLE * duration * 1e9:
+                # Small steps that miss the tolerance are worth no more than large ones that do.
+                memory.vain, memory.wait = cost, 0.0
         memory.store(state)
         if memory.implicit:
             why = "too stiff for explicit steps in real time"
@@ -142,7 +149,9 @@ class Automatic(Integrator):
         """Compare costs, from time to time and whenever the implicit method turns out dear."""
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > _DEAR * memory.explicit):
             return
-        memory.explicit = _explicit_frame(dynamics, state, duration)
+        memory.explicit = max(_explicit_frame(dynamics, state, duration), memory.vain)
+        # Before long it is tried again.
+        memory.vain *= 0.5
         better = memory.explicit > AFFORDABLE * duration * 1e9 and within_reach(dynamics)
         if better:
             implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
