@@ -84,6 +84,9 @@ class Simulation:
         wake(initial)
         self._initial = initial
         self.state = initial.copy() if state is None else state.copy()
+        if not initial.v.any():
+            # What a reset returns to as a rule is at rest: one zero stands for all.
+            initial.v = np.broadcast_to(0.0, initial.v.shape)
         self.state.cloth = initial.cloth
         self.state.memory.setdefault("paused", np.zeros(1, dtype=bool))
         self.grippers = Grippers(scene.gripper_names, self.state)

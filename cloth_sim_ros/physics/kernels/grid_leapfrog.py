@@ -146,7 +146,7 @@ class GridLeapfrog:
             ring=aligned_zeros(threads * levels * 9 * pitch, self._dtype).reshape(threads, levels * 9 * pitch),
             table=table,
             table_rows=np.concatenate([beyond, table_rows, beyond]),
-            boxes=np.zeros((threads, 2, 2, halo * stride if threads > 1 else 0), dtype=self._dtype),
+            boxes=np.zeros((threads - 1, 2, 2, halo * stride), dtype=self._dtype),
         )
 
     def _step_plan(self, dt: float, grips: bool, alternate: bool) -> tuple[Any, ...]:

@@ -47,7 +47,8 @@ class Sheet(NamedTuple):
     in one sweep. `borders`: first row of each band, and `rows`. `state`: for each band its rows with REACH * levels
     rows on either side. `ring`: for each band and level 3 rows of 3 times `pitch`. `table`: see `grid_rows`;
     `table_rows`: where the entries of the rows start, from REACH * levels rows above the sheet to as many below.
-    `boxes`: outer rows of each band, [band, upper or lower, parity of the sweep, numbers].
+    `boxes`: rows on either side of each border between two bands, [border, below or above, parity of the sweep,
+    numbers].
     """
 
     rows: int
@@ -298,7 +299,7 @@ def _post(sheet, band, number, turn):  # type: ignore[no-untyped-def]
     stride = sheet.components * sheet.pitch
     count, size = REACH * sheet.levels * stride, (band.last - band.first) * stride
     if number > 0:
-        _copy(band.state, count, sheet.boxes[number, 0, turn % 2], 0, count)
+        _copy(band.state, count, sheet.boxes[number - 1, 0, turn % 2], 0, count)
     if number < len(sheet.borders) - 2:
         _copy(band.state, size, sheet.boxes[number, 1, turn % 2], 0, count)
 
@@ -311,7 +312,7 @@ def _take_in(sheet, band, number, turn):  # type: ignore[no-untyped-def]
     if number > 0:
         _copy(sheet.boxes[number - 1, 1, turn % 2], 0, band.state, 0, count)
     if number < len(sheet.borders) - 2:
-        _copy(sheet.boxes[number + 1, 0, turn % 2], 0, band.state, count + size, count)
+        _copy(sheet.boxes[number, 0, turn % 2], 0, band.state, count + size, count)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
