@@ -7,10 +7,13 @@ from __future__ import annotations
 
 def give_back() -> None:
     """Give what is free within the process back to the system, where the C library can: as much as the process needs
-    for itself is taken for a while when a large sheet is built, in pieces, and would stay.
+    for itself is taken for a while when a large sheet is built, in pieces, and would stay. What refers to itself, such
+    as the equations that were in force before, goes first.
     """
     import ctypes
+    import gc
 
+    gc.collect()
     try:
         trim = ctypes.CDLL(None).malloc_trim
     except (AttributeError, OSError, TypeError):

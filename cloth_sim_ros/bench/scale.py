@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> Report:
         report.plots.append(Plot(f"Time, {kind}", "particles", "ns a particle and step", {kind: points}))
     report.tables += [times, memory]
     report.notes.append("each sheet in processes of its own, sizes in turn; of several the shortest median frame")
-    report.notes.append("memory beyond that of a process that has run a sheet of 144 particles of the same kind")
+    report.notes.append("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
     return report
 
 

@@ -29,6 +29,8 @@ from cloth_sim_ros.simulation import Simulation
 #: Steps of a frame: so many that what a frame does once does not count much, at any size.
 STEPS = 40
 _KINDS = ("grid", "mesh")
+#: Particles a side of a sheet that loads the code which larger ones run.
+_WARM = 56
 _MESH = "sheet.ply"
 
 
@@ -39,8 +41,8 @@ def main() -> int:
     parser.add_argument("resolution", type=int, help="particles a side")
     parser.add_argument("--seconds", type=float, default=3.0, help="of timing")
     options = parser.parse_args()
-    # A small sheet of the same kind first: what the code itself needs is no sheet's.
-    _frames(_scene(options.kind, 12), frames=3)
+    # A small sheet of the same kind first, large enough for all threads: what the code itself needs is no sheet's.
+    _frames(_scene(options.kind, _WARM), frames=3)
     gc.collect()
     _forget_peak()
     before = _peak()

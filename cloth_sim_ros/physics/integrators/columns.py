@@ -19,15 +19,15 @@ import numpy as np
 from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.integrators.march import leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
+from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 
 #: Step counts of the columns, relative to the first. Wider ones cost more, narrower ones amplify rounding and what
 #: high modes do: the sums of |w| of the first 1 to 5 columns are 1, 4.6, 17.7, 32 and 70.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
-#: Particles from which no array is kept that can be made again: of runs that only judge others the velocities, of
-#: combinations that are only compared the positions. No bit depends on it.
+#: Particles from which no array is kept that can be made again: of runs the velocities, whose sum is all that is taken,
+#: of combinations that are only compared the positions. No bit depends on it.
 LARGE = 50_000
 #: Particles of a large sheet whose combinations are compared at once.
 _STRETCH = 4096
@@ -62,9 +62,9 @@ class Columns:
         t: time at the start [s].
         duration: length of the stretch [s].
         counts: step counts of the columns that may be asked for.
-        observer: sees the first ``observed`` columns with the weights of their combination: its integrals are
+        observer: sees the first ``taken`` columns with the weights of their combination: its integrals are
             extrapolated as the state is.
-        observed: number of columns of the combination that will be taken.
+        taken: number of columns of the combination that will be taken; of a small sheet any can be.
         economy: what the first run saves on; all others save on nothing but precision.
     """
 
@@ -77,32 +77,68 @@ class Columns:
         counts: Sequence[int],
         *,
         observer: Observer | None = None,
-        observed: int = 0,
+        taken: int = 1,
         economy: Economy = THOROUGH,
     ) -> None:
         self._dynamics, self._start, self._t, self._duration = dynamics, start, t, duration
         self._observer = observer
-        self._observed = weights(tuple(counts[:observed])) if observer is not None else ()
+        self._observed = weights(tuple(counts[:taken])) if observer is not None else ()
+        self._taken = taken
         self.counts = tuple(counts)
         self.economy = economy
         self.evaluations = 0
         self._large = start.particle_count >= LARGE
+        #: Positions and velocities of the runs; of a large sheet's positions alone.
         self._runs: list[tuple[Array, Array | None]] = []
+        #: Velocities of the combination that will be taken, summed as the runs are made; for large sheets.
+        self._sum: Array | None = None
         self._combined: dict[int, tuple[Array, Array]] = {}
 
+    def serves(self, columns: int) -> bool:
+        """Whether T_K, K = columns, can be taken: a large sheet's runs are there for one result."""
+        whole = columns == 1 or columns not in self._combined
+        return not self._large or (columns == self._taken and whole)
+
     def combine(self, columns: int) -> tuple[Array, Array]:
-        """Return positions and velocities of T_K, K = columns."""
+        """Return positions and velocities of T_K, K = columns; of a large sheet for the one that `serves`, and at last:
+        its runs go with that.
+        """
         if columns not in self._combined:
-            self._make(columns)
+            v = self.velocities(columns)
             if columns == 1:
-                self._combined[1] = self._runs[0][0], self._velocities(0)
-                return self._combined[1]
-            x = self._positions(columns, slice(None))
-            v = np.zeros_like(x)
-            for column, weight in enumerate(weights(self.counts[:columns])):
-                _add_weighted(v, weight, self._velocities(column))
+                x = self._runs[0][0]
+            elif self._large:
+                x = self._runs[0][0]
+                for first in range(0, x.shape[1], _STRETCH):
+                    here = slice(first, first + _STRETCH)
+                    x[:, here] = self._positions(columns, here)
+                self._runs.clear()
+            else:
+                x = self._positions(columns, slice(None))
             self._combined[columns] = x, v
         return self._combined[columns]
+
+    def velocities(self, columns: int) -> Array:
+        """Return the velocities of T_K, K = columns; of a large sheet for the one that `serves`."""
+        if columns in self._combined:
+            return self._combined[columns][1]
+        self._make(columns)
+        if not self._large:
+            v = self._runs[0][1]
+            assert v is not None
+            return v if columns == 1 else self._weighted(columns, [v for _, v in self._runs])
+        assert self._sum is not None and columns == self._taken, f"T_{columns} where T_{self._taken} was to be taken"
+        return self._sum
+
+    def finite(self, columns: int) -> bool:
+        """Whether T_K, K = columns, is finite."""
+        if not self._large:
+            return bool(all_finite(*self.combine(columns)))
+        v = self.velocities(columns)
+        stretches = range(0, self._start.particle_count, _STRETCH)
+        return bool(all_finite(v, v)) and all(
+            all_finite(x, x) for x in (self._positions(columns, slice(k, k + _STRETCH)) for k in stretches)
+        )
 
     def difference(self, columns: int) -> float:
         """Return the largest distance of a particle in T_(K+1) from the same in T_K [m], K = columns; the error of
@@ -110,7 +146,7 @@ class Columns:
         """
         if not self._large:
             return float(largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0]))
-        self._make(columns + 1, judging=True)
+        self._make(columns + 1)
         largest = 0.0
         for first in range(0, self._start.particle_count, _STRETCH):
             here = slice(first, first + _STRETCH)
@@ -122,17 +158,22 @@ class Columns:
         """Return the largest distance [m] of a particle in the first run, which saves on something, from the same in a
         run by the steps of the second that saves on nothing but precision: the first one's error.
         """
+        self._make(1)
         plain, _ = self._march(self.counts[1], None, 1.0, Economy(narrow=self.economy.narrow), velocities=False)
-        return float(largest_distance(plain, self.combine(1)[0]))
+        return float(largest_distance(plain, self._runs[0][0]))
 
-    def _make(self, columns: int, *, judging: bool = False) -> None:
-        """Make the runs that are not there yet; of the last one positions alone where it only judges a large sheet."""
+    def _make(self, columns: int) -> None:
+        """Make the runs that are not there yet."""
         while len(self._runs) < columns:
             column = len(self._runs)
-            velocities = not (judging and self._large and column + 1 == columns)
             seen = column < len(self._observed)
             observer, weight = (self._observer, self._observed[column]) if seen else (None, 1.0)
-            self._runs.append(self._march(self.counts[column], observer, weight, self.economy, velocities=velocities))
+            wanted = not self._large or column < self._taken
+            x, v = self._march(self.counts[column], observer, weight, self.economy, velocities=wanted)
+            if self._large and v is not None:
+                self._add_velocities(column, v)
+                v = None
+            self._runs.append((x, v))
 
     def _march(
         self, steps: int, observer: Observer | None, weight: float, economy: Economy, *, velocities: bool = True
@@ -145,23 +186,30 @@ class Columns:
         )
         return x, v
 
-    def _velocities(self, column: int) -> Array:
-        if self._runs[column][1] is None:
-            # It judged, and is part of the result after all.
-            self._runs[column] = self._march(self.counts[column], None, 1.0, self.economy)
-        v = self._runs[column][1]
-        assert v is not None
-        return v
+    def _add_velocities(self, column: int, v: Array) -> None:
+        """Add those of a run to the sum for the combination that will be taken."""
+        if self._taken == 1:
+            self._sum = v
+            return
+        if column == 0:
+            self._sum = np.zeros_like(v)
+        assert self._sum is not None
+        _add_weighted(self._sum, weights(self.counts[: self._taken])[column], v)
 
     def _positions(self, columns: int, here: slice) -> Array:
         """Positions of T_K, K = columns, of some particles, C-contiguous."""
-        first = np.ascontiguousarray(self._runs[0][0][:, here])
         if columns == 1:
-            return first
-        x = np.zeros_like(first)
-        for weight, (a, _) in zip(weights(self.counts[:columns]), self._runs, strict=False):
-            _add_weighted(x, weight, a[:, here])
-        return x
+            return np.ascontiguousarray(self._runs[0][0][:, here])
+        return self._weighted(columns, [x[:, here] for x, _ in self._runs])
+
+    def _weighted(self, columns: int, arrays: Sequence[Array | None]) -> Array:
+        total: Array | None = None
+        for weight, array in zip(weights(self.counts[:columns]), arrays, strict=False):
+            assert array is not None
+            total = np.zeros(array.shape) if total is None else total
+            _add_weighted(total, weight, array)
+        assert total is not None
+        return total
 
 
 def _add_weighted(out: Array, weight: float, array: Array) -> None:

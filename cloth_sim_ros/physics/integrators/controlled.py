@@ -36,7 +36,7 @@ from cloth_sim_ros.physics.integrators.economies import Economies
 from cloth_sim_ros.physics.integrators.energy_guard import EnergyGuard
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.integrators.last_resort import last_resort, within_reach
-from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
+from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
 from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.drag import Drag
@@ -181,8 +181,7 @@ class ControlledAdvance:
         columns = self._columns(part, t, start, economy)
         self._saved = economy
         before = columns.evaluations
-        x, v = columns.combine(choice.columns)
-        if not all_finite(x, v):
+        if not columns.finite(choice.columns):
             self._evaluations += columns.evaluations - before
             if choice.refine >= FINEST and not within_reach(self._dynamics):
                 raise UnstableError(
@@ -197,6 +196,7 @@ class ControlledAdvance:
         self._evaluations += columns.evaluations - before
         if error is None:
             return None
+        x, v = columns.combine(choice.columns)
         omega2, damping = self._dynamics.rates(x)
         limit = self._options.step_limit(omega2, damping)
         h = self._stretch / self._first
@@ -267,7 +267,9 @@ class ControlledAdvance:
         counts = step_counts(self._first, MOST_COLUMNS + 1)
         kept = self._kept
         if part == 0 and kept is not None and kept.counts == counts and kept.economy == economy:
-            return kept
+            if kept.serves(self._choice.columns):
+                return kept
+            self._kept = None
         columns = Columns(
             self._dynamics,
             start if part == 0 else self._state,
@@ -275,7 +277,7 @@ class ControlledAdvance:
             self._stretch,
             counts,
             observer=self._observer,
-            observed=self._choice.columns,
+            taken=self._choice.columns,
             economy=economy,
         )
         if part == 0 and self._observer is None:
@@ -297,7 +299,7 @@ class ControlledAdvance:
     def _error(self, columns: Columns) -> float | None:
         """Return the stretch's estimated error [m], or None after choosing what to try next."""
         memory, choice = self._memory, self._choice
-        activity = float(largest_distance(columns.combine(choice.columns)[1], self._state.v))
+        activity = float(largest_distance(columns.velocities(choice.columns), self._state.v))
         if not choice.judge:
             if choice.columns == 1:
                 estimate = self._economies.estimate(columns.economy, activity)
