@@ -90,3 +90,15 @@ def test_a_large_sheet_compares_combinations_stretch_by_stretch(monkeypatch):
         found.append([float(np.abs(part).sum()) for part in runs.combine(4)])
     assert found[0] == found[2] == found[4]
     assert found[1] == found[3] == found[5]
+
+
+def test_a_large_sheets_runs_serve_one_result(monkeypatch):
+    simulation = started(SCENES["grid"])
+    counts = columns.step_counts(40, 4)
+    for large, often in ((10**9, True), (1, False)):
+        monkeypatch.setattr(columns, "LARGE", large)
+        runs = columns.Columns(simulation.dynamics, simulation.state, 0.0, 1 / 60, counts, taken=2)
+        assert runs.finite(2)
+        assert [runs.serves(k) for k in (1, 2, 3)] == [often, True, often]
+        runs.combine(2)
+        assert runs.serves(2) is often

@@ -164,6 +164,7 @@ class MeshLeapfrog:
             aligned_zeros(count * QUAD, np.float64),
             np.ascontiguousarray(inverse[order]),
             np.ascontiguousarray(order),
+            self._rank,
         )
         self._speeds = aligned_zeros(count * ROW, np.float64)
         self._drag = float(drag)

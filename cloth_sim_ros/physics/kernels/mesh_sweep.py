@@ -81,13 +81,14 @@ class Held(NamedTuple):
 
 class Particles(NamedTuple):
     """`rows`, `force`: see `mesh_emit`, flat; forces are zero between runs. `inverse`: 1/m [1/kg]. `order`: number
-    outside of each.
+    outside of each. `rank`: for each number outside its place here.
     """
 
     rows: Floats
     force: Floats
     inverse: Floats
     order: NDArray[np.int64]
+    rank: NDArray[np.int64]
 
 
 class Forces(NamedTuple):
@@ -165,26 +166,29 @@ def _views(rows, force):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _load(particles, motion, x, v):  # type: ignore[no-untyped-def]
-    """Copy positions and velocities in; the velocity that forces see starts as the velocity."""
-    rows, _, _, order = particles
-    for i in range(len(order)):
-        outside = order[i]
+    """Copy positions and velocities in; the velocity that forces see starts as the velocity.
+
+    In the order outside: there a particle lies in six places, here in two.
+    """
+    rows, rank = particles.rows, particles.rank
+    for outside in range(len(rank)):
+        place = rank[outside] * ROW
         for c in range(3):
-            rows[i * ROW + c] = x[c, outside]
-            rows[i * ROW + QUAD + c] = v[c, outside]
+            rows[place + c] = x[c, outside]
+            rows[place + QUAD + c] = v[c, outside]
             if motion is not None:
-                motion[i * ROW + c] = v[c, outside]
+                motion[place + c] = v[c, outside]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _unload(particles, motion, x, v, half):  # type: ignore[no-untyped-def]
     """Copy positions, half a step back from where they are, and velocities out, these unless v is empty."""
-    rows, _, _, order = particles
-    for i in range(len(order)):
-        outside = order[i]
+    rows, rank = particles.rows, particles.rank
+    for outside in range(len(rank)):
+        place = rank[outside] * ROW
         for c in range(3):
-            speed = rows[i * ROW + QUAD + c] if motion is None else motion[i * ROW + c]
-            x[c, outside] = rows[i * ROW + c] - half * speed
+            speed = rows[place + QUAD + c] if motion is None else motion[place + c]
+            x[c, outside] = rows[place + c] - half * speed
             if len(v):
                 v[c, outside] = speed
 
@@ -201,7 +205,7 @@ def _drift(particles, duration):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _take(block, entry, dt, particles, speeds, motion, forces, held, start):  # type: ignore[no-untyped-def]
     """Add a block's forces and move its particles."""
-    rows, force, inverse, order = particles
+    rows, force, inverse, order, _ = particles
     _forces(
         block,
         rows,
