@@ -195,6 +195,8 @@ def start_process(tmp_path: Path) -> Iterator[Callable[..., RunningProcess]]:
     yield start
     for process in running:
         _stop(process)
+        # Shown where the test fails: what the others said is half of why.
+        print(f"--- {' '.join(process.arguments)}\n{process.output[-4000:]}")
 
 
 @pytest.fixture

@@ -44,9 +44,7 @@ class Actors:
         }[name]
         self._processes[name] = self._start(arguments)
         if wait:
-            self._processes[name].wait_for_output(
-                {"node": STARTED, "gripper": "waiting for", "subscriber": "ready"}[name]
-            )
+            self.wait_for_output(name, {"node": STARTED, "gripper": "waiting for", "subscriber": "ready"}[name])
 
     def signal(self, name: str, number: int) -> None:
         self._processes[name].send_signal(number)
@@ -57,6 +55,9 @@ class Actors:
 
     def interrupt(self, name: str) -> int:
         return int(self._processes[name].interrupt())
+
+    def wait_for_output(self, name: str, text: str) -> None:
+        self._processes[name].wait_for_output(text)
 
     def output(self, name: str) -> str:
         return str(self._processes[name].output)
@@ -153,6 +154,23 @@ def test_stalled_processes_hold_nobody_up(grasp: tuple[Actors, Client]) -> None:
     assert len(client.clouds) > frames
     assert actors.interrupt("node") == 0
     assert "Traceback" not in actors.output("node")
+
+
+def test_a_gripper_held_up_over_its_grasp_closes_where_the_cloth_is(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    actors = Actors(start_process, tmp_path)
+    actors.start("node")
+    with Client() as client:
+        client.watch()
+        actors.start("gripper")
+        # By its script it closes a second from now, and moves away after that.
+        actors.wait_for_output("gripper", "playing")
+        actors.signal("gripper", signal.SIGSTOP)
+        # Until well after the lift.
+        client.wait_for_clouds(180)
+        actors.signal("gripper", signal.SIGCONT)
+        client.spin_until(lambda: is_lifted(client), what="the corner lifted")
 
 
 def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> None:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.gripper_script import GripperScript
+from cloth_sim_ros.ros.gripper_script import GraspAt, GripperScript
 from cloth_sim_ros.ros.messages import set_stamp
 
 #: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after the node was seen [s],
@@ -23,6 +23,9 @@ _SETTLING = 3.0
 _SETTLING_WITH_OTHERS = 1.0
 #: How often a wait looks whether it shall go on.
 _POLL = Duration(seconds=0.1)
+#: A grasp later than this is made up for: the script goes on from as long before it, not from where the path has come
+#: to since [s].
+_HELD_UP = 0.1
 #: How long the end waits for the last grasp to be received.
 _DELIVERY = Duration(seconds=0.5)
 
@@ -100,14 +103,25 @@ class GripperPlayer:
         return False
 
     def play(self) -> bool:
-        """Play the script from beginning to end, in the time of the node's clock; False if told to end early."""
+        """Play the script from beginning to end, in the time of the node's clock; False if told to end early.
+
+        Where we were held up over a grasp, all that follows is later: a hand that closes where the cloth is no more
+        holds nothing.
+        """
         clock = self._node.get_clock()
         start = clock.now().nanoseconds
         waiting = list(self._script.grasps)
+        made_up_for: GraspAt | None = None
         period = 1.0 / self._script.rate
         due = time.monotonic()
         while self._proceed():
             elapsed = (clock.now().nanoseconds - start) * 1e-9
+            if waiting and elapsed > waiting[0].time + _HELD_UP and waiting[0] is not made_up_for:
+                # Once for each: the steps of a simulated clock may be longer.
+                made_up_for = waiting[0]
+                late = elapsed - max(made_up_for.time - _HELD_UP, 0.0)
+                start += int(late * 1e9)
+                elapsed -= late
             self._send_target(min(elapsed, self._script.duration))
             while waiting and waiting[0].time <= elapsed:
                 self._grasps.publish(Bool(data=waiting.pop(0).closed))
