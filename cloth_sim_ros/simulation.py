@@ -18,6 +18,7 @@ from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance, restart
 from cloth_sim_ros.physics.integrators.columns import LARGE
+from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.sleep import Sleep, is_asleep, wake
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
@@ -207,9 +208,11 @@ class Simulation:
                 case Grasp():
                     grasps.append(self._grasp(event))
                 case SetParameters(values=values):
+                    # A motion beyond the fixed step already is none of the parameters' doing.
+                    stable = values.keys() <= _OBSERVING or self._holds_step()
                     self._apply_scene(self._scene.changed(values))
                     if not values.keys() <= _OBSERVING:
-                        restart(self.state, entirely=True)
+                        restart(self.state, entirely=stable)
                         wake(self.state)
                 case Relax(factor=factor):
                     relaxation.set_factor(self.state, factor)
@@ -336,6 +339,14 @@ class Simulation:
             from cloth_sim_ros.memory import give_back
 
             give_back()
+
+    def _holds_step(self) -> bool:
+        """Whether a fixed step is within the stability limit of the motion as it is; true where none is set."""
+        step, x = self._scene.step, self.state.x
+        if not step:
+            return True
+        limit = self._integrator.step_limit(*self.dynamics.rates(x))
+        return step <= limit or step <= sharp_step_limit(self.dynamics, self.time, x, limit)
 
     def _hold_tolerance(self) -> None:
         """Let integrator and sleep follow the tolerance in force: the scene's, relaxed by what the state says."""

@@ -49,6 +49,13 @@ def test_the_scan_is_as_large_as_it_should_be() -> None:
         # Folded shut: forces of S8 beyond all bounds, which no explicit step follows.
         (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "auto"), "implicit"),
         (Case("crossed", "half in one point", 1.0, 0.5, 60.0, "fixed"), "implicit"),
+        (Case("crossed", "half in one point", 100.0, 0.5, 60.0, "fixed"), "implicit"),
+        # The same while a gripper does work.
+        (Case("crossed", "zero-length springs", 100.0, 0.5, 60.0, "auto"), "implicit"),
+        # A motion that is beyond the fixed step already when its parameters change.
+        (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
+        # All waves at once and in step: their swing must not be locked in by a change of the step.
+        (Case("grid", "stretched x 3", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
     ],
     ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
 )

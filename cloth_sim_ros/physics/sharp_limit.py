@@ -97,6 +97,9 @@ def _top(diagonal: list[float], beside: list[float]) -> tuple[float, list[float]
     for k, off in enumerate(beside):
         before = beside[k - 1] * vector[k - 1] if k else 0.0
         vector.append(((high - diagonal[k]) * vector[k] - before) / off)
+        if abs(vector[-1]) > 1e100:
+            # It is normed later; rounding drives it up where the last of many vectors hardly matter.
+            vector = [1e-100 * weight for weight in vector]
     return high, vector
 
 

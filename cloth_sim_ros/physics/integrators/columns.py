@@ -22,6 +22,7 @@ from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
 
 #: Step counts of the columns, relative to the first. Wider ones cost more, narrower ones amplify rounding and what
 #: high modes do: the sums of |w| of the first 1 to 5 columns are 1, 4.6, 17.7, 32 and 70.
@@ -161,6 +162,18 @@ class Columns:
         self._make(1)
         plain, _ = self._march(self.counts[1], None, 1.0, Economy(narrow=self.economy.narrow), velocities=False)
         return float(largest_distance(plain, self._runs[0][0]))
+
+    def work_of_grippers(self, columns: int) -> float:
+        """Return the work [J] that grippers did over T_K, K = columns: by the same runs once more, observed, whoever
+        looks on at these.
+        """
+        grips = next((term for term in self._dynamics.model.terms if isinstance(term, Grips)), None)
+        if grips is None or grips.steady():
+            return 0.0
+        observer = WrenchObserver(grips)
+        for count, weight in zip(self.counts, weights(self.counts[:columns]), strict=False):
+            self._march(count, observer, weight, self.economy, velocities=False)
+        return observer.work
 
     def _make(self, columns: int) -> None:
         """Make the runs that are not there yet."""

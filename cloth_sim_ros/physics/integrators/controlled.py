@@ -82,6 +82,10 @@ class ControlledAdvance:
         self._saved = THOROUGH
         #: Least refinement that this advance's energy allows; whether none does.
         self._least, self._lost = 1.0, False
+        #: Whether no advance was before this one since the last restart.
+        self._begins = memory.softest < 0.0
+        #: Whether a motion that no bound of its stiffness foretells may be kicked.
+        self._boundless = any(term.boundless for term in dynamics.model.terms)
 
     def run(self) -> Advance:
         """Do it."""
@@ -208,11 +212,13 @@ class ControlledAdvance:
             self._retry(choice.columns, choice.refine)
             return None
         if self._watches_energy(omega2):
-            guard = EnergyGuard(self._dynamics, t, state.x, state.v)
+            guard, before = EnergyGuard(self._dynamics, t, state.x, state.v), columns.evaluations
             finest = choice.refine >= FINEST
             # What is left of many small gains is no reason to give up.
             known = 0.0 if finest else self._memory.made
-            made, too_much = guard.made(t + self._stretch, x, v, h, known) if guard.applies() else (0.0, False)
+            work, begins = columns.work_of_grippers(choice.columns), self._begins and part == 0 and not finest
+            self._evaluations += columns.evaluations - before
+            made, too_much = guard.made(t + self._stretch, x, v, h, known, work=work, begins=begins)
             if too_much:
                 self._lost = finest
                 self._refine_for_energy()
@@ -226,8 +232,12 @@ class ControlledAdvance:
 
     def _out_of_reach(self, limit: float) -> bool:
         """Whether a step limit [s] is far below what it was once: an explicit method would never come to an end."""
-        self._memory.longest = max(self._memory.longest, min(limit, self._stretch))
-        return limit < self._memory.longest / FINEST and within_reach(self._dynamics)
+        options, memory = self._options, self._memory
+        known = MEMORY in self._state.memory
+        # A fixed step that goes on was stable once.
+        once = options.step if options.step is not None and known else 0.0
+        memory.longest = max(memory.longest, min(max(limit, once), self._stretch))
+        return limit < memory.longest / FINEST and within_reach(self._dynamics)
 
     def _watches_energy(self, omega2: float) -> bool:
         """Whether a result's energy has to be looked at.
@@ -243,10 +253,9 @@ class ControlledAdvance:
         if self._options.tolerance is not None:
             return self._flagged > 0
         least, most = min(memory.omega2, omega2), max(memory.omega2, omega2)
+        memory.softest = least if memory.softest < 0.0 else min(memory.softest, least)
         # A start may be bent upon it already.
-        begins = memory.softest < 0.0
-        memory.softest = least if begins else min(memory.softest, least)
-        return begins or most > STIFFENED * memory.softest or choice.refine > 1.0
+        return self._begins or self._boundless or most > STIFFENED * memory.softest or choice.refine > 1.0
 
     def _undamped(self) -> bool:
         """Whether fast waves last for a stretch. Grips damp what they hold alone; air damps all waves a little."""

@@ -30,6 +30,8 @@ class Term(ABC):
     weak: bool = False
     #: True where the force depends on velocities.
     damped: bool = False
+    #: True where there are places next to which the force grows beyond all bounds.
+    boundless: bool = False
 
     @abstractmethod
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:

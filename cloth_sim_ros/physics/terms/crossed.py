@@ -34,6 +34,8 @@ class CrossedSprings(TetrahedronSprings):
     """
 
     _crossed = True
+    #: Next to parallel lines.
+    boundless = True
 
     def __init__(
         self,
