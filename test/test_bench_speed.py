@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_sim_ros.bench import speed, speed_curtain, speed_kernels, speed_turns
+from cloth_sim_ros.bench import speed, speed_curtain, speed_kernels, speed_stiff, speed_turns
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.bench.problems import PERIOD, curtain
 from cloth_sim_ros.bench.speed_curtain import CurtainSpeed
@@ -137,3 +137,19 @@ def test_one_core_is_one_core_and_all_come_back() -> None:
     assert os.sched_getaffinity(0) == before
     with speed_curtain.cores(one=False):
         assert os.sched_getaffinity(0) == before
+
+
+def test_a_stiff_sheet_is_timed_frame_by_frame(tmp_path: Path) -> None:
+    file = tmp_path / "speed.json"
+    assert main(["speed", "--only", "stiff", "--stiff", "6", "--seconds", "0", "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["tables"][0]["rows"]
+    assert [row[1] for row in rows] == ["as shipped", "explicit"]
+    assert rows[1][2] == "leapfrog"
+    assert all(0.0 < row[4] <= row[5] and 0.0 <= row[6] <= 1.0 and row[7] <= speed_stiff.TOLERANCE for row in rows)
+
+
+def test_real_time_and_late_frames_are_told_of_all_runs() -> None:
+    frames = np.array([[0.5, 0.5, 2.0], [0.25, 0.25, 0.25], [0.5, 0.5, 0.5]]) * PERIOD
+    speed = speed_stiff.StiffSpeed(name="as shipped", integrators=("implicit",), frames=frames, error=0.0)
+    assert speed.factor == pytest.approx(2.0)
+    assert speed.late == pytest.approx(1.0 / 9.0)

@@ -1,7 +1,7 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast: ns per spring against hand-vectorised C, fused plans against terms, real-time factor of scene C, two
-threads against one.
+"""How fast: ns per spring against hand-vectorised C, fused plans against terms, real-time factor of scene C, a stiff
+sheet in real time, two threads against one.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ import argparse
 import os
 from collections.abc import Callable
 
+import attrs
 import numpy as np
 
-from cloth_sim_ros.bench import speed_curtain
-from cloth_sim_ros.bench.problems import curtain
+from cloth_sim_ros.bench import speed_curtain, speed_stiff
+from cloth_sim_ros.bench.problems import curtain, hung
 from cloth_sim_ros.bench.reference_kernel import find_compiler
 from cloth_sim_ros.bench.report import Plot, Report, Table
 from cloth_sim_ros.bench.speed_kernels import kernel_time, thread_gain
@@ -29,7 +30,9 @@ THREAD_PROMISE, THREADS_FROM = 1.7, 96
 TOLERANCES = (1e-3, 1e-4)
 #: Grids for bending models and for grippers, particles a side.
 PLAN_GRID = 64
-PARTS = ("kernels", "plans", "curtain", "threads")
+#: What the moduli of scene H are multiplied by, and its frames: 0.5 s.
+STIFFNESS, STIFF_FRAMES = 1000.0, 30
+PARTS = ("kernels", "plans", "curtain", "stiff", "threads")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--kernels", [32, 64, 96, 128, 256, 512], "sheets for the kernels, particles a side"),
         ("--meshes", [1024, 4096, 16384, 100_000], "meshes for the plan of listed springs, particles"),
         ("--curtains", [*speed_curtain.SCORED_FRAMES], "sheets of scene C"),
+        ("--stiff", [32], "sheets of scene H with moduli x 1000"),
         ("--threads", [64, 96, 128, 256], "sheets for two threads against one"),
     ):
         parser.add_argument(name, type=int, nargs="+", metavar="N", default=sizes, help=text)
@@ -53,6 +57,7 @@ def run(options: argparse.Namespace) -> Report:
         "kernels": _kernels,
         "plans": _plans,
         "curtain": _curtains,
+        "stiff": _stiff,
         "threads": _threads,
     }
     for part in PARTS:
@@ -135,6 +140,26 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
             report.failures.append(f"curtain N = {resolution}: {best.factor:.3g} x real time; promised {promise:g}")
     report.tables.append(table)
     report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
+
+
+def _stiff(options: argparse.Namespace, report: Report) -> None:
+    columns = ["N", "stepped", "integrator", "x real time", "frame ms", "slowest ms", "frames late", "error m"]
+    table = Table(f"Scene H, moduli x {STIFFNESS:g}, tolerance {speed_stiff.TOLERANCE:g} m, 0.5 s", columns)
+    for resolution in options.stiff:
+        scene = attrs.evolve(hung(resolution, STIFFNESS), frames=STIFF_FRAMES)
+        known = speed_curtain.trusted(scene)
+        for speed in speed_stiff.stiff_speeds(scene, known, seconds=options.seconds):
+            frames = 1e3 * speed.frames
+            row = [resolution, speed.name, ", ".join(speed.integrators), speed.factor, float(np.median(frames))]
+            table.rows.append([*row, float(frames.max()), speed.late, speed.error])
+            if speed.name != "as shipped":
+                continue
+            if speed.factor < 1.0:
+                report.failures.append(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; promised 1")
+            if speed.error > speed_stiff.TOLERANCE:
+                report.failures.append(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
+        report.notes.append(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
+    report.tables.append(table)
 
 
 def _threads(options: argparse.Namespace, report: Report) -> None:
