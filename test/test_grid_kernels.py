@@ -431,3 +431,18 @@ def test_two_loops_of_a_sheet_share_their_room_and_keep_their_bits():
             loop.advance(x, v, 7, 2e-4)
         results.append((x, v))
     assert np.array_equal(results[0], results[1])
+
+
+@pytest.mark.parametrize("columns", [16, 40])
+def test_what_lay_in_the_room_before_changes_no_bit(columns):
+    springs, inverse = GridSprings(11, columns, weak(CHOICES["all"])), some_masses(11 * columns)
+    for dtype in (np.float64, np.float32):
+        results = []
+        for byte in (0, 255):
+            loop = GridLeapfrog(springs, inverse, drag=1.5, dtype=dtype)
+            loop._sheet.state.view(np.uint8)[:] = byte
+            x, v = crumpled(11, columns)
+            loop.advance(x, v, 7, 2e-4)
+            results.append((x, v))
+        assert np.isfinite(results[0]).all()
+        assert np.array_equal(*results)

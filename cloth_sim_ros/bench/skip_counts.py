@@ -16,6 +16,7 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
+from cloth_sim_ros.physics.kernels.prepared import Prepared
 from cloth_sim_ros.simulation import Simulation
 
 
@@ -30,6 +31,17 @@ class _Counted:
         return self._function(*arguments)
 
 
+class _CountedEntries:
+    """Stands for the entries of a compiled function, which are one after another asked for by number."""
+
+    def __init__(self, prepared: Prepared, calls: Counter[str]) -> None:
+        self._prepared, self._calls = prepared, calls
+        self.entries, self.number = self, prepared.number
+
+    def __getitem__(self, number: int) -> _Counted:
+        return _Counted(self._prepared.function.py_func.__name__, self._prepared.entries[number], self._calls)
+
+
 @contextlib.contextmanager
 def counted_calls() -> Iterator[Counter[str]]:
     """Count the calls from Python into compiled functions of the package, by name, while the context lasts.
@@ -37,13 +49,16 @@ def counted_calls() -> Iterator[Counter[str]]:
     What is called must have been compiled before: compiled code can't be made that refers to a counter.
     """
     calls: Counter[str] = Counter()
-    replaced: list[tuple[dict[str, Any], str, Dispatcher]] = []
+    replaced: list[tuple[dict[str, Any], str, Dispatcher | Prepared]] = []
     for name, module in list(sys.modules.items()):
         if name.startswith("cloth_sim_ros."):
             for what, value in list(vars(module).items()):
                 if isinstance(value, Dispatcher):
                     replaced.append((vars(module), what, value))
                     vars(module)[what] = _Counted(value.py_func.__name__, value, calls)
+                elif isinstance(value, Prepared):
+                    replaced.append((vars(module), what, value))
+                    vars(module)[what] = _CountedEntries(value, calls)
     try:
         yield calls
     finally:

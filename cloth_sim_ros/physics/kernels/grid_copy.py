@@ -92,3 +92,39 @@ def add_out(typing, source, place, count, target, start):  # type: ignore[no-unt
         return context.get_dummy_value()
 
     return types.void(source, types.intp, types.intp, target, types.intp), generate
+
+
+@intrinsic
+def change_out(typing, before, start, origin, count, rows, place, speed, back, target):  # type: ignore[no-untyped-def]
+    """target[start + j] = before[start + j] + (rows[place + j] - b - back rows[speed + j]) for j < count, b being
+    before[start + j] - origin rounded as `rows` is. `before` and `target` are flat float64 and may be the same, `rows`
+    flat of either precision. Only the difference to b is taken in the precision of `rows`.
+    """
+
+    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        _, start_, origin_, count_, _, place_, speed_, back_, _ = arguments
+        narrow = signature.args[4].dtype == types.float32
+        old, data, goal = (
+            context.make_array(signature.args[i])(context, builder, arguments[i]).data for i in (0, 4, 8)
+        )
+        align = 4 if narrow else 8
+
+        def body(index: Any, lanes: int) -> None:
+            wide, own = _kind(False, lanes), _kind(narrow, lanes)
+            first = builder.load(_place(builder, old, start_, index, wide), align=8)
+            rounded = builder.fsub(first, _splat(builder, origin_, lanes))
+            change = builder.load(_place(builder, data, place_, index, own), align=align)
+            moving = builder.load(_place(builder, data, speed_, index, own), align=align)
+            if narrow:
+                change = builder.fpext(builder.fsub(change, builder.fptrunc(rounded, own)), wide)
+                moving = builder.fpext(moving, wide)
+            else:
+                change = builder.fsub(change, rounded)
+            change = builder.fsub(change, builder.fmul(_splat(builder, back_, lanes), moving))
+            builder.store(builder.fadd(first, change), _place(builder, goal, start_, index, wide), align=8)
+
+        _loops(context, builder, count_, narrow, body)
+        return context.get_dummy_value()
+
+    kinds = (before, types.intp, types.float64, types.intp, rows, types.intp, types.intp, types.float64, target)
+    return types.void(*kinds), generate

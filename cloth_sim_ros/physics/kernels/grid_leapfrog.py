@@ -28,6 +28,7 @@ from cloth_sim_ros.physics.kernels.grid_springs import (
     grid_tables,
 )
 from cloth_sim_ros.physics.kernels.grid_sweep import COUNTER_SPACING, REACH, Sheet, advance_sheet
+from cloth_sim_ros.physics.kernels.prepared import Prepared
 
 _SECOND_CACHE = 1 << 20
 """Bytes; that of the machines at hand. A wrong guess costs a few per cent."""
@@ -116,10 +117,14 @@ class GridLeapfrog:
         self.springs = springs
         self._weak = any(family.weak for family in springs.families)
         self._dtype = np.dtype(dtype)
+        self._wide = self._dtype == np.float64
         self._drag = float(drag)
         self._gravity = None if gravity is None else np.array(gravity, dtype=np.float64).reshape(3)
         self._predicts = springs.damped or drag > 0.0
         self._plans: dict[tuple[float, bool, bool], tuple[Any, ...]] = {}
+        self._numbers: dict[tuple[bool, bool, bool], int] = {}
+        self._bands = threads
+        self._expected = (3, count)
         self._sheet: Sheet = self._cut(inverse, threads, None if beside is None else beside._sheet.state)
         self._workers: ThreadPoolExecutor | None = None if beside is None else beside._workers
         if self._workers is None and threads > 1:
@@ -177,7 +182,7 @@ class GridLeapfrog:
         count = self.springs.rows * self.springs.columns
         held = GridGrips(
             *(np.zeros(1, dtype=np.int64), np.zeros((1, 3, 4)), np.zeros(1), np.zeros(1)),
-            *(np.zeros((1, 3)), np.zeros((1, 3))),
+            *(np.zeros((1, 3)), np.zeros(1)),
         )
         self.advance(
             np.zeros((3, count)), np.zeros((3, count)), 3, 0.0, grips=held if grips else None, alternate=alternate
@@ -205,37 +210,49 @@ class GridLeapfrog:
             ValueError: for another shape, a number of steps that is not positive or, with `alternate`, even, or v that
                 is missing without a start.
         """
-        expected = (3, self.springs.rows * self.springs.columns)
+        expected = self._expected
         x0, v0 = (x, v) if start is None else start
         if v0 is None:
             raise ValueError("v is None without a start; give the velocities that the steps begin with")
-        for name, array in (("x", x), ("v", v), ("start's x", x0), ("start's v", v0)):
-            if array is not None:
-                check_array(name, array, expected)
+        check_array("x", x, expected)
+        if v is not None:
+            check_array("v", v, expected)
+        if start is not None:
+            check_array("start's x", x0, expected)
+            check_array("start's v", v0, expected)
         if steps < 1:
             raise ValueError(f"{steps} steps; at least one is needed")
         alternate = alternate and self._weak
         if alternate and steps % 2 == 0:
             raise ValueError(f"{steps} steps; weak families at every second step need an odd number")
-        origin = np.zeros(3) if self._dtype == np.float64 else x0[:, 0].copy()
-        shape, fast, once, ends, full = self._step_plan(dt, grips is not None, alternate)
-        common: tuple[Any, ...] = (
-            *(x0.reshape(-1), v0.reshape(-1), x.reshape(-1), np.empty(0) if v is None else v.reshape(-1)),
-            *(origin, steps, dt, shape, fast, once),
-            # A single step is both the first and the last: its weak families count once.
-            *(ends if steps > 1 else once, full),
-            None if grips is None else _near(grips, origin),
-        )
-        bands = len(self._sheet.borders) - 1
+        origin = _NOWHERE if self._wide else (float(x0[0, 0]), float(x0[1, 0]), float(x0[2, 0]))
+        near = None if grips is None else _near(grips, origin)
+        turns = near is not None and near.turns is not None
+        shape, fast, once, ends, full = self._step_plan(dt, near is not None, alternate)
         # New counters for each call: a thread that comes late finds all done, and this call need not wait for it.
-        done, claims = np.zeros((2, bands * COUNTER_SPACING), dtype=np.int64)
+        counters = np.zeros(2 * self._bands * COUNTER_SPACING, dtype=np.int64)
+        arguments: tuple[Any, ...] = (
+            *(counters, x0, v0, x, _NOTHING if v is None else v, origin, steps, dt, shape, fast, once),
+            # A single step is both the first and the last: its weak families count once.
+            *(ends if steps > 1 else once, full, near),
+        )
+        kind = (near is not None, turns, alternate)
+        number = self._numbers.get(kind)
+        if number is None:
+            number = self._numbers[kind] = _ADVANCE.number((self._sheet, 0, *arguments))
+        advance = _ADVANCE.entries[number]
         helpers = []
         if self._workers is not None:
-            for own in range(1, bands):
-                helpers.append(self._workers.submit(advance_sheet, self._sheet, own, done, claims, *common))
-        advance_sheet(self._sheet, 0, done, claims, *common)
+            for own in range(1, self._bands):
+                helpers.append(self._workers.submit(advance, self._sheet, own, *arguments))
+        advance(self._sheet, 0, *arguments)
         for helper in helpers:
             helper.cancel()
+
+
+_ADVANCE = Prepared(advance_sheet)
+_NOWHERE = (0.0, 0.0, 0.0)
+_NOTHING = np.empty((0, 0))
 
 
 def _levels(rows: int, row_bytes: int, threads: int) -> int:
@@ -248,7 +265,7 @@ def _levels(rows: int, row_bytes: int, threads: int) -> int:
     return max(1, min(wanted, rows // (4 * REACH)))
 
 
-def _near(grips: GridGrips, origin: Array) -> GridGrips:
+def _near(grips: GridGrips, origin: tuple[float, float, float]) -> GridGrips:
     """The same grips with paths and poses relative to `origin`, all that is booked at zero."""
     paths = np.array(grips.paths, dtype=np.float64)
     paths[:, :, 0] -= origin
@@ -260,4 +277,11 @@ def _near(grips: GridGrips, origin: Array) -> GridGrips:
         poses[:, :, :3] -= origin
         turns.booked[:] = 0.0
         turns = turns._replace(poses=poses)
-    return grips._replace(paths=paths, turns=turns)
+    return grips._replace(
+        # An entry of the compiled loop takes them as they lie.
+        particles=np.ascontiguousarray(grips.particles, dtype=np.int64),
+        stiffness=np.ascontiguousarray(grips.stiffness, dtype=np.float64),
+        damping=np.ascontiguousarray(grips.damping, dtype=np.float64),
+        paths=paths,
+        turns=turns,
+    )

@@ -181,12 +181,11 @@ def _stamp() -> tuple[int | None, ...]:
     Numba's disk cache looks at the file of the compiled function alone, not at those of the emitters that it calls.
     This keeps it from serving kernels that older emitters made.
     """
-    from cloth_sim_ros.physics.kernels import grid_copy, grid_emit, grid_row_bounds, grid_rows, grid_sync, held_points
+    from cloth_sim_ros.physics.kernels import grid_copy, grid_emit, grid_load, grid_row_bounds, grid_rows, grid_sync
+    from cloth_sim_ros.physics.kernels import held_points as held
 
-    sources = b"".join(
-        Path(str(module.__file__)).read_bytes()
-        for module in (grid_copy, grid_emit, grid_row_bounds, grid_rows, grid_sync, held_points)
-    )
+    modules = (grid_copy, grid_emit, grid_load, grid_row_bounds, grid_rows, grid_sync, held)
+    sources = b"".join(Path(str(module.__file__)).read_bytes() for module in modules)
     number = int.from_bytes(hashlib.blake2b(sources, digest_size=2).digest())
     return tuple(1 if number >> bit & 1 else None for bit in range(16))
 

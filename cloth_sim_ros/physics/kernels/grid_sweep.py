@@ -21,13 +21,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.kernels.grid_copy import copy_in
+from cloth_sim_ros.physics.kernels.grid_load import REACH, load_band, unload_band
 from cloth_sim_ros.physics.kernels.grid_rows import CARRY, row_above, row_start, row_step, row_two_above
 from cloth_sim_ros.physics.kernels.grid_sync import claim, load_acquire, pause, store_release, yield_processor
 from cloth_sim_ros.physics.kernels.held_points import book, held_point
-
-REACH = 2
-"""Rows that a step looks beyond the rows that it moves: the longest spring."""
 
 COUNTER_SPACING = 16
 """Counters of two bands lie this many int64 apart, on cache lines of their own."""
@@ -97,48 +94,6 @@ def _band(sheet, number):  # type: ignore[no-untyped-def]
         sheet.table,
         entries,
     )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _load(band, x, v, origin):  # type: ignore[no-untyped-def]
-    """Copy the band's rows and its neighbours' outer ones; the predicted velocity starts as the velocity.
-
-    What lies outside the sheet is cleared: after a state that was not finite it would spoil the next one.
-    """
-    columns, pitch, halo = band.columns, band.pitch, REACH * band.levels
-    count = band.rows * columns
-    band.state[:] = 0.0
-    for row in range(max(band.first - halo, 0), min(band.last + halo, band.rows)):
-        place = (row - band.first + halo) * band.components * pitch
-        for c in range(3):
-            start = c * count + row * columns
-            copy_in(x, start, origin[c], columns, band.state, place + c * pitch)
-            copy_in(v, start, 0.0, columns, band.state, place + (3 + c) * pitch)
-            copy_in(v, start, 0.0, columns, band.state, place + (6 + c) * pitch)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _unload(band, x0, v0, x, v, origin, half):  # type: ignore[no-untyped-def]
-    """Set x, and v unless it is empty, to x0, v0 and what changed since `_load` rounded these, so that single precision
-    rounds the change alone.
-    """
-    columns, pitch, halo = band.columns, band.pitch, REACH * band.levels
-    count = band.rows * columns
-    number = band.state.dtype.type
-    for row in range(band.first, band.last):
-        place = (row - band.first + halo) * band.components * pitch
-        for c in range(3):
-            start = c * count + row * columns
-            for j in range(columns):
-                position, speed = band.state[place + c * pitch + j], band.state[place + (3 + c) * pitch + j]
-                x[start + j] = x0[start + j] + ((position - number(x0[start + j] - origin[c])) - half * speed)
-            if len(v):
-                for j in range(columns):
-                    speed = band.state[place + (3 + c) * pitch + j]
-                    v[start + j] = v0[start + j] + (speed - number(v0[start + j]))
-            if band.components > CARRY:
-                for j in range(columns):
-                    x[start + j] += band.state[place + (CARRY + c) * pitch + j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -319,7 +274,7 @@ def _take_in(sheet, band, number, turn):  # type: ignore[no-untyped-def]
 def _begin(sheet, number, x, v, origin, dt, shape, once, grips):  # type: ignore[no-untyped-def]
     """First task of a band: load it and go to the first half step."""
     band = _band(sheet, number)
-    _load(band, x, v, origin)
+    load_band(band, x, v, origin, shape)
     if shape.predicted is not None:
         _start_sweep(band, shape, once, grips)
     else:
@@ -339,7 +294,7 @@ def _continue(  # type: ignore[no-untyped-def]
     if begin + sheet.levels < steps:
         _post(sheet, band, number, turn + 1)
     else:
-        _unload(band, x0, v0, x, v, origin, 0.5 * dt)
+        unload_band(band, x0, v0, x, v, origin, 0.5 * dt)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -355,17 +310,19 @@ def _is_ready(done, number, tasks):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def advance_sheet(  # type: ignore[no-untyped-def]
-    sheet, own, done, claims, x0, v0, x, v, origin, steps, dt, shape, fast, once, ends, full, grips
+    sheet, own, counters, start_x, start_v, end_x, end_v, origin, steps, dt, shape, fast, once, ends, full, grips
 ):
     """Advance a sheet by `steps` steps of dt, alone or together with other threads; return when all is done.
 
-    `own`: the band to prefer. `done`, `claims`: zeros to begin with, for each band its tasks done and whether one is
-    being done, COUNTER_SPACING apart. From `x0`, `v0` to `x`, `v`, all flat; these may be the same arrays, and `v`
-    empty, which then is not written. `shape` and `once` describe an ordinary step. With `fast`, the shape without the
-    weak families, odd steps leave them out and even steps use the values `full`, where they count double; but the
-    first and the last `ends`, 1.5 times.
+    `own`: the band to prefer. `counters`: zeros to begin with, for each band its tasks done, then for each whether one
+    is being done, COUNTER_SPACING apart. From `start_x`, `start_v` to `end_x`, `end_v`, all (3, n); these may be the
+    same arrays, and `end_v` empty, which then is not written. `shape` and `once` describe an ordinary step. With
+    `fast`, the shape without the weak families, odd steps leave them out and even steps use the values `full`, where
+    they count double; but the first and the last `ends`, 1.5 times.
     """
     bands = len(sheet.borders) - 1
+    done, claims = counters[: bands * COUNTER_SPACING], counters[bands * COUNTER_SPACING :]
+    x0, v0, x, v = start_x.ravel(), start_v.ravel(), end_x.ravel(), end_v.ravel()
     tasks = 1 + (steps + sheet.levels - 1) // sheet.levels
     finished, waits, patience = 0, 0, _PATIENCE
     while finished < bands:
