@@ -44,6 +44,8 @@ ROUNDING_MARGIN = 1.5
 #: Share of the budget that may be lost where weak springs are evaluated at every second step, the error of the steps
 #: included.
 ALTERNATE_SHARE = 0.75
+#: Where no more than this part of it is lost by that, the time to the next judgement grows faster.
+QUICK = 0.3
 #: In motion that changes a stretch no less than by this part of the distances within the sheet: where the budget has
 #: no room for it, it is not measured, and its code not compiled.
 ALTERNATE_LEAST = 3e-6

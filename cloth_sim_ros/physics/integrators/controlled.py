@@ -23,6 +23,7 @@ from cloth_sim_ros.physics.integrators.control import (
     LONGEST_WAIT,
     MANY_STEPS,
     MOST_COLUMNS,
+    QUICK,
     SHARE_PER_SECOND,
     STALLED,
     STIFFENED,
@@ -367,7 +368,7 @@ class ControlledAdvance:
             self._choice = Choice(choice.columns, choice.refine, True, thorough=not columns.economy.alternate)
             return None
         memory.activity = activity
-        self._wait_longer(calm=True, quickly=columns.economy.alternate)
+        self._wait_longer(calm=True, quickly=columns.economy.alternate and lost <= QUICK * self._budget)
         return lost
 
     def _unresolved(self, errors: list[float], activity: float) -> bool:
