@@ -20,8 +20,6 @@ from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
 from cloth_sim_ros.physics.state import State
 
-PERIOD = 1 / 60
-
 
 def families(k_d0: float, shear: float = 200.0, parity: int | None = None) -> tuple[GridFamily, ...]:
     """A raw sheet's springs, of rest length 0.05 m, with other damping or shear."""
