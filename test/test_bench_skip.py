@@ -15,7 +15,7 @@ from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
 #: Of a frame of fixed work: the steps, whether they stayed finite, and what the next ones may be.
-NEEDED = {"_add_bounds": 1, "advance_sheet": 1, "all_finite": 1, "block_rates": 2}
+NEEDED = {"_largest_rates": 1, "advance_sheet": 1, "all_finite": 1}
 VARIANTS = {variant.name: variant for variant in variants()}
 
 
@@ -54,7 +54,9 @@ def test_a_frame_calls_the_kernels_that_it_needs_and_none_besides(name):
 
 
 def test_a_gripper_that_holds_is_part_of_the_steps():
-    assert calls_of_a_frame(running("gripper: active, holding")) == NEEDED
+    # Its springs count in the bounds of what it holds.
+    of_held = {"_add_bounds": 1, "block_rates": 2}
+    assert calls_of_a_frame(running("gripper: active, holding")) == NEEDED | of_held
 
 
 def test_error_control_adds_a_look_at_the_end_and_at_rest():
@@ -74,8 +76,8 @@ def test_a_frame_takes_the_room_of_the_state_that_it_makes():
     simulation = running("gripper: absent", 32)
     needed, kept = bytes_of_a_frame(simulation)
     state = simulation.state.x.nbytes + simulation.state.v.nbytes
-    # The new positions and velocities, and the air's damping of each particle; the old ones go.
-    assert needed < 1.8 * state
+    # The new positions and velocities; the old ones go.
+    assert needed < 1.3 * state
     assert kept < 4000
 
 

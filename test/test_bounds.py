@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.physics.grid_plan import GridPlan
-from cloth_sim_ros.physics.kernels import mesh_bounds
+from cloth_sim_ros.physics.kernels import grid_bounds, mesh_bounds
 from cloth_sim_ros.physics.stability import Bounds, block_rates
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
@@ -39,18 +38,43 @@ def test_a_grids_blocks_are_the_sum_of_its_terms(values):
     assert fused == pytest.approx(by_terms, abs=1e-12 * np.abs(by_terms).max())
 
 
-@pytest.mark.parametrize("stretch", [11, 33, 44])
-def test_rates_of_stretches_of_rows_are_those_of_all(stretch, monkeypatch):
-    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [9, 11], "grippers": ["a", "b"]}))
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"material.damping": 0.0},
+        {"material.damping": 0.0, "air.drag": 0.0, "cloth.resolution": [2, 2]},
+        {"cloth.shear_layout": "left", "cloth.resolution": [3, 40]},
+    ],
+)
+@pytest.mark.parametrize("crumpled", [0.0, 0.03])
+def test_a_grids_rates_are_those_of_its_terms(values, crumpled):
+    scene = Scene.from_parameters({"cloth.resolution": [9, 11], **values})
+    dynamics = scene.dynamics()
+    x = np.ascontiguousarray(scene.initial_positions().T)
+    x += crumpled * np.random.default_rng(1).standard_normal(x.shape)
+    # Flat, two of the eigenvalues are equal: they come out to the square root of rounding.
+    assert dynamics.rates(x) == pytest.approx(Bounds(dynamics.model).rates(x), rel=1e-12 if crumpled else 5e-8)
+    x[1, 3] = np.nan
+    assert np.isnan(dynamics.rates(x)).all()
+
+
+@pytest.mark.parametrize("stretch", [1, 33, 8192])
+def test_rates_of_a_grid_that_is_held_are_those_of_its_terms(stretch, monkeypatch):
+    monkeypatch.setattr(grid_bounds, "_STRETCH", stretch)
+    values = {"cloth.resolution": [9, 11], "grippers": ["a", "b"], "gripper.radius": 0.3, "gripper.stiffness": 1e4}
+    simulation = Simulation(Scene.from_parameters(values))
     low = simulation.positions[-1]
-    held = [Target("a", low), Target("b", low), Grasp("a", True), Grasp("b", True)]
-    simulation.advance(held)
+    before = simulation.dynamics.rates(simulation.state.x)
+    simulation.advance([Target("a", low), Target("b", low), Grasp("a", True), Grasp("b", True)])
     x = simulation.state.x
+    assert simulation.dynamics.rates(x)[0] > 1.2 * before[0]
     x += 0.03 * np.random.default_rng(1).standard_normal(x.shape)
     dynamics = simulation.dynamics
-    at_once = dynamics.rates(x)
-    monkeypatch.setattr(GridPlan, "stretch", stretch)
-    assert dynamics.rates(x) == at_once
+    found = dynamics.rates(x)
+    assert found == pytest.approx(Bounds(dynamics.model).rates(x), rel=1e-12)
+    monkeypatch.setattr(grid_bounds, "_STRETCH", 44)
+    assert dynamics.rates(x) == found
     x[1, 40] = np.nan
     assert np.isnan(dynamics.rates(x)).all()
 

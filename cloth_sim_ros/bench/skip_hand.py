@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from cloth_sim_ros.bench.skip_scenes import swinging
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.integrators.march import leapfrog_limit
@@ -13,7 +11,6 @@ from cloth_sim_ros.physics.kernels.grid_bounds import GridBounds
 from cloth_sim_ros.physics.kernels.grid_leapfrog import GridLeapfrog
 from cloth_sim_ros.physics.kernels.grid_springs import GridSprings
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite
-from cloth_sim_ros.physics.stability import block_rates
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.scene_physics import grid_threads_of
 
@@ -45,18 +42,16 @@ class HandMadeLoop:
         )
         springs = GridSprings(*scene.shape, [family for part in families.values() for family in part])
         masses = sheet.masses(material.density)
-        self._drag, self._masses = scene.air.drag, masses
+        self._drag = scene.air.drag
         self._inverse = 1.0 / masses
         self._inverse[scene.anchored_particles()] = 0.0
         gravity = scene.gravity if any(scene.gravity) else None
         self._leapfrog = GridLeapfrog(springs, self._inverse, gravity=gravity, drag=self._drag)
-        self._bounds = GridBounds(springs)
+        self._bounds = GridBounds(springs, self._inverse)
         self._period = scene.period
         state = swinging(scene)
         self.x, self.v = state.x, state.v
         self._start = self.x.copy(), self.v.copy()
-        self._stiff, self._damped = np.empty((2, 6, masses.size))
-        self._rates = np.empty(masses.size)
         self._limit = self._stable_step()
         #: Steps of the newest frame.
         self.steps = 0
@@ -79,12 +74,5 @@ class HandMadeLoop:
         self._leapfrog.advance(self.x, self.v, self.steps, self._period / self.steps)
 
     def _stable_step(self) -> float:
-        self._stiff.fill(0.0)
-        self._damped.fill(0.0)
-        self._bounds.add(self.x, self._stiff, self._damped)
-        if self._drag:
-            self._damped[:3] += self._drag * self._masses
-        block_rates(self._stiff.reshape(-1), self._inverse, self._rates)
-        omega2 = float(self._rates.max())
-        block_rates(self._damped.reshape(-1), self._inverse, self._rates)
-        return leapfrog_limit(omega2, float(self._rates.max()))
+        omega2, damping = self._bounds.rates(self.x)
+        return leapfrog_limit(omega2, damping + self._drag)

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 #: Cost of a step for one particle [ns].
 _STEP = 6.0
-#: Particles whose blocks, a hundred bytes each, fit into a second cache.
-_STRETCH = 8192
 
 
 class GridPlan:
@@ -57,7 +55,9 @@ class GridPlan:
         dynamics.forces = dynamics.plan = self
         model = dynamics.model
         self._forces = GridForces(springs)
-        self._bounds = GridBounds(springs)
+        self._bounds = GridBounds(springs, model.inverse_masses)
+        #: The largest rates of these terms alone, and the blocks of some particles: see `stability.Bounds`.
+        self.rates, self.blocks = self._bounds.rates, self._bounds.blocks
         self._loop: Callable[[Any], GridLeapfrog] | None = None
         self._grips: Grips | None = None
         drag, pushes = 0.0, []
@@ -94,18 +94,9 @@ class GridPlan:
         """Add the forces [N] of the terms that are taken over to f (3, n)."""
         self._forces.add(x, v, f)
 
-    def add_bounds(self, x: Array, stiff: Array, damped: Array, first: int = 0) -> None:
-        """Add the blocks of the terms that are taken over: stiff [N/m], damped [N s/m], each (6, m), of the particles
-        from the first on; they are whole rows.
-        """
-        columns = self._bounds.springs.columns
-        self._bounds.add(x, stiff, damped, rows=(first // columns, (first + stiff.shape[1]) // columns))
-
-    @property
-    def stretch(self) -> int:
-        """Number of particles whose bounds are best asked for at once: rows that fit a cache."""
-        columns = self._bounds.springs.columns
-        return columns * max(1, _STRETCH // columns)
+    def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
+        """Add the blocks of the terms that are taken over: stiff [N/m], damped [N s/m], each (6, n)."""
+        self._bounds.add(x, stiff, damped)
 
     def leapfrog(
         self,

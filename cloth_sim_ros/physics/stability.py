@@ -50,9 +50,57 @@ class Bounds:
             self._pairs = (ends[order], *(numbers[order] for numbers in lists))
             self._entries = np.empty(12 * model.particle_count)
         self._kept: tuple[Array, Array] | None = None
+        #: What the fused rates leave to be added: terms that hold single particles; rates that all particles have.
+        self._holding: list[Term] | None = None
+        self._common = (0.0, 0.0)
+        if hasattr(fused, "rates") and not springs:
+            self._find_holding()
+
+    def _find_holding(self) -> None:
+        """Whether all terms beside the springs only add multiples of the identity, and which may change."""
+        given = [(term, term.multiples()) for term in self._others]
+        holding = []
+        for term, found in given:
+            if found is None:
+                return
+            particles, *both = found
+            if particles is None:
+                more = [float(np.max(number * self._model.inverse_masses)) for number in both]
+                self._common = self._common[0] + more[0], self._common[1] + more[1]
+            elif type(term).multiples is not Term.multiples:
+                holding.append(term)
+        self._holding = holding
 
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at x."""
+        if self._holding is None:
+            return self._by_blocks(x)
+        omega2, damping = self._fused.rates(x)  # type: ignore[union-attr]
+        for term in self._holding:
+            particles = term.multiples()[0]  # type: ignore[index]
+            if particles.size:  # type: ignore[union-attr]
+                return self._of_held(x, omega2, damping)
+        return omega2 + self._common[0], damping + self._common[1]
+
+    def _of_held(self, x: Array, omega2: float, damping: float) -> tuple[float, float]:
+        """The same where some particles are held, from the rates of the springs, by the blocks of these particles."""
+        held: list[Any] = [term.multiples() for term in self._holding or ()]
+        every: NDArray[np.int64] = np.concatenate([found[0] for found in held])
+        # Several grippers may hold one particle.
+        particles, places = np.unique(every, return_inverse=True)
+        blocks = self._fused.blocks(x, particles)  # type: ignore[union-attr]
+        inverse, rates = self._model.inverse_masses[particles], np.empty(particles.size)
+        both = []
+        for number, before in enumerate((omega2, damping)):
+            added = np.zeros(particles.size)
+            np.add.at(added, places, np.concatenate([found[1 + number] for found in held]))
+            blocks[number, :3] += added
+            # Not max(): that loses a NaN.
+            both.append(float(np.maximum(before, _largest(blocks[number], inverse, rates))) + self._common[number])
+        return both[0], both[1]
+
+    def _by_blocks(self, x: Array) -> tuple[float, float]:
+        """The same for any model."""
         count = self._model.particle_count
         stretch = getattr(self._fused, "stretch", count)
         multiples = [found for found in (term.multiples() for term in self._others) if found is not None]
