@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -26,11 +27,14 @@ class Prepared:
         #: What is called, by the number that `number` gave.
         self.entries: list[Callable[..., Any]] = []
         self._numbers: dict[tuple[Any, ...], int] = {}
+        # Sheets may be stepped by several threads.
+        self._lock = threading.Lock()
 
     def number(self, arguments: Sequence[Any]) -> int:
         """Return the number of the entry for arguments of the types of these; compiled, or loaded, if need be."""
         kinds = tuple(numba.typeof(argument) for argument in arguments)
-        if kinds not in self._numbers:
-            self._numbers[kinds] = len(self.entries)
-            self.entries.append(self.function.compile(kinds))
-        return self._numbers[kinds]
+        with self._lock:
+            if kinds not in self._numbers:
+                self.entries.append(self.function.compile(kinds))
+                self._numbers[kinds] = len(self.entries) - 1
+            return self._numbers[kinds]

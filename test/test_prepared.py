@@ -1,0 +1,50 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Entries of compiled functions: one for each list of types, there when its number is given out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
+
+from cloth_sim_ros.physics.kernels.prepared import Prepared
+
+
+class Compiler:
+    """Stands for a compiled function; while it compiles, somebody may come."""
+
+    def __init__(self, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self.compiled: list[Any] = []
+        self._meanwhile = meanwhile
+
+    def compile(self, kinds: Any) -> Callable[..., Any]:
+        self.compiled.append(kinds)
+        self._meanwhile()
+        return lambda *arguments: arguments
+
+
+def test_each_list_of_types_is_compiled_once() -> None:
+    compiler = Compiler()
+    prepared = Prepared(compiler)
+    numbers = [prepared.number(arguments) for arguments in ((1, 2.0), (3, 4.0), (1.0, 2.0), (5, 6.0))]
+    assert numbers == [0, 0, 1, 0]
+    assert len(compiler.compiled) == len(prepared.entries) == 2
+
+
+def test_who_asks_while_another_thread_compiles_gets_an_entry_that_is_there() -> None:
+    asked: list[Future[bool]] = []
+
+    def ask() -> bool:
+        return prepared.number((1, 2.0)) < len(prepared.entries)
+
+    def another_comes() -> None:
+        asked.append(pool.submit(ask))
+        wait(asked, timeout=0.1)
+
+    compiler = Compiler(another_comes)
+    prepared = Prepared(compiler)
+    with ThreadPoolExecutor(1) as pool:
+        assert ask()
+        assert asked[0].result()
+    assert len(compiler.compiled) == 1
