@@ -1,12 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Entries of compiled functions: one for each list of types, there when its number is given out."""
+"""Entries of compiled functions: one for each key, there when its number is given out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
+
+import numba
 
 from cloth_sim_ros.physics.kernels.prepared import Prepared
 
@@ -24,19 +26,20 @@ class Compiler:
         return lambda *arguments: arguments
 
 
-def test_each_list_of_types_is_compiled_once() -> None:
+def test_each_key_is_compiled_once() -> None:
     compiler = Compiler()
     prepared = Prepared(compiler)
-    numbers = [prepared.number(arguments) for arguments in ((1, 2.0), (3, 4.0), (1.0, 2.0), (5, 6.0))]
-    assert numbers == [0, 0, 1, 0]
-    assert len(compiler.compiled) == len(prepared.entries) == 2
+    numbers = [prepared.number(key, arguments) for key, arguments in (("i", (1, 2.0)), ("i", (3, 4.0)), ("f", (1.0,)))]
+    assert numbers == [0, 0, 1]
+    assert len(prepared.entries) == 2
+    assert compiler.compiled == [(numba.int64, numba.float64), (numba.float64,)]
 
 
 def test_who_asks_while_another_thread_compiles_gets_an_entry_that_is_there() -> None:
     asked: list[Future[bool]] = []
 
     def ask() -> bool:
-        return prepared.number((1, 2.0)) < len(prepared.entries)
+        return prepared.number("i", (1, 2.0)) < len(prepared.entries)
 
     def another_comes() -> None:
         asked.append(pool.submit(ask))

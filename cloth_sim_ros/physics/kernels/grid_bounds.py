@@ -86,7 +86,7 @@ class GridBounds:
             *(self._table, self._table_rows, self._room, self._shape, self._values),
         )
         if self._number < 0:
-            self._number = _RATES.number(arguments)
+            self._number = _RATES.number((self.springs.damped, self._shape.kinds()), arguments)
         found: tuple[float, float] = _RATES.entries[self._number](*arguments)
         return found
 

@@ -239,7 +239,8 @@ class GridLeapfrog:
         kind = (near is not None, turns, alternate)
         number = self._numbers.get(kind)
         if number is None:
-            number = self._numbers[kind] = _ADVANCE.number((self._sheet, 0, *arguments))
+            key = (self._dtype.char, shape.kinds(), None if fast is None else fast.kinds(), *kind)
+            number = self._numbers[kind] = _ADVANCE.number(key, (self._sheet, 0, *arguments))
         advance = _ADVANCE.entries[number]
         helpers = []
         if self._workers is not None:

@@ -18,6 +18,7 @@ end, and is zero where there is no spring.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 from numba.core import cgutils, types
@@ -71,12 +72,17 @@ class Shape(NamedTuple):
     carry: int | None
     stamp: tuple[int | None, ...]
 
+    def kinds(self) -> tuple[type, ...]:
+        """The types that count; the stamp is the same for all shapes of a process."""
+        return tuple(type(part) for part in self)
+
 
 _MOTION = ("step", "half", "quarter", "drag", "gravity_0", "gravity_1", "gravity_2")
 VALUE_COUNT = 3 * len(FAMILIES) + len(_MOTION)
 """Length of `values`."""
 
 
+@cache
 def value_index(name: str, part: str = "") -> int:
     """Place in `values` of a constant.
 

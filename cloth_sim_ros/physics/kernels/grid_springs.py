@@ -148,24 +148,25 @@ def check_array(name: str, array: Array, shape: tuple[int, ...]) -> None:
 def grid_tables(springs: GridSprings, inverse_masses: Array, dtype: Any) -> GridTables:
     """Build the tables of a sheet; `inverse_masses` [1/kg], shape (rows * columns,), zero for anchored particles."""
     pitch = padded_columns(springs.columns, dtype)
-    starts: dict[bytes, int] = {}
+    starts: dict[tuple[int, bytes], int] = {}
     table_rows = np.empty(springs.rows, dtype=np.intp)
     entries: list[NDArray[Any]] = []
     weights: dict[int, list[Array]] = {}
     slots = [FIRST_WEIGHT_SLOT + list(FAMILIES).index(family.name) for family in springs.families]
+    parity = any(family.parity is not None for family in springs.families)
     for row in range(springs.rows):
-        entry = np.zeros((TABLE_SLOTS, pitch), dtype=dtype)
         inverse = inverse_masses[row * springs.columns : (row + 1) * springs.columns]
-        entry[INVERSE_MASS_SLOT, : springs.columns] = inverse
-        entry[FREE_SLOT, : springs.columns] = inverse > 0.0
         # Springs reach two rows down at most; in between rows differ by parity alone.
-        alike = row if row == 0 or row + 2 >= springs.rows else 1 + (row + 1) % 2
+        alike = row if row == 0 or row + 2 >= springs.rows else 1 + ((row + 1) % 2 if parity else 0)
         if alike not in weights:
             weights[alike] = [springs.weights(family, alike) for family in springs.families]
-        for slot, weight in zip(slots, weights[alike], strict=True):
-            entry[slot, : springs.columns] = weight
-        key = entry.tobytes()
+        key = alike, inverse.tobytes()
         if key not in starts:
+            entry = np.zeros((TABLE_SLOTS, pitch), dtype=dtype)
+            entry[INVERSE_MASS_SLOT, : springs.columns] = inverse
+            entry[FREE_SLOT, : springs.columns] = inverse > 0.0
+            for slot, weight in zip(slots, weights[alike], strict=True):
+                entry[slot, : springs.columns] = weight
             starts[key] = len(entries) * TABLE_SLOTS * pitch
             entries.append(entry)
         table_rows[row] = starts[key]

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numba
@@ -26,15 +26,19 @@ class Prepared:
         self.function = function
         #: What is called, by the number that `number` gave.
         self.entries: list[Callable[..., Any]] = []
-        self._numbers: dict[tuple[Any, ...], int] = {}
+        self._numbers: dict[Hashable, int] = {}
         # Sheets may be stepped by several threads.
         self._lock = threading.Lock()
 
-    def number(self, arguments: Sequence[Any]) -> int:
-        """Return the number of the entry for arguments of the types of these; compiled, or loaded, if need be."""
-        kinds = tuple(numba.typeof(argument) for argument in arguments)
+    def number(self, key: Hashable, arguments: Sequence[Any]) -> int:
+        """Return the number of the entry for arguments of the types of these; compiled, or loaded, if need be.
+
+        Args:
+            key: what decides these types: equal for equal ones alone. Finding out the types themselves takes long.
+            arguments: any of them.
+        """
         with self._lock:
-            if kinds not in self._numbers:
-                self.entries.append(self.function.compile(kinds))
-                self._numbers[kinds] = len(self.entries) - 1
-            return self._numbers[kinds]
+            if key not in self._numbers:
+                self.entries.append(self.function.compile(tuple(numba.typeof(argument) for argument in arguments)))
+                self._numbers[key] = len(self.entries) - 1
+            return self._numbers[key]
