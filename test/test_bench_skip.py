@@ -61,7 +61,7 @@ def test_a_gripper_that_holds_is_part_of_the_steps():
 
 def test_error_control_adds_a_look_at_the_end_and_at_rest():
     more = calls_of_a_frame(running("error control: active"), frames=1)
-    assert set(more) - set(NEEDED) <= {"largest_distance", "all_below"}
+    assert set(more) - set(NEEDED) <= {"largest_distance", "all_below", "any_further", "add_weighted"}
 
 
 def test_a_sleeping_frame_calls_nothing_and_takes_no_memory():

@@ -143,7 +143,7 @@ class Automatic(Integrator):
             why = "too stiff for explicit steps in real time"
         else:
             why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
-        return attrs.evolve(done, reason=f"auto: {why}; {done.reason}")
+        return done._replace(reason=f"auto: {why}; {done.reason}")
 
     def _choose(self, memory: Choice, dynamics: Dynamics, state: State, duration: float) -> None:
         """Compare costs, from time to time and whenever the implicit method turns out dear."""

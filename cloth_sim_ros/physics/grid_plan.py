@@ -115,7 +115,7 @@ class GridPlan:
         [s]; the observer's weights are multiplied by weight. Single precision is about the first particle; what changes
         is added in double.
         """
-        wrenches = observer if isinstance(observer, WrenchObserver) else None
+        wrenches = observer if observer is not None and isinstance(observer, WrenchObserver) else None
         if self._loop is None:
             leapfrog_by_terms(self._dynamics, t, x, v, step, steps, observer, weight, start=start)
             return

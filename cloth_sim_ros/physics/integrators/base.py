@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
-import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.dynamics import Dynamics
@@ -40,8 +40,7 @@ class UnstableError(RuntimeError):
 BINDING = ("accuracy", "stability", "frame", "step", "rest")
 
 
-@attrs.frozen(kw_only=True)
-class Advance:
+class Advance(NamedTuple):
     """What an integrator did over one stretch of time."""
 
     #: Steps of the runs that make up the result.

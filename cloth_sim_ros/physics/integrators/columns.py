@@ -19,7 +19,7 @@ import numpy as np
 from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.integrators.march import leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
+from cloth_sim_ros.physics.kernels.leapfrog import add_weighted, all_finite, largest_distance
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
@@ -220,7 +220,10 @@ class Columns:
         for weight, array in zip(weights(self.counts[:columns]), arrays, strict=False):
             assert array is not None
             total = np.zeros(array.shape) if total is None else total
-            _add_weighted(total, weight, array)
+            if self._large:
+                _add_weighted(total, weight, array)
+            else:
+                add_weighted(total, weight, array)
         assert total is not None
         return total
 

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import math
 
-import attrs
-
 from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
 from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.choice import Choice, Options, binds, reason
@@ -147,8 +145,7 @@ class ControlledAdvance:
         done = last_resort(
             self._dynamics, self._state, self._t, self._duration, self._observer, instead_of=self._options.name
         )
-        return attrs.evolve(
-            done,
+        return done._replace(
             evaluations=self._evaluations + done.evaluations,
             limit=self._limit,
             rejected=rejected,

@@ -30,7 +30,7 @@ from cloth_sim_ros.physics.integrators.control import (
 )
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.integrators.march import leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
+from cloth_sim_ros.physics.kernels.leapfrog import any_further, largest_distance
 from cloth_sim_ros.physics.state import State
 
 
@@ -91,8 +91,7 @@ class Economies:
         rounding = self._memory.rounding
         if not 0.0 <= rounding <= NARROW_SHARE * self._budget:
             return False
-        v = state.v
-        return max(float(v.max()), -float(v.min())) * self._stretch > NARROW_MOTION * rounding
+        return bool(any_further(state.v, self._stretch, NARROW_MOTION * rounding))
 
     def _alternates(self) -> bool:
         memory = self._memory

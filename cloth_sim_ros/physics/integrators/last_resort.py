@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import math
 
-import attrs
-
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
 from cloth_sim_ros.physics.integrators.control import HOPELESS, Memory
@@ -55,6 +53,6 @@ def last_resort(
     memory.omega2, memory.damping = dynamics.rates(state.x)
     memory.store(state)
     why = f"{instead_of}: springs made energy even by the smallest steps"
-    return attrs.evolve(
-        done, flagged=max(1, done.flagged), reason=f"{why}: implicit, order 2, step {done.step:.3g} s for this frame"
+    return done._replace(
+        flagged=max(1, done.flagged), reason=f"{why}: implicit, order 2, step {done.step:.3g} s for this frame"
     )

@@ -56,8 +56,29 @@ def largest_distance(x, y):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def all_finite(x, v):  # type: ignore[no-untyped-def]
     """Return whether every entry of both arrays is finite."""
+    wrong = 0
     for c in range(x.shape[0]):
+        # Counted to the end: a loop that may stop early is not vectorised.
         for i in range(x.shape[1]):
-            if not (np.isfinite(x[c, i]) and np.isfinite(v[c, i])):
-                return False
-    return True
+            wrong += x[c, i] - x[c, i] != 0.0
+        for i in range(x.shape[1]):
+            wrong += v[c, i] - v[c, i] != 0.0
+    return wrong == 0
+
+
+@numba.njit(cache=True, nogil=True)
+def any_further(v, duration, way):  # type: ignore[no-untyped-def]
+    """Return whether some entry of v (3, n) [m/s] is so fast that it goes further than a way [m] in a duration [s]."""
+    for i in range(v.shape[1] - 1, -1, -1):
+        for c in range(v.shape[0]):
+            if abs(v[c, i]) * duration > way:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True)
+def add_weighted(out, weight, array):  # type: ignore[no-untyped-def]
+    """out += weight array, rounding after the product, as numpy does."""
+    for c in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            out[c, i] += weight * array[c, i]
