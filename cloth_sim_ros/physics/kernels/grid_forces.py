@@ -19,6 +19,7 @@ from cloth_sim_ros.physics.kernels.grid_springs import (
     constants,
     grid_tables,
 )
+from cloth_sim_ros.physics.kernels.prepared import Prepared
 
 
 class GridForces:
@@ -34,13 +35,24 @@ class GridForces:
 
     def __init__(self, springs: GridSprings, *, weak: bool | None = None, dtype: Any = np.float64) -> None:
         self.springs = springs
-        tables = grid_tables(springs, np.zeros(springs.rows * springs.columns), dtype)
-        self._pitch, self._table, self._table_rows = tables
+        count = springs.rows * springs.columns
+        pitch, table, table_rows = grid_tables(springs, np.zeros(count), dtype)
         wanted = {True: 1.0, False: 1.0} if weak is None else {weak: 1.0}
-        self._shape, self._values = constants(springs, wanted, dtype)
-        self._damped = springs.damped
-        self._window = aligned_zeros(3 * 6 * self._pitch, dtype)
-        self._ring = aligned_zeros(3 * 3 * self._pitch, dtype)
+        self._shape, values = constants(springs, wanted, dtype)
+        self._damped, self._narrow = springs.damped, np.dtype(dtype) == np.float32
+        self._expected, self._number = (3, count), -1
+        window, ring = aligned_zeros(3 * 6 * pitch, dtype), aligned_zeros(3 * 3 * pitch, dtype)
+        self._still = (
+            1 if self._narrow else None,
+            springs.columns,
+            pitch,
+            window,
+            table,
+            table_rows,
+            ring,
+            self._shape,
+            values,
+        )
 
     def add(self, x: Array, v: Array, f: Array) -> None:
         """f += spring forces [N] at positions x [m] and velocities v [m/s], all (3, rows * columns) float64,
@@ -49,16 +61,15 @@ class GridForces:
         Raises:
             ValueError: for another shape.
         """
-        expected = (3, self.springs.rows * self.springs.columns)
-        for name, array in (("x", x), ("v", v), ("f", f)):
-            check_array(name, array, expected)
-        velocity = v.reshape(-1) if self._damped else None
-        # Only differences count; near the origin they keep more digits in single precision.
-        origin = np.zeros(3) if self._table.dtype == np.float64 else x[:, 0].copy()
-        _add_forces(
-            *(x.reshape(-1), velocity, f.reshape(-1), origin, self.springs.columns, self._pitch, self._window),
-            *(self._table, self._table_rows, self._ring, self._shape, self._values),
-        )
+        expected = self._expected
+        check_array("x", x, expected)
+        check_array("v", v, expected)
+        check_array("f", f, expected)
+        velocities = v if self._damped else None
+        if self._number < 0:
+            key = (self._narrow, self._damped, self._shape.kinds())
+            self._number = _FORCES.number(key, (x, velocities, f, *self._still))
+        _FORCES.entries[self._number](x, velocities, f, *self._still)
 
 
 def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
@@ -67,10 +78,12 @@ def grid_forces(x: Array, v: Array, springs: GridSprings, f: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring, shape, values):  # type: ignore[no-untyped-def]
-    """Sweep over the rows through a window of three padded ones. `x`, `v`, `f` are flat; `v` is None where nothing
-    is damped.
+def _add_forces(positions, velocities, forces, near, columns, pitch, window, table, table_rows, ring, shape, values):  # type: ignore[no-untyped-def]
+    """Sweep over the rows through a window of three padded ones. `velocities` are None where nothing is damped, `near`
+    where positions are not taken relative to the first particle's. Only differences count; near the origin they keep
+    more digits in single precision.
     """
+    x, f = positions.ravel(), forces.ravel()
     rows = len(table_rows)
     count = rows * columns
     stride = 6 * pitch
@@ -80,8 +93,10 @@ def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring
         place = ahead % 3 * stride
         if ahead < rows:
             for c in range(3):
-                copy_in(x, c * count + ahead * columns, origin[c], columns, window, place + c * pitch)
-            if v is not None:
+                origin = 0.0 if near is None else x[c * count]
+                copy_in(x, c * count + ahead * columns, origin, columns, window, place + c * pitch)
+            if velocities is not None:
+                v = velocities.ravel()
                 for c in range(3):
                     copy_in(v, c * count + ahead * columns, 0.0, columns, window, place + (3 + c) * pitch)
         if row < 0:
@@ -92,3 +107,6 @@ def _add_forces(x, v, f, origin, columns, pitch, window, table, table_rows, ring
         row_forces(window, at, below, place, pitch, table, entry, ring, ring0, ring1, ring2, shape, values)
         for c in range(3):
             add_out(ring, ring0 + c * pitch, columns, f, c * count + row * columns)
+
+
+_FORCES = Prepared(_add_forces)

@@ -132,6 +132,9 @@ def aligned_zeros(size: int, dtype: Any) -> NDArray[Any]:
     return raw[start : start + size * kind.itemsize].view(kind)
 
 
+_DOUBLE = np.dtype(np.float64)
+
+
 def check_array(name: str, array: Array, shape: tuple[int, ...]) -> None:
     """Refuse what a kernel would misread.
 
@@ -140,7 +143,8 @@ def check_array(name: str, array: Array, shape: tuple[int, ...]) -> None:
     """
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; this sheet needs {shape}")
-    if array.dtype != np.float64 or not array.flags.c_contiguous:
+    # Asked first what is quickly told.
+    if (array.dtype is not _DOUBLE and array.dtype != _DOUBLE) or not array.flags.c_contiguous:
         layout = "" if array.flags.c_contiguous else ", not C-contiguous"
         raise ValueError(f"{name} is {array.dtype}{layout}; it must be C-contiguous float64")
 
