@@ -143,6 +143,19 @@ def test_a_turning_gripper_keeps_the_fused_loop_and_its_wrench(narrow, monkeypat
     assert wrenches[0] == pytest.approx(wrenches[1], abs=(2e-3 if narrow else 1e-9) * np.abs(wrenches[1]).max())
 
 
+def test_poses_of_a_gripper_that_holds_nothing_are_numbers(monkeypatch):
+    fused, _ = pair({})
+    corner = fused.positions[-1]
+    fused.advance([Target("one", corner)])
+    fused.advance([Grasp("one", True)])
+    fused.advance([Target("one", corner + 0.01, (0.0, 0.0, 0.1, 1.0))])
+    # What memory happens to hold: where nothing is set, a subtraction would warn.
+    monkeypatch.setattr(np, "empty", lambda shape, **_: np.full(shape, np.nan))
+    grips, _ = fused.dynamics.plan._held(2 / 60, 1e-4, 3)
+    assert grips.turns.poses[:, 0].any()
+    assert np.isfinite(grips.turns.poses).all()
+
+
 def test_hinge_springs_keep_the_fused_forces_and_take_the_loop_of_listed_springs():
     fused, _ = pair(SCENES["hinges"])
     assert isinstance(fused.dynamics.plan, MeshPlan)

@@ -166,7 +166,8 @@ class GridPlan:
         """Poses at each step, where a gripper that holds something turns; else points follow cubics."""
         if not grips.paths[np.diff(grips.starts) > 0, 17:26].any():
             return None
-        poses = np.empty((steps + 1, len(grips.paths), POSE_NUMBERS))
+        # Zeros: of a gripper that holds nothing no pose is set, and all are moved to the run's origin.
+        poses = np.zeros((steps + 1, len(grips.paths), POSE_NUMBERS))
         tabulate_poses(grips.paths, grips.starts, t, step, poses)
         booked = np.zeros((len(order), BOOKED_NUMBERS))
         return GridTurns(grips.owners()[order], grips.offsets[order], poses, booked)
