@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+from cloth_sim_ros.ros.measure_stream import Stream
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -34,3 +37,35 @@ def test_start_is_measured_from_the_process_to_the_first_cloud():
     assert len(told["warm_s"]) == 1
     assert 0.0 < told["warm_processor_median_s"] < told["warm_s"][0] * 4.0
     assert told["met"] == (told["warm_median_s"] < told["goal_s"])
+
+
+def stream(**values):
+    """Ten clouds a second for a second, each a little after it was due."""
+    due = np.arange(10) / 10.0
+    told = {"points": 4, "rate": 10.0, "asleep": True, "sent": 10, "received": 10, "late": 0, "load": 0.1}
+    return Stream(**told | {"stamps": due, "arrivals": due + 0.01} | values)
+
+
+def test_a_lost_cloud_and_a_due_time_without_one_are_told():
+    assert stream().met
+    assert stream().summary()["received_hz"] == pytest.approx(10.0)
+    lost = stream(received=9)
+    assert (lost.summary()["lost"], lost.met) == (1, False)
+    whole = stream()
+    kept = [0, 1, 2, 3, 4, 7, 8, 9]
+    late = stream(stamps=whole.stamps[kept], arrivals=whole.arrivals[kept])
+    assert (late.summary()["left_out"], late.met) == (2, False)
+    assert late.summary()["spacing_max_ms"] == pytest.approx(300.0)
+    assert not stream(sent=0, received=0).met
+
+
+def test_clouds_are_counted_at_both_ends():
+    sides = ["--resolutions", "5", "6", "--seconds", "0.5", "--rate", "30"]
+    resting, also = ask("measure_stream", *sides)
+    assert [resting["points"], also["points"]] == [25, 36]
+    for told in (resting, also):
+        assert told["asleep"]
+        assert 0 < told["sent"] == told["received"]
+        assert told["met"] == (told["left_out"] == 0)
+    (moving,) = ask("measure_stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", "--moving")
+    assert not moving["asleep"]
