@@ -183,6 +183,25 @@ def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
         assert float(values["energy_dissipated_j"]) > 0.0
 
 
+def test_the_strain_is_that_of_the_longest_edge_and_measured_for_readers_alone(client: Client) -> None:
+    with ClockedCloth(client, {"cloth.resolution": [6, 6], "cloth.size": [1.0, 2.0]}) as cloth:
+        gauge = cloth.node._diagnostics._collect._gauge
+        x = cloth.simulation.state.x.copy()
+        assert gauge.largest(x) == pytest.approx(0.0, abs=1e-12)
+        away = np.linalg.norm(x[:, 1] - x[:, 0])
+        x[:, 0] = x[:, 1] + 1.5 * (x[:, 0] - x[:, 1])
+        assert away > 0.0
+        assert gauge.largest(x) == pytest.approx(0.5)
+        asked: list[bool] = []
+        cloth.node._diagnostics._collect._gauge.largest = lambda x: asked.append(True)
+        cloth.node._diagnostics.send()
+        assert not asked
+        client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: None, 10)
+        client.spin_until(lambda: cloth.node._diagnostics._output.heard, what="the subscriber of diagnostics")
+        cloth.node._diagnostics.send()
+        assert asked
+
+
 def test_targets_are_taken_from_any_publisher_and_grasps_from_reliable_ones(client: Client) -> None:
     profiles = {
         policy: QoSProfile(depth=10, reliability=policy)

