@@ -59,13 +59,9 @@ def test_a_lost_cloud_and_a_due_time_without_one_are_told():
     assert not stream(sent=0, received=0).met
 
 
-def test_clouds_are_counted_at_both_ends():
-    sides = ["--resolutions", "5", "6", "--seconds", "0.5", "--rate", "30"]
-    resting, also = ask("measure_stream", *sides)
-    assert [resting["points"], also["points"]] == [25, 36]
-    for told in (resting, also):
-        assert told["asleep"]
-        assert 0 < told["sent"] == told["received"]
-        assert told["met"] == (told["left_out"] == 0)
-    (moving,) = ask("measure_stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", "--moving")
-    assert not moving["asleep"]
+@pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
+def test_clouds_are_counted_at_both_ends(moving):
+    (told,) = ask("measure_stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", *["--moving"] * moving)
+    assert (told["points"], told["asleep"]) == (25, not moving)
+    assert 0 < told["sent"] == told["received"]
+    assert told["met"] == (told["left_out"] == 0)
