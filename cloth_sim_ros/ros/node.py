@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from cloth_sim_ros.events import Grasp, Reset, SetParameters, Target
-from cloth_sim_ros.physics.integrators.base import StepLimitError, UnstableError
+from cloth_sim_ros.events import Reset, SetParameters
+from cloth_sim_ros.rehearsal import rehearse
 from cloth_sim_ros.ros import diagnostics, parameters
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
@@ -143,26 +143,8 @@ class ClothNode:
             StopRequestedError: if a signal came meanwhile.
         """
         self.node.get_logger().info("preparing the kernels; the first start compiles them, which may take a while")
-        self._aside(self._run_trial)
+        self._aside(lambda: rehearse(self._simulation.scene))
         self._recording.prepare()
-
-    def _run_trial(self) -> None:
-        scene = self._simulation.scene
-        trial = Simulation(scene)
-        name = scene.gripper_names[:1]
-        place = tuple(trial.positions[-1].tolist())
-        try:
-            # Holding nothing, holding, turning while holding, a look whether it rests: each has code of its own.
-            trial.advance()
-            trial.advance([event for gripper in name for event in (Target(gripper, place), Grasp(gripper, True))])
-            trial.advance([Target(gripper, place, (0.0, 0.0, 0.01, 1.0)) for gripper in name])
-            trial.rests()
-        except StepLimitError:
-            raise
-        except UnstableError:
-            # It is told when it comes to its frame: there it stops time, not the node.
-            return
-        trial.state.digest()
 
     def start(self) -> None:
         """Begin to record, if asked to, and let time begin.
