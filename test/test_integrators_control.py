@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_sim_ros.bench.problems import PERIOD, Problem, problem
+from cloth_sim_ros.bench.problems import PERIOD, Problem, curtain, problem
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.tolerance_sweep import measure
@@ -15,6 +15,7 @@ from cloth_sim_ros.events import Grasp, SetParameters, Target
 from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import MEMORY, Observer, UnstableError
+from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
@@ -204,3 +205,16 @@ def test_rounding_of_a_sheet_at_rest_is_no_energy_that_steps_made(place):
     for _ in range(3):
         done = simulation.advance().advance
         assert (done.rejected, done.binds) == (0, "stability")
+
+
+def test_a_motion_that_calms_down_goes_back_to_fewer_runs() -> None:
+    """The curtain's fall asks for two runs a frame for a while; what follows does not."""
+    scene = curtain(16)
+    dynamics, state = scene.build()
+    integrator = make_integrator("auto", tolerance=3.5e-4)
+    columns = []
+    for frame in range(scene.frames):
+        integrator.advance(dynamics, state, frame * PERIOD, PERIOD)
+        columns.append(Memory.of(state).columns)
+    assert max(columns) == 2
+    assert columns[40:] == [1] * 20

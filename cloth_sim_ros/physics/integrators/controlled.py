@@ -311,7 +311,11 @@ class ControlledAdvance:
             if choice.columns == 1:
                 estimate = self._economies.estimate(columns.economy, activity)
             else:
-                estimate = columns.difference(choice.columns - 1) * memory.ratio
+                fewer = columns.difference(choice.columns - 1)
+                estimate = fewer * memory.ratio
+                if fewer <= AIM * self._budget and not self._undamped():
+                    # One column fewer would do.
+                    memory.wait = 0
             if estimate <= self._budget:
                 return estimate
             if choice.columns == 1 and memory.wait > 0 and hopeless(memory.error, choice.refine, self._budget):
@@ -389,7 +393,7 @@ class ControlledAdvance:
     def _wait_longer(self, *, calm: bool, quickly: bool = False) -> None:
         """Put off the next judgement."""
         memory = self._memory
-        if memory.error <= FAR * self._budget:
+        if memory.error <= FAR * self._budget and memory.refine <= 1.0:
             memory.interval = min(4 * LONGEST_WAIT, 4 * memory.interval)
         else:
             memory.interval = min(LONGEST_WAIT, (4 if quickly else 2) * memory.interval) if calm else 1
