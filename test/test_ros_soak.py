@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node that is grasped all the time: memory, descriptors and threads stay flat, frames don't come later and later.
 
-`make test` runs a minute of it, `make soak` an hour (CLOTH_SIM_ROS_SOAK_SECONDS) and prints the figures.
+`make test` runs a minute of it, `make soak` an hour (CLOTH_SIM_ROS_SOAK_SECONDS); both print the figures, the hour
+holds late frames flat as well.
 """
 
 from __future__ import annotations
@@ -106,8 +107,8 @@ def growth(samples: list[Sample], name: str) -> float:
     return float(slope * (at[-1] - at[0]))
 
 
-def check(watch: Watch) -> None:
-    """Print the figures, and hold the samples flat."""
+def check(watch: Watch) -> list[int]:
+    """Print the figures, and hold the samples flat; late frames of the first half and of the second."""
     samples = watch.samples
     half = len(samples) // 2
     late = [samples[half].late - samples[0].late, samples[-1].late - samples[half].late]
@@ -130,8 +131,7 @@ def check(watch: Watch) -> None:
     assert figures["memory_growth_MB"] < 5.0, figures
     assert {sample.descriptors for sample in samples[1:]} <= {n + samples[0].descriptors for n in (-1, 0, 1)}, figures
     assert len({sample.threads for sample in samples}) == 1, figures
-    # No trend: the second half has not clearly more late frames than the first (Poisson, four sigma).
-    assert late[1] <= late[0] + 4.0 * np.sqrt(late[0] + 1.0) + 4.0, figures
+    return late
 
 
 @pytest.mark.usefixtures("ros_domain")
@@ -144,4 +144,7 @@ def test_a_minute_of_grasping(start_process: Callable[..., Any], tmp_path: Path)
 @pytest.mark.usefixtures("ros_domain")
 def test_an_hour_of_grasping(start_process: Callable[..., Any], tmp_path: Path) -> None:
     watch, _ = soak(start_process, tmp_path / "sessions", float(os.environ.get("CLOTH_SIM_ROS_SOAK_SECONDS", "3600")))
-    check(watch)
+    late = check(watch)
+    # No trend: the second half has not clearly more late frames than the first (Poisson, four sigma). An hour alone on
+    # a machine tells that; within a minute it is what else runs there.
+    assert late[1] <= late[0] + 4.0 * np.sqrt(late[0] + 1.0) + 4.0, late

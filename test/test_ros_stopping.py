@@ -11,7 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from ros_client import start_cloth
+
+from cloth_sim_ros.ros.node import ClothNode
 
 #: What issue and launch files promise is 2 s; the rest is for a busy machine.
 LIMIT = 10.0
@@ -99,3 +102,21 @@ def test_a_gripper_that_waits_ends_at_once(ros_domain: int, start_process: Calla
     process.wait_for_output("waiting for")
     assert process.interrupt(limit=LIMIT) == 130
     assert "Traceback" not in process.output
+
+
+def test_a_context_that_ends_amid_the_closing_is_no_error(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As rclpy's own signal handler ends it: nobody is left to be told, and the recording is closed all the same."""
+    context = rclpy.Context()
+    context.init()
+    cloth = ClothNode(context=context)
+    cloth.start()
+    names = cloth.node.get_node_names_and_namespaces
+
+    def late() -> list[tuple[str, str]]:
+        context.shutdown()
+        return list(names())
+
+    monkeypatch.setattr(cloth.node, "get_node_names_and_namespaces", late)
+    assert cloth.close()
+    assert not context.ok()
+    cloth.node.destroy_node()

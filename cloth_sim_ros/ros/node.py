@@ -193,9 +193,14 @@ class ClothNode:
         self._queue.clear("the node stops")
         # Where a signal came amid a frame, there is nothing to be said of the half of it.
         if self._pacer is not None and not self._cut_off and self.node.context.ok():
-            self._diagnostics.send()
-            self._outputs.flush()
-            self._diagnostics.flush()
+            try:
+                self._diagnostics.send()
+                self._outputs.flush()
+                self._diagnostics.flush()
+            except RuntimeError:
+                # They may do so meanwhile, too.
+                if self.node.context.ok():
+                    raise
         status = self._recording.end(reason="node stopped", timeout=timeout)
         if status is not None:
             self._tell_end(status)
