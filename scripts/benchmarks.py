@@ -22,7 +22,7 @@ PICTURES = ROOT / "docs" / "images"
 SECTIONS = {
     "conditioning": "conditioning",
     "tolerance": "tolerance --energy",
-    "work-precision-16": "work-precision --scene curtain16",
+    "work-precision-16": "work-precision --scene curtain16 --slow",
     "work-precision-32": "work-precision --scene curtain32",
     "stability": "stability",
     "speed": "speed",
