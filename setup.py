@@ -2,11 +2,51 @@
 # SPDX-License-Identifier: Apache-2.0
 """How cloth_sim_ros installs, with pip or with colcon."""
 
+import os
+import runpy
 from glob import glob
+from pathlib import Path
+from types import SimpleNamespace
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 NAME = "cloth_sim_ros"
+ENGINE = f"{NAME}.engine"
+
+# colcon takes no build requirements: nothing but setuptools and the standard library is there. The file is run, not
+# imported, because the package can't be before it is installed.
+engine = SimpleNamespace(**runpy.run_path(str(Path(__file__).absolute().parent / NAME / "engine" / "build.py")))
+
+
+class BuildEngine(build_ext):
+    """Builds the engine's libraries, which are called through ctypes and need neither Python's headers nor its flags."""
+
+    def get_ext_filename(self, fullname):
+        """The plain name: a library is the same for every Python."""
+        return os.path.join(*fullname.split(".")) + ".so"
+
+    def run(self):
+        """Into the build folder, or beside the sources where the package is used in place."""
+        if self.inplace:
+            folder = self.get_finalized_command("build_py").get_package_dir(ENGINE)
+        else:
+            folder = os.path.join(self.build_lib, *ENGINE.split("."))
+        try:
+            engine.build(Path(folder).absolute(), say=lambda text: self.announce(f"{NAME}: {text}", level=2))
+        except engine.BuildError as error:
+            raise SystemExit(str(error)) from None
+
+
+def extensions():
+    """One for each library of this machine, so that setuptools knows that there is something to build, and its files."""
+    try:
+        names = engine.names_for()
+    except engine.BuildError as error:
+        raise SystemExit(str(error)) from None
+    sources = [str(Path(NAME, "engine", engine.UNIT))]
+    return [Extension(f"{ENGINE}.{Path(engine.file_name(name)).stem}", sources=sources) for name in names]
+
 
 # The core runs the physics and the simulation. What needs a ROS graph, writes or shows sessions, reads mesh files or
 # measures is an extra of its own, so that `import cloth_sim_ros` needs none of it. Lower bounds are those of Ubuntu
@@ -55,8 +95,11 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # What lies beside the code and is not Python: the C kernel that `cloth_bench speed` builds and compares with.
-    package_data={"": ["*.c"]},
+    # What lies beside the code and is not Python: the engine's sources, and the C kernel that `cloth_bench speed` builds
+    # and compares with.
+    package_data={"": ["*.c", *engine.PATTERNS]},
+    ext_modules=extensions(),
+    cmdclass={"build_ext": BuildEngine},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
