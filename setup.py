@@ -20,7 +20,7 @@ engine = SimpleNamespace(**runpy.run_path(str(Path(__file__).absolute().parent /
 
 
 class BuildEngine(build_ext):
-    """Builds the engine's libraries, which are called through ctypes and need neither Python's headers nor its flags."""
+    """Builds the engine's libraries, which are called through ctypes and need no headers of Python's."""
 
     def get_ext_filename(self, fullname):
         """The plain name: a library is the same for every Python."""
@@ -39,7 +39,7 @@ class BuildEngine(build_ext):
 
 
 def extensions():
-    """One for each library of this machine, so that setuptools knows that there is something to build, and its files."""
+    """One for each library of this machine, so that setuptools knows that there is something to build."""
     try:
         names = engine.names_for()
     except engine.BuildError as error:
@@ -95,8 +95,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # What lies beside the code and is not Python: the engine's sources, and the C kernel that `cloth_bench speed` builds
-    # and compares with.
+    # What lies beside the code and is not Python: the engine's sources, and the C kernel that `cloth_bench speed` compares
+    # with.
     package_data={"": ["*.c", *engine.PATTERNS]},
     ext_modules=extensions(),
     cmdclass={"build_ext": BuildEngine},

@@ -23,6 +23,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 ENGINE = Path(__file__).resolve().parent
@@ -33,8 +34,8 @@ COMPILERS = ("g++", "clang++", "c++")
 
 # -fno-fast-math comes first: to both compilers it also means errno for square roots, and to clang contraction.
 # Contraction off is what makes the results the same everywhere: fma stands where it is written and nowhere else.
-# Neither errno nor traps are looked at; without them a square root is one instruction, and loops become vectors. Neither
-# changes a result.
+# Nobody looks at errno or traps; without them a square root is one instruction, and loops become vectors. Neither changes
+# a result.
 ARITHMETIC = ["-fno-fast-math", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
 LANGUAGE = ["-std=c++20", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
 # -Wno-psabi: GCC notes that functions which pass vectors changed in GCC 4.6; they are all inside one library.
@@ -111,8 +112,11 @@ def describe(compiler: Sequence[str]) -> str:
     Raises:
         BuildError: if it does not run.
     """
+    english = {**os.environ, "LC_ALL": "C"}  # the same words, and so the same fingerprint, in every language
     try:
-        done = subprocess.run([*compiler, "--version"], check=False, capture_output=True, text=True, errors="replace")
+        done = subprocess.run(
+            [*compiler, "--version"], env=english, check=False, capture_output=True, text=True, errors="replace"
+        )
     except OSError as error:
         raise BuildError(f"cloth_sim_ros: the compiler {compiler[0]} does not run ({error}).") from error
     if done.returncode or not done.stdout.strip():
@@ -189,7 +193,7 @@ def build(
         # What was built beside the sources needs no second compile.
         ready = {name for name in wanted if is_current(sources / file_name(name), prints[name])}
         for name in sorted(ready):
-            replace(libraries[name], lambda target, name=name: shutil.copy2(sources / file_name(name), target))
+            replace(libraries[name], partial(shutil.copy2, sources / file_name(name)))
         wanted = [name for name in wanted if name not in ready]
         if wanted:
             say(f"building the engine with {compiler[0]}: {', '.join(wanted)} ...")
@@ -227,7 +231,9 @@ def run(command: list[str], name: str, version: str, sources: Path) -> None:
 def main() -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", action="append", choices=INSTRUCTION_SETS, help="which; by default this machine's all")
+    parser.add_argument(
+        "--only", action="append", choices=INSTRUCTION_SETS, help="which; by default this machine's all"
+    )
     parser.add_argument("--folder", type=Path, default=ENGINE, help="where the libraries shall be")
     parser.add_argument("--sanitize", action="store_true", help="with the address and undefined-behaviour sanitizers")
     arguments = parser.parse_args()
