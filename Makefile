@@ -6,15 +6,18 @@
 #   make test    the tests
 # Both make the environment when it is missing, and start at once when it is there.
 #
-# For those who work on it: make check (what CI runs: format, lint, types, tests), format, soak, bench, benchmarks,
-# screenshots, colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), ARGS (more arguments), as in
+# For those who work on it: make check (what CI runs: format, lint, types, tests), engine, sanitize, format, soak, bench,
+# benchmarks, screenshots, colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), CXX (which
+# compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
+#   make sanitize TESTS="test/engine -x"
 
 SHELL := /bin/sh
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
+TESTS ?= test/engine
 
 # Each set of packages (extras of setup.py) has a stamp in the environment, written last.
 DEMO := $(VENV)/has_demo
@@ -33,23 +36,32 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run test check format soak bench benchmarks screenshots colcon clean
+.PHONY: help run engine sanitize test check format soak bench benchmarks screenshots colcon clean
 .DEFAULT_GOAL := help
 
 help:
-	@sed -n 's/^# \{0,1\}//; 3,13p' Makefile
+	@sed -n 's/^# \{0,1\}//; 3,15p' Makefile
 
-run: $(DEMO)
+run: $(DEMO) engine
 	@$(BIN)/python -m cloth_sim_ros.ros.demo $(ARGS)
 
-test: $(DEV)
+test: $(DEV) engine
 	@$(BIN)/python -m pytest $(ARGS)
 
-check: $(DEV)
+check: $(DEV) engine
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	@$(MAKE) --no-print-directory test
+
+# Builds what is not up to date, beside its sources, which is where an environment finds it.
+engine:
+	@python=$$(test -x $(BIN)/python && echo $(BIN)/python || scripts/find_python.sh) && \
+	    "$$python" scripts/engine.py
+
+# Tests with the engine under the address and the undefined-behaviour sanitizer.
+sanitize: $(DEV)
+	@$(BIN)/python scripts/engine.py --sanitize $(TESTS) $(ARGS)
 
 format: $(DEV)
 	$(BIN)/ruff format .
@@ -57,20 +69,20 @@ format: $(DEV)
 
 # A real hour of grasping; CLOTH_SIM_ROS_SOAK_SECONDS sets another length.
 soak: export CLOTH_SIM_ROS_SOAK_SECONDS ?= 3600
-soak: $(DEV)
+soak: $(DEV) engine
 	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
 	@$(BIN)/python test/soak_session_kills.py --count 500
 	@$(BIN)/python test/soak_verify.py --sessions 200
 
-bench: $(DEV)
+bench: $(DEV) engine
 	@$(BIN)/cloth_bench $(ARGS)
 
 # docs/benchmarks.md anew: an hour or two; ARGS names sections, as in make benchmarks ARGS="speed skip".
-benchmarks: $(DEV)
+benchmarks: $(DEV) engine
 	@$(BIN)/python scripts/benchmarks.py $(ARGS)
 
 # The pictures of the README and docs, anew, from real sessions.
-screenshots: $(DEV)
+screenshots: $(DEV) engine
 	@$(BIN)/python scripts/screenshots.py $(ARGS)
 	@$(BIN)/python scripts/session_pictures.py
 

@@ -18,6 +18,8 @@ import sys
 import time
 from pathlib import Path
 
+import compiler
+
 ROOT = Path(__file__).resolve().parent.parent
 INPUTS = ("setup.py", "setup.cfg", "constraints.txt")
 PURPOSES = {"demo": "`make run` needs", "dev": "the tests and tools need"}
@@ -109,6 +111,8 @@ def main() -> int:
             stamp.touch()
         return 0
 
+    if not compiler.ensure():  # pip builds the engine
+        return 1
     start = time.monotonic()
     try:
         install(folder, arguments.extras)

@@ -84,8 +84,9 @@ def test_another_processor_gets_one_sentence(machine: Path) -> None:
 def project(tmp_path: Path) -> Path:
     """A copy of the files that the environment is made from, with an environment whose pip is ours to command."""
     folder = tmp_path / "project"
-    (folder / "scripts").mkdir(parents=True)
-    for name in ("setup.py", "setup.cfg", "constraints.txt", "scripts/environment.py"):
+    inputs = ("setup.py", "setup.cfg", "constraints.txt", "scripts/environment.py", "scripts/compiler.py")
+    for name in (*inputs, "cloth_sim_ros/engine/build.py"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / name)
     # Answers the probe; as pip it counts its calls, installs a package and ends with $PIP_STATUS.
     fake = (
@@ -146,7 +147,46 @@ def test_an_environment_whose_making_broke_off_is_made_anew(project: Path) -> No
     assert not (project / "env" / "has_demo").exists()
 
 
-def test_an_environment_that_was_moved_or_lost_its_python_is_in_doubt(project: Path) -> None:
+def test_without_a_compiler_one_sentence_says_so_before_pip_begins(project: Path, tmp_path: Path) -> None:
+    # Nothing on the PATH, and so neither a compiler nor apt-get.
+    made = make(project, PATH=str(tmp_path), CXX="")
+    assert made.returncode == 1
+    assert len(made.stdout.splitlines()) == 1
+    assert "install the package g++" in made.stdout
+    assert pip_calls(project) == 0
+    # One that was named and is not there is not replaced by another.
+    made = make(project, CXX="absent-compiler")
+    assert made.returncode == 1
+    assert "absent-compiler, was not found" in made.stdout
+    assert pip_calls(project) == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root installs packages")
+def test_as_root_with_apt_the_compiler_is_installed(project: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "packages"
+    write_script(folder / "apt-get", f'echo "$@" >> {tmp_path}/apt\n[ "$1" = update ] || {{ echo; }} > {folder}/g++')
+    for tool in ("dirname", "touch"):  # what the made-up pip calls
+        (folder / tool).symlink_to(shutil.which(tool) or f"/bin/{tool}")
+    made = make(project, PATH=str(folder), CXX="")
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "installing g++ with apt-get" in made.stdout
+    assert (tmp_path / "apt").read_text().splitlines()[-1].endswith("g++")
+    assert pip_calls(project) == 1
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root installs packages")
+def test_apt_that_fails_is_told(project: Path, tmp_path: Path) -> None:
+    write_script(tmp_path / "packages" / "apt-get", "exit 100")
+    made = make(project, PATH=str(tmp_path / "packages"), CXX="")
+    assert made.returncode == 1
+    assert "apt-get update ended with status 100" in made.stdout
+    assert pip_calls(project) == 0
+
+
+def test_an_environment_that_was_moved_or_lost_its_python_is_in_doubt(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(project / "scripts")
     scripts = runpy.run_path(str(project / "scripts" / "environment.py"))
     assert make(project).returncode == 0
     assert scripts["is_sound"](project / "env")

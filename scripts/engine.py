@@ -1,0 +1,98 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Builds the engine beside its sources, for an environment that uses the package in place. Run by the Makefile.
+
+Finds out in a tenth of a second that there is nothing to do. With `--sanitize` it builds the engine with the address
+and the undefined-behaviour sanitizer, into a folder of its own, and runs tests with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import compiler
+
+ROOT = Path(__file__).resolve().parent.parent
+SANITIZED = ROOT / "build" / "sanitize"
+
+
+def preloaded() -> str:
+    """The libraries that must be in the process before Python's own: the sanitizer, and what it reads at its start.
+
+    Raises:
+        RuntimeError: if the compiler is not GCC, or has no sanitizer.
+    """
+    build = compiler.load_build()
+    command = build.find_compiler()
+    if "clang" in build.describe(command):
+        raise RuntimeError("cloth_sim_ros: the sanitizers' tests run with g++, not with clang: make sanitize CXX=g++.")
+    found = []
+    # Without the C++ library at its start, the sanitizer stops at the first exception that is thrown.
+    for name in ("libasan.so", "libstdc++.so.6"):
+        done = subprocess.run([*command, f"-print-file-name={name}"], check=True, capture_output=True, text=True)
+        path = done.stdout.strip()
+        if path == name:  # as the compiler answers when it has no such file
+            raise RuntimeError(f"cloth_sim_ros: {command[0]} has no {name}; install the package libasan8 or its like.")
+        found.append(path)
+    return " ".join(found)
+
+
+def sanitize(tests: list[str]) -> int:
+    """Run tests with each library that can show something of its own; returns the first exit status that is not 0."""
+    build = compiler.load_build()
+    libraries = runpy.run_path(str(compiler.ENGINE / "instruction_set.py"))["libraries"]()
+    names = list(dict.fromkeys([libraries[0], libraries[-1]]))  # the widest vectors that run here, and the plainest
+    try:
+        preload = preloaded()
+        build.build(SANITIZED, names=names, sanitize=True, say=lambda text: compiler.say(f"cloth_sim_ros: {text}"))
+    except (build.BuildError, RuntimeError) as error:
+        compiler.say(str(error))
+        return 1
+    for name in names:
+        library = SANITIZED / build.file_name(name)
+        compiler.say(f"cloth_sim_ros: {' '.join(tests)} with {library.relative_to(ROOT)} ...")
+        environment = {
+            **os.environ,
+            "CLOTH_SIM_ROS_ENGINE": str(library),
+            "LD_PRELOAD": preload,
+            # Python itself never frees all it has.
+            "ASAN_OPTIONS": "detect_leaks=0",
+            "UBSAN_OPTIONS": "print_stacktrace=1",
+        }
+        # What a sanitizer has found it writes to the error stream itself, which pytest would keep back.
+        command = [sys.executable, "-m", "pytest", "--capture=sys", *tests]
+        status = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+        if status:
+            return status
+    return 0
+
+
+def main() -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    parser.add_argument("--sanitize", nargs="+", metavar="TEST", help="run these tests under the sanitizers")
+    arguments, others = parser.parse_known_args()
+    if not compiler.ensure():
+        return 1
+    if arguments.sanitize:
+        return sanitize([*arguments.sanitize, *others])
+    if others:
+        parser.error(f"unknown: {' '.join(others)}")
+    build = compiler.load_build()
+    try:
+        build.build(say=lambda text: compiler.say(f"cloth_sim_ros: {text}"))
+    except build.BuildError as error:
+        compiler.say(str(error))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
