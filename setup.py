@@ -95,8 +95,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # What lies beside the code and is not Python: the engine's sources, and the C kernel that `cloth_bench speed` compares
-    # with.
+    # What lies beside the code and is not Python: the engine's sources, and the C kernel that `cloth_bench speed`
+    # compares with.
     package_data={"": ["*.c", *engine.PATTERNS]},
     ext_modules=extensions(),
     cmdclass={"build_ext": BuildEngine},

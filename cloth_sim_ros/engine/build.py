@@ -34,8 +34,8 @@ COMPILERS = ("g++", "clang++", "c++")
 
 # -fno-fast-math comes first: to both compilers it also means errno for square roots, and to clang contraction.
 # Contraction off is what makes the results the same everywhere: fma stands where it is written and nowhere else.
-# Nobody looks at errno or traps; without them a square root is one instruction, and loops become vectors. Neither changes
-# a result.
+# Nobody looks at errno or traps; without them a square root is one instruction, and loops become vectors. No result
+# changes with either.
 ARITHMETIC = ["-fno-fast-math", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
 LANGUAGE = ["-std=c++20", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
 # -Wno-psabi: GCC notes that functions which pass vectors changed in GCC 4.6; they are all inside one library.
