@@ -20,17 +20,17 @@ V3 = "fpu sse2 ssse3 sse4_1 sse4_2 popcnt cx16 avx avx2 bmi1 bmi2 f16c fma abm m
 V4 = f"{V3} avx512f avx512bw avx512cd avx512dq avx512vl"
 SMALL = """
 #include <cmath>
+#include <map>
 #include <stdexcept>
-#include <vector>
 #define CLOTH_PUBLIC extern "C" __attribute__((visibility("default")))
 CLOTH_PUBLIC int cloth_bytes() { return CLOTH_VECTOR_BYTES; }
 CLOTH_PUBLIC double cloth_sum(double a, double b, double c) { return a * b + c; }
 CLOTH_PUBLIC double cloth_root(double a) { return std::sqrt(a); }
 CLOTH_PUBLIC int cloth_at(int n)
 {
-    std::vector<int> values{n};
-    values.push_back(n);
-    try { return values.at(n); } catch (const std::out_of_range&) { return -1; }
+    std::map<int, int> values;  // whose code the compilers keep as functions of their own
+    for (int k = 0; k < 3; ++k) values[k * n] = k;
+    try { return values.at(n > 5 ? -1 : n); } catch (const std::out_of_range&) { return -1; }
 }
 """
 
