@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -242,3 +243,64 @@ def test_setup_says_the_sentence_and_no_traceback(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "install the package g++" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A copy of the project as from a fresh clone, with a small engine that is built at once."""
+    folder = tmp_path / "project"
+    built = shutil.ignore_patterns("*.so", "__pycache__", "*.hpp")
+    for name in ("cloth_sim_ros", "config", "launch", "resource"):
+        shutil.copytree(ROOT / name, folder / name, ignore=built)
+    for name in ("setup.py", "setup.cfg", "package.xml"):
+        shutil.copy(ROOT / name, folder)
+    (folder / "cloth_sim_ros" / "engine" / build.UNIT).write_text(SMALL)
+    return folder
+
+
+def test_in_place_the_libraries_lie_beside_the_sources(project: Path) -> None:
+    pytest.importorskip("setuptools")
+    subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=project, check=True)
+    found = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
+    assert found == {build.file_name(name) for name in build.names_for()}
+
+
+def test_a_source_distribution_holds_all_that_the_engine_is_made_from(project: Path, tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    engine = project / "cloth_sim_ros" / "engine"
+    (engine / "law.hpp").write_text("// a law\n")
+    subprocess.run(
+        [sys.executable, "setup.py", "-q", "sdist", "--dist-dir", tmp_path / "dist"], cwd=project, check=True
+    )
+    (archive,) = (tmp_path / "dist").glob("*.tar.gz")
+    with tarfile.open(archive) as packed:
+        names = {Path(name).name for name in packed.getnames() if "/engine/" in name}
+    assert names >= {"build.py", "law.hpp", *(path.name for path in build.source_files(engine))}
+    assert not [name for name in names if name.endswith(".so")]
+
+
+@pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "linked"])
+def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[str]) -> None:
+    for module in ("colcon_core", "colcon_ros", "colcon_python_setup_py"):
+        pytest.importorskip(module)
+    install = tmp_path / "install"
+    done = subprocess.run(
+        [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build", "--base-paths", project,
+         "--build-base", tmp_path / "build", "--install-base", install, *options],
+        cwd=tmp_path, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    script = (
+        f". {install}/local_setup.sh && python -c 'import cloth_sim_ros.engine; print(cloth_sim_ros.engine.__file__)'"
+    )
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    environment.pop("PYTHONPATH", None)
+    done = subprocess.run(
+        ["sh", "-c", script], cwd=tmp_path, env=environment, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    engine = Path(done.stdout.splitlines()[-1]).parent
+    assert engine.is_relative_to(tmp_path)
+    for name in build.names_for():
+        assert (engine / build.file_name(name)).is_file()
+    assert ctypes.CDLL(str(engine / build.file_name(here()))).cloth_at(1) == 1
