@@ -20,20 +20,22 @@ VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
 # What takes long to load, or is not there on a robot: only loaded where it is first needed.
 LATE = {"matplotlib", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *VIEWER}
 FILES = {"mcap", "rosbags", "yaml"}
-ROOMS = ("physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
+ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
 
 # Each room: the rooms it may load, and the libraries that must not come with it.
 WALLS: dict[str, tuple[set[str], set[str]]] = {
+    # Arrays in, arrays out; and its build.py runs before anything is installed.
+    "engine": (set(), ROS | LATE | FILES | {"numba", "scipy", "tqdm"}),
     # numba itself loads yaml where it finds it; that physics does not is seen below.
-    "physics": (set(), ROS | LATE | {"mcap", "rosbags", "tqdm"}),
-    "scene": ({"physics"}, ROS | LATE | {"mcap", "rosbags"}),
-    "simulation": ({"physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
+    "physics": ({"engine"}, ROS | LATE | {"mcap", "rosbags", "tqdm"}),
+    "scene": ({"engine", "physics"}, ROS | LATE | {"mcap", "rosbags"}),
+    "simulation": ({"engine", "physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
     "session": (set(), ROS | LATE | {"numba", "scipy"}),
     "replay": ({"session"}, ROS | {"numba", "scipy"}),
-    "verify": ({"physics", "scene", "simulation", "session"}, ROS | LATE),
+    "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
     # A problem that scipy solves for comparison needs it from the start; the command loads the problem when asked.
-    "bench": ({"physics", "scene", "simulation"}, ROS | LATE - {"scipy.sparse", "scipy.optimize"}),
-    "ros": ({"physics", "scene", "simulation", "session"}, LATE),
+    "bench": ({"engine", "physics", "scene", "simulation"}, ROS | LATE - {"scipy.sparse", "scipy.optimize"}),
+    "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
 }
 
 
