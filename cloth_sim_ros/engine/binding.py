@@ -1,0 +1,207 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The engine's library, loaded through ctypes: no interpreter lock is held while it works."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.instruction_set import libraries
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Number of the interface that this file is written against.
+ABI = 1
+#: What `cloth_engine` calls return.
+_TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
+#: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
+PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
+#: Kinds of listed elements with the particles and numbers of each; see list.hpp.
+KINDS = {"spring": (0, 2, 3), "joint": (1, 2, 2), "crossed": (2, 4, 3), "altitude": (3, 4, 3), "triangle": (4, 3, 0), "quad": (5, 4, 0)}
+#: Families of a grid's springs in the engine's order; see grid_row.hpp.
+FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
+#: What a user's own force is called with: t, x, v and f; returns 0, or another number to end the run.
+CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctypes.c_double),) * 3)
+
+
+class EngineError(RuntimeError):
+    """The engine is not there, or failed."""
+
+
+class Frame(ctypes.Structure):
+    """A frame's request; the same layout as frame.hpp's."""
+
+    _fields_ = (
+        ("t", ctypes.c_double),
+        ("duration", ctypes.c_double),
+        ("runs", ctypes.c_int64),
+        ("steps", ctypes.c_void_p),
+        ("weights", ctypes.c_void_p),
+        ("narrow", ctypes.c_int64),
+        ("alternate", ctypes.c_int64),
+        ("bands", ctypes.c_int64),
+        ("x0", ctypes.c_void_p),
+        ("v0", ctypes.c_void_p),
+        ("run_x", ctypes.c_void_p),
+        ("run_v", ctypes.c_void_p),
+        ("x", ctypes.c_void_p),
+        ("v", ctypes.c_void_p),
+        ("booked", ctypes.c_void_p),
+        ("powers", ctypes.c_void_p),
+        ("told", ctypes.c_void_p),
+        ("rates", ctypes.c_int64),
+    )
+
+
+_P, _I, _D, _INT = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_int
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "cloth_plan_free": (None, _P),
+    "cloth_plan_new": (_P, _I, _P, _P),
+    "cloth_plan_grid": (_INT, _P, _I, _I, _P),
+    "cloth_plan_list": (_INT, _P, _INT, _I, _P, _P, _P, _INT),
+    "cloth_plan_uniform": (_INT, _P, _P, _P, _D),
+    "cloth_plan_order": (_INT, _P, _P),
+    "cloth_plan_callback": (_INT, _P, CALLBACK),
+    "cloth_plan_held": (_INT, _P, _I, _P, _I, _P, _P, _P, _P, _P),
+    "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
+    "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
+    "cloth_energy": (_INT, _P, _D, _P, _P, _P),
+    "cloth_powers": (_INT, _P, _P, _P, _P),
+    "cloth_grip_rates": (_INT, _P, _D, _P, _P, _D, _P),
+    "cloth_rates": (_INT, _P, _P, _P, _P, _P),
+    "cloth_bounds": (_INT, _P, _P, _P, _P),
+    "cloth_eigenvalues": (_INT, _P, _I, _P),
+    "cloth_product": (_INT, _P, _P, _P, _P, _P, _P),
+    "cloth_pair_blocks": (_INT, _P, _I, _P, _D, _D, _P),
+    "cloth_pose": (_INT, _P, _D, _P),
+    "cloth_lengths": (_INT, _INT, _I, _P, _P, _I, _P, _P),
+    "cloth_combine": (_INT, _I, _P, _P, _I, _P),
+    "cloth_distance": (_INT, _P, _P, _I, _P),
+    "cloth_weighted_dot": (_INT, _P, _P, _P, _I, _P),
+}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Load the library for this machine's widest vectors; every one of them gives the same bits.
+
+    The environment variable CLOTH_SIM_ROS_ENGINE names another one: an instruction set, or a path.
+
+    Raises:
+        EngineError: if there is none that this machine can run; the message says how to build it.
+    """
+    wanted = os.environ.get("CLOTH_SIM_ROS_ENGINE", "")
+    folder = Path(__file__).parent
+    if "/" in wanted:
+        candidates = [Path(wanted)]
+    else:
+        candidates = [folder / f"_{name}.so" for name in ([wanted] if wanted else libraries())]
+    for path in candidates:
+        if path.exists():
+            return _prepared(path)
+    names = ", ".join(str(path) for path in candidates)
+    raise EngineError(
+        f"the engine is not built: there is no {names}; build it with `make engine`, or `pip install` or `colcon build` "
+        "the package, which need a C++ compiler (Debian and Ubuntu: g++)"
+    )
+
+
+def _prepared(path: Path) -> ctypes.CDLL:
+    try:
+        # Each instruction set's templates stay its own: RTLD_LOCAL, ctypes' default.
+        loaded = ctypes.CDLL(str(path))
+        found = int(loaded.cloth_engine_abi())
+    except (OSError, AttributeError) as error:
+        raise EngineError(f"{path} is no engine that this machine can load: {error}; build it again") from error
+    if found != ABI:
+        raise EngineError(f"{path} has interface {found}, this package needs {ABI}; build it again with `make engine`")
+    loaded.cloth_engine_name.restype = ctypes.c_char_p
+    for name, (result, *arguments) in _SIGNATURES.items():
+        function = getattr(loaded, name)
+        function.restype, function.argtypes = result, arguments
+    return loaded
+
+
+def engine_name() -> str:
+    """Name of the instruction set in use."""
+    return str(library().cloth_engine_name().decode())
+
+
+def check(status: int) -> None:
+    """Raise what a call's status says.
+
+    Raises:
+        MemoryError: where memory did not suffice.
+        EngineError: for any other trouble.
+    """
+    if status == 2:
+        raise MemoryError("the engine could not get the memory that this cloth needs")
+    if status:
+        raise EngineError(_TROUBLES.get(status, f"the engine answered {status}"))
+
+
+_DOUBLE, _LONG = np.dtype(np.float64), np.dtype(np.int64)
+
+
+def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
+    """Return the address of an array that the engine may read or write.
+
+    Raises:
+        ValueError: for another shape or type, or an array that is not C-contiguous.
+    """
+    if not isinstance(array, np.ndarray) or array.shape != shape:
+        raise ValueError(f"{name} has shape {np.shape(array)}; it must be {shape}")
+    if array.dtype != _DOUBLE or not array.flags.c_contiguous:
+        layout = "" if array.flags.c_contiguous else ", not C-contiguous"
+        raise ValueError(f"{name} is {array.dtype}{layout}; it must be C-contiguous float64")
+    return int(array.ctypes.data)
+
+
+def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf) -> Array:
+    """Return numbers as the engine takes them, one number standing for all.
+
+    Raises:
+        ValueError: for another shape, or a number that is not finite or below the least.
+    """
+    try:
+        given = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} is {value!r}; it must be numbers") from error
+    if given.ndim and given.shape != shape:
+        raise ValueError(f"{name} has shape {given.shape}; it must be {shape}, or one number")
+    array = np.ascontiguousarray(np.broadcast_to(given, shape))
+    wrong = np.argwhere(~(np.isfinite(array) & (array >= least)))
+    if wrong.size:
+        place = tuple(int(i) for i in wrong[0])
+        limit = "finite" if least == -np.inf else f"finite and at least {least:g}"
+        raise ValueError(f"{name}{list(place) if place else ''} is {array[place]}; it must be {limit}")
+    return array
+
+
+def indices(name: str, value: Any, columns: int, most: int) -> Indices:
+    """Return particle numbers as the engine takes them, shape (m, columns).
+
+    Raises:
+        ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `most`.
+    """
+    given = np.asarray(value)
+    if given.size and given.dtype.kind not in "iu":
+        raise ValueError(f"{name} is of type {given.dtype}; particles are counted by whole numbers")
+    if given.ndim != 2 and not given.size:
+        given = given.reshape(0, columns)
+    if given.ndim != 2 or given.shape[1] != columns:
+        raise ValueError(f"{name} has shape {given.shape}; it must be (m, {columns})")
+    array = np.ascontiguousarray(given, dtype=np.int64)
+    wrong = np.argwhere((array < 0) | (array >= most))
+    if wrong.size:
+        row, column = wrong[0]
+        raise ValueError(f"row {row} of {name} names particle {given[row, column]}; there are {most}, counted from 0")
+    return array

@@ -1,0 +1,178 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// One row of a regular sheet: the forces of its springs, and one leapfrog step of its particles.
+//
+// A row owns the springs that lead from it to the right and down. Their forces on this row, on the next and on the one
+// after are summed in a ring of three force rows. Rows are taken in order and none looks back, so a row's force is
+// complete when its own springs are done, and its particles move at once: a step reads and writes each number once.
+#pragma once
+
+#include "laws.hpp"
+
+namespace cloth {
+
+/// Families of springs of a grid by their ends (row, column) relative to the row and column that own them.
+enum Family : int { right, down, diagonal, antidiagonal, right2, down2 };
+inline constexpr int family_count = 6;
+struct Ends {
+    int row0, column0, row1, column1;
+};
+inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {0, 0, 1, 1},
+                                                   {0, 1, 1, 0}, {0, 0, 0, 2}, {0, 0, 2, 0}};
+/// The lower rows that springs reach at most.
+inline constexpr int reach = 2;
+
+/// Where the components of a padded row begin: positions, velocities, velocities that damping sees, last accelerations
+/// and, in single precision, what rounding took from the positions.
+enum Slot : int { position = 0, velocity = 3, seen = 6, last = 9, carried = 12 };
+template <class T>
+inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
+
+/// Slots of a table entry: 1/m, one for free particles, then the weights of the families.
+inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, table_slots = weights + family_count;
+
+/// What forces depend on beside positions.
+enum class Mode { still, drag, damped };
+
+template <class T>
+struct GridConstants {
+    typename Spring::template Params<T> families[family_count];
+    T drag, push[3];
+};
+/// Factors of one step: v += kick a; seen = v + now a + before a_last; x += drift v.
+template <class T>
+struct Motion {
+    T kick, now, before, drift;
+};
+
+template <class T>
+struct RowPlace {
+    T* row[3];
+    T* ring[3];
+    const T* entry;
+    /// Numbers from one component of a row to the next, and those of whole vectors that cover the columns.
+    std::ptrdiff_t pitch, length;
+};
+
+/// Add the ring's forces and those of the row's own springs, and move the row by one step if it is the caller's `own`;
+/// else only do what its springs do to the rows below. Families is a set of bits, one for each that exists.
+template <class T, unsigned Families, Mode M>
+inline void take_row(const RowPlace<T>& at, const GridConstants<T>& constants, const Motion<T>& motion, bool own) {
+    using V = vec<T>;
+    constexpr auto has = [](Family family) { return (Families >> family & 1) != 0; };
+    constexpr bool damped = M == Mode::damped, moving = M != Mode::still;
+    const std::ptrdiff_t pitch = at.pitch;
+    const V none{};
+    Vec3<V> before01{none, none, none}, before02 = before01, before11 = before01;
+
+    for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
+        const auto point = [&](int row, int column, int slot) {
+            const T* from = at.row[row] + slot * pitch + j + column;
+            return Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)};
+        };
+        // Force on the first end of a family's springs.
+        const auto pull = [&](Family family, Vec3<V> x0, Vec3<V> p0) {
+            const Ends e = family_ends[family];
+            const Vec3<V> d = point(e.row1, e.column1, position) - x0;
+            Vec3<V> u{none, none, none};
+            if constexpr (damped) u = point(e.row1, e.column1, seen) - p0;
+            const auto& c = constants.families[family];
+            const typename Spring::template Params<V> params{splat<V>(c.ks), splat<V>(c.k), splat<V>(c.c)};
+            const V q = Spring::factor(params, d, u, damped) * load(at.entry + (weights + family) * pitch + j);
+            return q * d;
+        };
+        const auto add = [&](T* to, Vec3<V> f) {
+            store(to + j, load(to + j) + f.x);
+            store(to + pitch + j, load(to + pitch + j) + f.y);
+            store(to + 2 * pitch + j, load(to + 2 * pitch + j) + f.z);
+        };
+        const auto moved = [&]<int N>(Vec3<V>& last_, Vec3<V> now, std::integral_constant<int, N>) {
+            const Vec3<V> r{shift<N>(last_.x, now.x), shift<N>(last_.y, now.y), shift<N>(last_.z, now.z)};
+            last_ = now;
+            return r;
+        };
+        constexpr std::integral_constant<int, 1> one;
+        constexpr std::integral_constant<int, 2> two;
+
+        const Vec3<V> x = point(0, 0, position);
+        Vec3<V> p{none, none, none};
+        if constexpr (moving) p = point(0, 0, seen);
+
+        Vec3<V> force{load(at.ring[0] + j), load(at.ring[0] + pitch + j), load(at.ring[0] + 2 * pitch + j)};
+        if constexpr (has(down2)) {
+            const Vec3<V> f = pull(down2, x, p);
+            force = force + f;
+            store(at.ring[2] + j, -f.x);
+            store(at.ring[2] + pitch + j, -f.y);
+            store(at.ring[2] + 2 * pitch + j, -f.z);
+        } else {
+            for (int c = 0; c < 3; ++c) store(at.ring[2] + c * pitch + j, none);
+        }
+        Vec3<V> below, beside{none, none, none};
+        {
+            const Vec3<V> f = pull(down, x, p);
+            force = force + f;
+            below = -f;
+        }
+        if constexpr (has(diagonal)) {
+            const Vec3<V> f = pull(diagonal, x, p);
+            force = force + f;
+            below = below - moved(before11, f, one);
+        }
+        if constexpr (has(antidiagonal)) {
+            const Vec3<V> x1 = point(0, 1, position);
+            Vec3<V> p1{none, none, none};
+            if constexpr (damped) p1 = point(0, 1, seen);
+            const Vec3<V> f = pull(antidiagonal, x1, p1);
+            beside = f;
+            below = below - f;
+        }
+        add(at.ring[1], below);
+        if (!own) {
+            continue;
+        }
+        {
+            const Vec3<V> f = pull(right, x, p);
+            force = force + f;
+            beside = beside - f;
+            force = force + moved(before01, beside, one);
+        }
+        if constexpr (has(right2)) {
+            const Vec3<V> f = pull(right2, x, p);
+            force = force + f;
+            force = force - moved(before02, f, two);
+        }
+
+        const V mass = load(at.entry + inverse_mass * pitch + j), free = load(at.entry + freedom * pitch + j);
+        const V drag = splat<V>(constants.drag);
+        const V kick = splat<V>(motion.kick), drift = splat<V>(motion.drift);
+        const auto finish = [&](int c, V f, V seen_) {
+            T* const here = at.row[0] + c * pitch + j;
+            V field = splat<V>(constants.push[c]);
+            if constexpr (moving) field = fma(-drag, seen_, field);
+            const V a = fma(free, field, mass * f);
+            const V v = fma(kick, a, load(here + velocity * pitch));
+            store(here + velocity * pitch, v);
+            if constexpr (moving) {
+                const V before = load(here + last * pitch);
+                store(here + last * pitch, a);
+                store(here + seen * pitch, fma(splat<V>(motion.now), a, fma(splat<V>(motion.before), before, v)));
+            }
+            const V place = c == 0 ? x.x : c == 1 ? x.y : x.z;
+            if constexpr (sizeof(T) == 8) {
+                store(here, fma(drift, v, place));
+            } else {
+                // Kahan's sum: the position carries what rounding takes from it.
+                const V way = fma(drift, v, load(here + carried * pitch)), end = place + way;
+                store(here + carried * pitch, way - (end - place));
+                store(here, end);
+            }
+        };
+        finish(0, force.x, p.x);
+        finish(1, force.y, p.y);
+        finish(2, force.z, p.z);
+    }
+}
+
+}  // namespace cloth

@@ -1,0 +1,306 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Runs of a regular sheet. It is cut into bands of rows, each with a copy of the rows next to it, which it moves too, so
+// that neighbours meet once for several steps; and those steps are taken in one sweep, each two rows behind the one before
+// it, so that a row is still in the cache. No bit depends on either.
+#pragma once
+
+#include "plan.hpp"
+#include "threads.hpp"
+
+namespace cloth {
+
+template <class T>
+using TakeRow = void (*)(const RowPlace<T>&, const GridConstants<T>&, const Motion<T>&, bool);
+
+template <class T, Mode M>
+inline TakeRow<T> row_taker(unsigned shape) {
+    constexpr unsigned edges = 1u << right | 1u << down, left = 1u << diagonal, other = 1u << antidiagonal;
+    constexpr unsigned bends = 1u << right2 | 1u << down2;
+    switch (shape & ~edges) {
+        case 0: return take_row<T, edges, M>;
+        case left: return take_row<T, edges | left, M>;
+        case other: return take_row<T, edges | other, M>;
+        case left | other: return take_row<T, edges | left | other, M>;
+        case bends: return take_row<T, edges | bends, M>;
+        case bends | left: return take_row<T, edges | bends | left, M>;
+        case bends | other: return take_row<T, edges | bends | other, M>;
+        default: return take_row<T, edges | bends | left | other, M>;
+    }
+}
+template <class T>
+inline TakeRow<T> row_taker(unsigned shape, Mode mode) {
+    switch (mode) {
+        case Mode::still: return row_taker<T, Mode::still>(shape);
+        case Mode::drag: return row_taker<T, Mode::drag>(shape);
+        default: return row_taker<T, Mode::damped>(shape);
+    }
+}
+
+template <class T>
+class GridRun {
+public:
+    GridRun(Plan& plan, const Run& run)
+        : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), beside_(plan, run),
+          mode_(plan.mode()), pitch_(tables_.pitch), length_(row_length<T>(grid_.columns)),
+          stride_(components<T> * pitch_) {
+        const bool more = beside_.needed();
+        if (more) beside_.make(true);
+        const std::int64_t most = std::max<std::int64_t>(1, grid_.rows / reach);
+        bands_ = more ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
+        levels_ = more ? 1 : levels();
+        halo_ = reach * levels_;
+        for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
+        for (int b = 0; b < bands_; ++b) {
+            state_.emplace_back((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T), T(0));
+            ring_.emplace_back(levels_ * 9 * pitch_ + 64 / sizeof(T), T(0));
+        }
+        boxes_.assign(static_cast<std::size_t>(bands_ - 1) * 4, Array<T>(halo_ * stride_));
+        done_ = std::vector<Counter>(bands_);
+        const unsigned shape = grid_.shape(true);
+        whole_ = row_taker<T>(shape, mode_);
+        fast_ = row_taker<T>(grid_.shape(false), mode_);
+        for (int k = 0; k < 3; ++k) constants_[k] = constants_of(k == 0 ? 1.0 : k == 1 ? 1.5 : 2.0);
+    }
+
+    Done go() {
+        const std::int64_t turns = 1 + (run_.steps + levels_ - 1) / levels_;
+        std::atomic<int> trouble{0};
+        const auto work = [&](int first, int last) {
+            for (std::int64_t turn = 0; turn < turns && !trouble; ++turn)
+                for (int b = first; b < last; ++b)
+                    if (take_turn(b, turn, turns) != Done::well) trouble = 1;
+        };
+        const int workers = bands_ == 1 ? 1 : std::min<int>(bands_, std::max(1u, std::thread::hardware_concurrency()));
+        Pool::shared().run(
+            workers, [&](int w) { work(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { work(0, bands_); });
+        if (trouble) return Done::callback_failed;
+        beside_.finish();
+        return Done::well;
+    }
+
+    /// One evaluation alone, at x0 and v0: accelerations come out in place of velocities.
+    Done evaluate() {
+        evaluates_ = true;
+        load_band(0);
+        const Done done = sweep(0, -1, 1);
+        if (done == Done::well) unload_band(0);
+        return done;
+    }
+
+private:
+    struct alignas(128) Counter {
+        std::atomic<std::int64_t> turns{0};
+        Counter() = default;
+        Counter(const Counter&) {}
+    };
+
+    GridConstants<T> constants_of(double weak) const {
+        GridConstants<T> c{};
+        for (int f = 0; f < family_count; ++f) {
+            const GridFamily& family = grid_.families[f];
+            if (!family.present) continue;
+            const double s = family.weak ? weak : 1.0;
+            c.families[f] = {T(s * family.stiffness), T(s * family.stiffness / family.rest), T(s * family.damping)};
+        }
+        c.drag = T(plan_.drag);
+        for (int k = 0; k < 3; ++k) c.push[k] = T(plan_.push(k));
+        return c;
+    }
+    /// Steps of a sweep: more where a band does not fit the second cache, or neighbours wait for each other.
+    int levels() const {
+        const std::int64_t rows = grid_.rows / bands_, bytes = rows * stride_ * static_cast<std::int64_t>(sizeof(T));
+        const std::int64_t wanted = bytes > (std::int64_t{3} << 18) ? 4 : std::min(bands_, 2);
+        return static_cast<int>(std::max<std::int64_t>(1, std::min(wanted, rows / (4 * reach))));
+    }
+    T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
+
+    Done take_turn(int b, std::int64_t turn, std::int64_t turns) {
+        if (turn == 0) {
+            load_band(b);
+            const Done done = start(b);
+            if (done != Done::well) return done;
+        } else {
+            for (int side : {b - 1, b + 1})
+                if (side >= 0 && side < bands_)
+                    wait_until([&] { return done_[side].turns.load(std::memory_order_acquire) >= turn; });
+            take_in(b, turn - 1);
+            const std::int64_t begin = (turn - 1) * levels_;
+            const Done done = sweep(b, begin, std::min<std::int64_t>(levels_, run_.steps - begin));
+            if (done != Done::well) return done;
+        }
+        if (turn + 1 < turns)
+            post(b, turn);
+        else
+            unload_band(b);
+        done_[b].turns.store(turn + 1, std::memory_order_release);
+        return Done::well;
+    }
+
+    void load_band(int b) {
+        const std::int64_t n = plan_.count, columns = grid_.columns;
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
+            T* const to = row_of(b, row);
+            for (int c = 0; c < 3; ++c) {
+                const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
+                const double origin = beside_.origin[c];
+                for (std::int64_t j = 0; j < columns; ++j) {
+                    to[(position + c) * pitch_ + j] = static_cast<T>(x[j] - origin);
+                    to[(velocity + c) * pitch_ + j] = evaluates_ ? T(0) : static_cast<T>(v[j]);
+                    to[(seen + c) * pitch_ + j] = static_cast<T>(v[j]);
+                }
+            }
+        }
+    }
+    void unload_band(int b) {
+        const std::int64_t n = plan_.count, columns = grid_.columns;
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
+            const T* const from = row_of(b, row);
+            for (int c = 0; c < 3; ++c) {
+                const std::int64_t at = c * n + row * columns;
+                const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
+                const T* const carry = sizeof(T) == 4 ? from + (carried + c) * pitch_ : nullptr;
+                for (std::int64_t j = 0; j < columns; ++j) {
+                    const double x_ = ended<T>(run_.x0[at + j], beside_.origin[c], x[j], carry ? carry[j] : T(0));
+                    if (run_.v) run_.v[at + j] = ended<T>(run_.v0[at + j], 0.0, v[j], T(0));
+                    run_.x[at + j] = x_;
+                }
+            }
+        }
+    }
+
+    /// The first half step: where no velocity has to be predicted, positions alone move.
+    Done start(int b) {
+        if (mode_ == Mode::still) {
+            const T half = static_cast<T>(0.5 * run_.step);
+            for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
+                T* const at = row_of(b, row);
+                for (std::int64_t j = 0; j < 3 * pitch_; ++j) {
+                    const T x = at[j], way = half * at[velocity * pitch_ + j], end = x + way;
+                    if constexpr (sizeof(T) == 4) at[carried * pitch_ + j] = way - (end - x);
+                    at[j] = sizeof(T) == 4 ? end : fma(half, at[velocity * pitch_ + j], x);
+                }
+            }
+            return Done::well;
+        }
+        // Other bands are not known yet: the rows above and below are loaded from where all began.
+        if (bands_ > 1) load_around(b);
+        return sweep(b, -1, 1);
+    }
+    void load_around(int b) {
+        const std::int64_t n = plan_.count, columns = grid_.columns;
+        for (std::int64_t row = border_[b] - reach; row < border_[b + 1] + reach; ++row) {
+            if (row < 0 || row >= grid_.rows || (row >= border_[b] && row < border_[b + 1])) continue;
+            T* const to = row_of(b, row);
+            for (int c = 0; c < 3; ++c)
+                for (std::int64_t j = 0; j < columns; ++j) {
+                    const std::int64_t at = c * n + row * columns + j;
+                    to[(position + c) * pitch_ + j] = static_cast<T>(run_.x0[at] - beside_.origin[c]);
+                    to[(seen + c) * pitch_ + j] = static_cast<T>(run_.v0[at]);
+                }
+        }
+    }
+
+    /// Steps `begin` to `begin` + `levels` - 1 in one sweep. Next to a neighbour a step also moves the rows, two fewer with
+    /// each step, that later ones will look at.
+    Done sweep(int b, std::int64_t begin, std::int64_t levels) {
+        std::fill(ring_[b].begin(), ring_[b].end(), T(0));
+        if (beside_.needed()) {
+            export_rows(b);
+            const Done done = beside_.forces(begin);
+            if (done != Done::well) return done;
+        }
+        const std::int64_t margin = reach * (levels - 1), first = border_[b], last = border_[b + 1];
+        const std::int64_t from = std::max<std::int64_t>(first - margin - reach, 0);
+        for (std::int64_t front = from; front < std::min(last, grid_.rows) + margin; ++front)
+            for (std::int64_t level = 0; level < levels; ++level) {
+                const std::int64_t row = front - reach * level, here = margin - reach * level;
+                const std::int64_t top = std::max<std::int64_t>(first - here, 0);
+                if (row < std::max<std::int64_t>(top - reach, 0) || row >= std::min(last + here, grid_.rows)) continue;
+                step_row(b, level, row, row >= top, begin + level);
+            }
+        return Done::well;
+    }
+    void step_row(int b, std::int64_t level, std::int64_t row, bool own, std::int64_t step) {
+        RowPlace<T> at;
+        const std::int64_t turn = (row - border_[b] + halo_) % 3;
+        for (int k = 0; k < 3; ++k) {
+            at.row[k] = row_of(b, row + k);
+            at.ring[k] = ring_[b].data() + (3 * level + (turn + k) % 3) * 3 * pitch_;
+        }
+        at.entry = tables_.of(row);
+        at.pitch = pitch_;
+        at.length = length_;
+        if (own && plan_.held.count()) pull_row(b, row, step, at);
+        if (own && beside_.needed()) add_beside(row, at.ring[0]);
+        const double weak = weak_factor(run_, step);
+        const TakeRow<T> take = weak == 0.0 ? fast_ : whole_;
+        take(at, constants_[weak == 1.5 ? 1 : weak == 2.0 ? 2 : 0], evaluates_ ? evaluation<T> : motion_of<T>(run_, step), own);
+    }
+    void pull_row(int b, std::int64_t row, std::int64_t step, const RowPlace<T>& at) {
+        const auto& particles = plan_.held.particle;
+        const std::int64_t first = row * grid_.columns, last = first + grid_.columns;
+        auto place = std::lower_bound(particles.begin(), particles.end(), first);
+        const bool book = row >= border_[b] && row < border_[b + 1];
+        for (; place != particles.end() && *place < last; ++place) {
+            const std::int64_t j = *place - first;
+            const T *const x = at.row[0] + position * pitch_ + j, *const v = at.row[0] + seen * pitch_ + j;
+            const Vec3<T> f = beside_.pull(place - particles.begin(), step, {x[0], x[pitch_], x[2 * pitch_]},
+                                           {v[0], v[pitch_], v[2 * pitch_]}, book);
+            at.ring[0][j] += f.x, at.ring[0][pitch_ + j] += f.y, at.ring[0][2 * pitch_ + j] += f.z;
+        }
+    }
+
+    void export_rows(int b) {
+        for (std::int64_t row = 0; row < grid_.rows; ++row) {
+            const T* const from = row_of(b, row);
+            for (int what : {position, seen}) {
+                T* const to = (what == position ? beside_.x : beside_.v).data() + 4 * row * grid_.columns;
+                const T* const x = from + what * pitch_;
+                for (std::int64_t j = 0; j < grid_.columns; j += lanes<T>) {
+                    quad<T> rows[lanes<T>];
+                    together<T>(load(x + j), load(x + pitch_ + j), load(x + 2 * pitch_ + j), rows);
+                    const std::int64_t most = std::min<std::int64_t>(lanes<T>, grid_.columns - j);
+                    for (std::int64_t k = 0; k < most; ++k) store4(to + 4 * (j + k), rows[k]);
+                }
+            }
+        }
+    }
+    void add_beside(std::int64_t row, T* ring) {
+        const T* const from = beside_.f.data() + 4 * row * grid_.columns;
+        for (std::int64_t j = 0; j < grid_.columns; ++j)
+            for (int c = 0; c < 3; ++c) ring[c * pitch_ + j] += from[4 * j + c];
+    }
+
+    /// A band's outer rows for its neighbours. Two boxes in turn are enough: a band posts for turn n + 2 after its
+    /// neighbours have done turn n + 1, so have taken in n.
+    Array<T>& box(int border, int side, std::int64_t turn) { return boxes_[(border * 2 + side) * 2 + turn % 2]; }
+    void post(int b, std::int64_t turn) {
+        const std::size_t bytes = halo_ * stride_ * sizeof(T);
+        if (b > 0) std::memcpy(box(b - 1, 0, turn).data(), row_of(b, border_[b]), bytes);
+        if (b + 1 < bands_) std::memcpy(box(b, 1, turn).data(), row_of(b, border_[b + 1] - halo_), bytes);
+    }
+    void take_in(int b, std::int64_t turn) {
+        const std::size_t bytes = halo_ * stride_ * sizeof(T);
+        if (b > 0) std::memcpy(row_of(b, border_[b] - halo_), box(b - 1, 1, turn).data(), bytes);
+        if (b + 1 < bands_) std::memcpy(row_of(b, border_[b + 1]), box(b, 0, turn).data(), bytes);
+    }
+
+    Plan& plan_;
+    const Run& run_;
+    const Grid& grid_;
+    const Tables<T>& tables_;
+    Beside<T> beside_;
+    Mode mode_;
+    std::int64_t pitch_, length_, stride_, halo_ = 0;
+    int bands_ = 1, levels_ = 1;
+    bool evaluates_ = false;
+    std::vector<std::int64_t> border_;
+    std::vector<Array<T>> state_, ring_, boxes_;
+    std::vector<Counter> done_;
+    TakeRow<T> whole_ = nullptr, fast_ = nullptr;
+    GridConstants<T> constants_[3];
+};
+
+}  // namespace cloth

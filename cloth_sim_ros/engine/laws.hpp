@@ -1,0 +1,354 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Every force law of the model, once: force, energy, lost power and the bounds of stiffness and damping. V is a number,
+// a vector of numbers, or a number with its derivative along a direction (dual.hpp), which gives the derivative product.
+//
+// A law of `corners` particles sees them from the first one: d[i] = x[i + 1] - x[0] and u[i] = v[i + 1] - v[0], and gives
+// the forces on corners 1 and up; the first one takes minus their sum, so that no law makes momentum. Air is the
+// exception (`own_velocities`): it sees the velocity of each corner and gives the force on each.
+// Formulas: S1 to S9 of docs/springs.md and docs/bending.md.
+#pragma once
+
+#include "algebra.hpp"
+
+namespace cloth {
+
+/// Added to squared lengths: a spring between coincident ends has no direction and no force, and divides by no zero.
+inline constexpr double shortest_square = 1e-30;
+/// Largest stiffness across a spring relative to that along it that counts: that of a tenth of the rest length.
+inline constexpr double most_across = 9.0;
+
+/// S1, a damped spring of rest length l0 > 0: F = -k (|d| - l0) d^ - c (u . d^) d^ on the far end, k = k_s / l0.
+struct Spring {
+    static constexpr int corners = 2, params = 3;
+    static constexpr bool own_velocities = false;
+    /// k_s [N], k [N/m], c [N s/m].
+    template <class V>
+    struct Params {
+        V ks, k, c;
+    };
+
+    /// q in F = -q d on the far end.
+    template <class V>
+    static inline V factor(const Params<V>& p, Vec3<V> d, Vec3<V> u, bool damped) {
+        const V inverse = inverse_root(norm2_plus(d, scalar<V>(shortest_square)));
+        V slope = -p.ks;
+        if (damped) slope = fma(p.c * dot(u, d), inverse, slope);
+        return fma(slope, inverse, p.k);
+    }
+    template <class V>
+    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
+        f[0] = -factor(p, d[0], u[0], damped) * d[0];
+    }
+    template <class V>
+    static inline V energy(const Params<V>& p, const Vec3<V>* d) {
+        // k (|d| - l0)^2 / 2 with l0 = k_s / k.
+        const V stretch = fma(p.k, root(norm2(d[0])), -p.ks);
+        return select(p.k > V{}, splat<V>(0.5) * stretch * stretch / p.k, V{});
+    }
+    template <class V>
+    static inline V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
+        const V rate = dot(u[0], d[0]);
+        return p.c * rate * rate / norm2_plus(d[0], scalar<V>(shortest_square));
+    }
+    /// Twice k dd' + |k - k_s / |d|| (I - dd') at both ends. Compression's transverse part is negative and makes nothing
+    /// unstable, but a spring pushed nearly to a point turns as fast as a stretched one: it counts by its size.
+    template <class V>
+    static inline void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+        const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(shortest_square)));
+        const Vec3<V> unit = inverse * d[0];
+        const V two = splat<V>(2);
+        const V along = two * p.k;
+        const V across = smaller(absolute(fma(-two * p.ks, inverse, along)), splat<V>(most_across) * along);
+        stiff[0] = stiff[1] = outer(along - across, unit, across);
+        damp[0] = damp[1] = outer(two * p.c, unit, V{});
+    }
+    /// The spring's part of an implicit step's matrix, `stiffness` k dd' + tension's part across + `damping` c dd'.
+    /// Compression's transverse stiffness is negative and left out.
+    template <class V>
+    static inline Sym3<V> matrix(const Params<V>& p, const Vec3<V>* d, V stiffness, V damping) {
+        const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(shortest_square)));
+        const V across = stiffness * larger(fma(-p.ks, inverse, p.k), V{});
+        return outer(stiffness * p.k + damping * p.c - across, inverse * d[0], across);
+    }
+};
+
+/// S4, a joint: F = -k s - c ds/dt on the far end, s its place seen from the near one.
+struct Joint {
+    static constexpr int corners = 2, params = 2;
+    static constexpr bool own_velocities = false;
+    /// k [N/m], c [N s/m].
+    template <class V>
+    struct Params {
+        V k, c;
+    };
+
+    template <class V>
+    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool) {
+        f[0] = -(p.k * d[0] + p.c * u[0]);
+    }
+    template <class V>
+    static inline V energy(const Params<V>& p, const Vec3<V>* d) {
+        return splat<V>(0.5) * p.k * norm2(d[0]);
+    }
+    template <class V>
+    static inline V lost(const Params<V>& p, const Vec3<V>*, const Vec3<V>* u) {
+        return p.c * norm2(u[0]);
+    }
+    template <class V>
+    static inline void bounds(const Params<V>& p, const Vec3<V>*, Sym3<V>* stiff, Sym3<V>* damp) {
+        stiff[0] = stiff[1] = outer(V{}, Vec3<V>{}, splat<V>(2) * p.k);
+        damp[0] = damp[1] = outer(V{}, Vec3<V>{}, splat<V>(2) * p.c);
+    }
+};
+
+/// S8 and S9: a spring on one signed length h = 6V / M of the tetrahedron of two triangles with a common edge. Corners 0
+/// and 1 are the edge, 2 and 3 the wings; 6V = d0 . (d1 x d2), positive where the wings rise to the side of the normal.
+/// M^2 is a sum of squared areas, G = grad(M^2) / 2, and grad h = grad(6V) / M - h G / M^2.
+/// Energy k (h - h0)^2 / 2, damping force -c (grad h . v) grad h.
+template <class Areas>
+struct Hinge {
+    static constexpr int corners = 4, params = 3;
+    static constexpr bool own_velocities = false;
+    /// h0 [m], k [N/m], c [N s/m].
+    template <class V>
+    struct Params {
+        V rest, k, c;
+    };
+    template <class V>
+    struct Length {
+        V h, square;
+        /// Gradients of h, G and 6V with respect to corners 1, 2, 3; all zero where h is not defined.
+        Vec3<V> gradient[3], area[3];
+    };
+
+    template <class V>
+    static inline void areas(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
+        Areas::of(d, square, limit, area);
+    }
+    template <class V>
+    static inline Length<V> length(const Vec3<V>* d) {
+        Length<V> r;
+        V limit;
+        Areas::of(d, r.square, limit, r.area);
+        const auto defined = r.square > limit;
+        r.square = select(defined, r.square, splat<V>(1));
+        const V one = select(defined, splat<V>(1), V{});
+        const V inverse = one * inverse_root(r.square);
+        const Vec3<V> volume[3] = {cross(d[1], d[2]), cross(d[2], d[0]), cross(d[0], d[1])};
+        r.h = dot(d[0], volume[0]) * inverse;
+        const V turn = -r.h / r.square;
+        for (int i = 0; i < 3; ++i) {
+            r.area[i] = one * r.area[i];
+            r.gradient[i] = inverse * volume[i] + turn * r.area[i];
+        }
+        return r;
+    }
+    template <class V>
+    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
+        const Length<V> l = length(d);
+        V tension = p.k * (p.rest - l.h);
+        if (damped) {
+            const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
+            tension = fma(-p.c, rate, tension);
+        }
+        for (int i = 0; i < 3; ++i) f[i] = tension * l.gradient[i];
+    }
+    template <class V>
+    static inline V energy(const Params<V>& p, const Vec3<V>* d) {
+        V square, limit;
+        Vec3<V> area[3];
+        Areas::of(d, square, limit, area);
+        const auto defined = square > limit;
+        const V h = dot(d[0], cross(d[1], d[2])) * inverse_root(select(defined, square, splat<V>(1)));
+        const V away = h - p.rest;
+        return select(defined, splat<V>(0.5) * p.k * away * away, V{});
+    }
+    template <class V>
+    static inline V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
+        const Length<V> l = length(d);
+        const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
+        return p.c * rate * rate;
+    }
+    /// Of (grad h . u)^2 by Cauchy and Schwarz, (sum of a_i)^2 <= (sum of |g_j|) (sum of a_i^2 / |g_i|); of the curvature
+    /// k (h - h0) h'' as Areas bounds h''.
+    template <class V>
+    static inline void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+        const Length<V> l = length(d);
+        const Vec3<V> g[4] = {-(l.gradient[0] + l.gradient[1] + l.gradient[2]), l.gradient[0], l.gradient[1],
+                              l.gradient[2]};
+        V norms[4], total{}, curvature[4];
+        for (int i = 0; i < 4; ++i) {
+            norms[i] = root(norm2(g[i]));
+            total = total + norms[i];
+        }
+        Areas::curvature(d, l, g, curvature);
+        const V strain = p.k * absolute(l.h - p.rest);
+        for (int i = 0; i < 4; ++i) {
+            const auto some = norms[i] > V{};
+            const V share = select(some, total / select(some, norms[i], splat<V>(1)), V{});
+            stiff[i] = outer(p.k * share, g[i], strain * curvature[i]);
+            damp[i] = outer(p.c * share, g[i], V{});
+        }
+    }
+};
+
+/// S8: |a x w| of the shared edge a and the line of the wings w. Undefined where they are parallel.
+struct CrossedAreas {
+    /// Sine of the angle between them below which there is no common normal.
+    static constexpr double sine = 1e-6;
+
+    template <class V>
+    static inline void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
+        const Vec3<V> a = d[0], w = d[2] - d[1], n = cross(a, w);
+        square = norm2(n);
+        limit = splat<V>(sine * sine) * norm2(a) * norm2(w);
+        area[0] = cross(w, n);
+        area[2] = cross(n, a);
+        area[1] = -area[2];
+    }
+    /// With P = [-a, w] of least singular value sigma: |h''| <= (2 sqrt(2) |w_i| / sigma + 2 |h| / sigma^2) |u|^2.
+    template <class V, class L>
+    static inline void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
+        const Vec3<V> a = d[0], w = d[2] - d[1];
+        const V half = splat<V>(0.5) * (norm2(a) + norm2(w));
+        // The smaller eigenvalue of P'P from its trace and determinant, without cancellation.
+        const V below = l.square / (half + root(larger(fma(half, half, -l.square), V{})));
+        const V weights = norm2(g[0]) + norm2(g[1]) + norm2(g[2]) + norm2(g[3]);
+        const V two = splat<V>(2);
+        bound[0] = two * root(two * weights / below) + two * absolute(l.h) / below;
+        bound[1] = bound[2] = bound[3] = bound[0];
+    }
+};
+
+/// S9, the blend of all seven candidates: M^2 is the sum of the squared |a x b| of the four faces. Undefined where all
+/// four points are collinear.
+struct AltitudeAreas {
+    /// Thinness, largest |a x b| to squared size, below which they count as collinear.
+    static constexpr double sine = 1e-12;
+
+    template <class V>
+    static inline void of(const Vec3<V>* p, V& square, V& limit, Vec3<V>* area) {
+        const Vec3<V> a = p[0], b = p[1], c = p[2], d = b - a, e = c - a;
+        // n0 is the face opposite to corner 0, and so on; |p x q|^2 / 2 has the gradients q x n and n x p.
+        const Vec3<V> n0 = cross(e, d), n1 = cross(b, c), n2 = cross(c, a), n3 = cross(a, b);
+        const Vec3<V> dn = cross(d, n0), ne = cross(n0, e);
+        area[0] = cross(b, n3) + cross(n2, c) - (dn + ne);
+        area[1] = cross(n3, a) + cross(c, n1) + ne;
+        area[2] = cross(a, n2) + cross(n1, b) + dn;
+        square = norm2(n0) + norm2(n1) + norm2(n2) + norm2(n3);
+        const V size = splat<V>(sine) * (norm2(a) + norm2(b) + norm2(c));
+        limit = size * size;
+    }
+    /// h'' = 6V''/M - 2 M'h'/M - h M''/M, with |6V''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and
+    /// M M'' <= sum over faces of (squared sides + 2 |n|) |u|^2.
+    template <class V, class L>
+    static inline void curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, V* bound) {
+        const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
+        const Vec3<V> area0 = -(l.area[0] + l.area[1] + l.area[2]);
+        const V areas = norm2(area0) + norm2(l.area[0]) + norm2(l.area[1]) + norm2(l.area[2]);
+        const V weights = norm2(g[0]) + norm2(g[1]) + norm2(g[2]) + norm2(g[3]);
+        const V two = splat<V>(2), every = two * root(areas * weights) / l.square;
+        V sides[4], squares[4], all{};
+        for (int i = 0; i < 4; ++i) {
+            const Vec3<V> o = x[(i + 1) & 3], q = x[(i + 2) & 3] - o, r = x[(i + 3) & 3] - o, s = r - q;
+            const V one = norm2(q), other = norm2(r), third = norm2(s);
+            sides[i] = root(one) + root(other) + root(third);
+            squares[i] = one + other + third + two * root(norm2(cross(q, r)));
+            all = all + squares[i];
+        }
+        const V inverse = inverse_root(l.square), turn = absolute(l.h) / l.square;
+        for (int i = 0; i < 4; ++i) bound[i] = every + sides[i] * inverse + turn * (all - squares[i]);
+    }
+};
+
+using Crossed = Hinge<CrossedAreas>;
+using Altitude = Hinge<AltitudeAreas>;
+
+/// Drag of the air on a panel of three or four corners in order around it, in the area vector N = A n: half the cross
+/// product of two edges, or of the diagonals. F = -((c_n - c_t) (u . N) N / A + c_t A u) / corners on each corner, u its
+/// velocity relative to the air.
+template <int Corners>
+struct Panel {
+    static constexpr int corners = Corners, params = 0;
+    static constexpr bool own_velocities = true;
+    /// Panels of less area [m^2] have no normal, and feel nothing.
+    static constexpr double least = 1e-30;
+    /// c_n and c_t [N s/m^3], and the air's velocity [m/s]: the same for all panels of a list.
+    template <class V>
+    struct Params {
+        V normal, tangential;
+        Vec3<V> wind;
+    };
+    template <class V>
+    struct Shares {
+        Vec3<V> n;
+        V across, along;
+    };
+
+    template <class V>
+    static inline Shares<V> shares(const Params<V>& p, const Vec3<V>* d) {
+        Shares<V> r;
+        r.n = splat<V>(0.5) * (Corners == 3 ? cross(d[0], d[1]) : cross(d[1], d[Corners - 2] - d[0]));
+        const V square = norm2(r.n);
+        const auto some = square > splat<V>(least);
+        const V area = root(select(some, square, splat<V>(1)));
+        const V one = select(some, splat<V>(scalar<V>(1) / Corners), V{});
+        r.across = one * (p.normal - p.tangential) / area;
+        r.along = one * p.tangential * area;
+        return r;
+    }
+    template <class V>
+    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v, Vec3<V>* f, bool) {
+        const Shares<V> s = shares(p, d);
+        for (int i = 0; i < Corners; ++i) {
+            const Vec3<V> u = v[i] - p.wind;
+            f[i] = -((s.across * dot(u, s.n)) * s.n + s.along * u);
+        }
+    }
+    template <class V>
+    static inline V energy(const Params<V>&, const Vec3<V>*) {
+        return V{};
+    }
+    /// v'Bv: what still air would take.
+    template <class V>
+    static inline V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
+        const Shares<V> s = shares(p, d);
+        V sum{};
+        for (int i = 0; i < Corners; ++i) {
+            const V through = dot(v[i], s.n);
+            sum = sum + (s.across * through * through + s.along * norm2(v[i]));
+        }
+        return sum;
+    }
+    /// w'Bv: what the wind puts in.
+    template <class V>
+    static inline V given(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
+        const Shares<V> s = shares(p, d);
+        const V blown = s.across * dot(p.wind, s.n);
+        V sum{};
+        for (int i = 0; i < Corners; ++i) sum = sum + (blown * dot(v[i], s.n) + s.along * dot(p.wind, v[i]));
+        return sum;
+    }
+    /// The damping is exact. With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w
+    /// feels at most (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
+    template <class V>
+    static inline void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+        const Shares<V> s = shares(p, d);
+        V longest{};
+        for (int i = 0; i < Corners - 1; ++i) {
+            longest = larger(longest, norm2(d[i]));
+            for (int j = 0; j < i; ++j) longest = larger(longest, norm2(d[i] - d[j]));
+        }
+        const V speed = root(norm2(p.wind));
+        const V strength =
+            splat<V>(0.5) * (splat<V>(2) * absolute(p.normal - p.tangential) + p.tangential) * speed * root(longest);
+        for (int i = 0; i < Corners; ++i) {
+            stiff[i] = outer(V{}, Vec3<V>{}, strength);
+            damp[i] = outer(s.across, s.n, s.along);
+        }
+    }
+};
+
+}  // namespace cloth

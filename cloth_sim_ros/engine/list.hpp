@@ -1,0 +1,191 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Lists of springs, hinges or panels on any particles: what a law needs is gathered for a vector of elements at a time,
+// and forces are added one element after the other, so that sums run in one order whatever the vectors' width.
+#pragma once
+
+#include <algorithm>
+#include <numeric>
+
+#include "laws.hpp"
+#include "storage.hpp"
+
+namespace cloth {
+
+enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4 };
+
+/// Call `what` with the law of a kind.
+template <class F>
+inline auto with_law(Kind kind, F&& what) {
+    switch (kind) {
+        case Kind::spring: return what(Spring{});
+        case Kind::joint: return what(Joint{});
+        case Kind::crossed: return what(Crossed{});
+        case Kind::altitude: return what(Altitude{});
+        case Kind::panel3: return what(Panel<3>{});
+        default: return what(Panel<4>{});
+    }
+}
+
+/// Elements that are neighbours in a list are this far apart in the order in which they are taken: forces on one
+/// particle are not added right after each other, which would wait for memory.
+inline constexpr std::int64_t apart_by = 16, chunk = 64;
+
+/// Elements as they are taken: padded to whole vectors by elements without strength on a particle that is none.
+template <class T>
+struct Elements {
+    std::int64_t count = 0;
+    std::vector<std::int32_t> corner[4];
+    Array<T> param[3];
+};
+
+class List {
+public:
+    List(Kind kind, std::int64_t count, const std::int64_t* corners, const double* params, const double* common,
+         bool weak)
+        : kind(kind), weak(weak), count(count) {
+        with_law(kind, [&](auto law) {
+            using Law = decltype(law);
+            width = Law::corners;
+            numbers = Law::params;
+        });
+        this->corners.assign(corners, corners + count * width);
+        if (numbers) this->params.assign(params, params + count * numbers);
+        if (common) std::copy(common, common + 5, this->common);
+        damped = kind == Kind::panel3 || kind == Kind::panel4;
+        for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
+    }
+
+    /// The elements with particles renumbered by `rank`, in order of their lowest particle, spread; `nobody` is the number
+    /// of a particle that is none.
+    template <class T>
+    Elements<T> taken(const std::int64_t* rank, std::int64_t nobody) const {
+        std::vector<std::int64_t> lowest(count), order(count);
+        for (std::int64_t e = 0; e < count; ++e) {
+            lowest[e] = rank[corners[e * width]];
+            for (int c = 1; c < width; ++c) lowest[e] = std::min(lowest[e], rank[corners[e * width + c]]);
+        }
+        std::iota(order.begin(), order.end(), std::int64_t{0});
+        std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return lowest[a] < lowest[b]; });
+        std::vector<std::int64_t> spread;
+        spread.reserve(count);
+        for (std::int64_t first = 0; first < count; first += chunk * apart_by) {
+            const std::int64_t most = std::min(chunk * apart_by, count - first), rows = (most + apart_by - 1) / apart_by;
+            for (std::int64_t i = 0; i < rows; ++i)
+                for (std::int64_t j = 0; j < apart_by; ++j)
+                    if (j * rows + i < most) spread.push_back(order[first + j * rows + i]);
+        }
+        Elements<T> r;
+        r.count = (count + 15) / 16 * 16;
+        for (int c = 0; c < width; ++c) {
+            r.corner[c].assign(r.count, static_cast<std::int32_t>(nobody));
+            for (std::int64_t k = 0; k < count; ++k)
+                r.corner[c][k] = static_cast<std::int32_t>(rank[corners[spread[k] * width + c]]);
+        }
+        for (int p = 0; p < numbers; ++p) {
+            r.param[p].assign(r.count, T(0));
+            for (std::int64_t k = 0; k < count; ++k) r.param[p][k] = static_cast<T>(params[spread[k] * numbers + p]);
+        }
+        return r;
+    }
+
+    Kind kind;
+    bool weak, damped = false;
+    std::int64_t count;
+    int width = 0, numbers = 0;
+    std::vector<std::int64_t> corners;
+    std::vector<double> params;
+    double common[5] = {};
+};
+
+template <class Law, class V>
+inline typename Law::template Params<V> law_params(const V* numbers, const double* common) {
+    using T = scalar<V>;
+    if constexpr (Law::params == 3) return {numbers[0], numbers[1], numbers[2]};
+    else if constexpr (Law::params == 2)
+        return {numbers[0], numbers[1]};
+    else
+        return {splat<V>(T(common[0])), splat<V>(T(common[1])),
+                Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
+}
+
+/// Add factor times the forces of all elements at positions x and velocities v to f, all quads by particle.
+template <class Law, class T, bool Damped>
+inline void add_forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, T factor) {
+    using V = vec<T>;
+    constexpr int L = lanes<T>, C = Law::corners, given = Law::own_velocities ? C : C - 1;
+    const V scale = splat<V>(factor);
+    for (std::int64_t e = 0; e < list.count; e += L) {
+        Vec3<V> d[C - 1], u[C], g[C];
+        quad<T> rows[L];
+        for (int c = 1; c < C; ++c) {
+            for (int k = 0; k < L; ++k)
+                rows[k] = load4(x + 4 * std::int64_t{list.corner[c][e + k]}) -
+                          load4(x + 4 * std::int64_t{list.corner[0][e + k]});
+            apart<T>(rows, d[c - 1].x, d[c - 1].y, d[c - 1].z);
+            if constexpr (Damped && !Law::own_velocities) {
+                for (int k = 0; k < L; ++k)
+                    rows[k] = load4(v + 4 * std::int64_t{list.corner[c][e + k]}) -
+                              load4(v + 4 * std::int64_t{list.corner[0][e + k]});
+                apart<T>(rows, u[c - 1].x, u[c - 1].y, u[c - 1].z);
+            }
+        }
+        if constexpr (Law::own_velocities)
+            for (int c = 0; c < C; ++c) {
+                for (int k = 0; k < L; ++k) rows[k] = load4(v + 4 * std::int64_t{list.corner[c][e + k]});
+                apart<T>(rows, u[c].x, u[c].y, u[c].z);
+            }
+        V numbers[3];
+        for (int p = 0; p < Law::params; ++p) numbers[p] = load(list.param[p].data() + e);
+        Law::force(law_params<Law, V>(numbers, common), d, u, g, Damped);
+        quad<T> out[C][L];
+        for (int c = 0; c < given; ++c) {
+            const Vec3<V> s = scale * g[c];
+            together<T>(s.x, s.y, s.z, out[Law::own_velocities ? c : c + 1]);
+        }
+        for (int k = 0; k < L; ++k) {
+            if constexpr (!Law::own_velocities) {
+                out[0][k] = -out[1][k];
+                for (int c = 2; c < C; ++c) out[0][k] = out[0][k] - out[c][k];
+            }
+            for (int c = 0; c < C; ++c) {
+                T* const to = f + 4 * std::int64_t{list.corner[c][e + k]};
+                store4(to, load4(to) + out[c][k]);
+            }
+        }
+    }
+}
+
+template <class T>
+inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor) {
+    with_law(list.kind, [&](auto law) {
+        using Law = decltype(law);
+        if (list.damped)
+            add_forces<Law, T, true>(taken, list.common, x, v, f, factor);
+        else
+            add_forces<Law, T, false>(taken, list.common, x, v, f, factor);
+    });
+}
+
+/// What a law says of one element of a list at x and v, (3, n) by component: its corners seen as laws see them.
+template <class Law>
+struct Seen {
+    Vec3<double> d[Law::corners - 1], u[Law::corners];
+    typename Law::template Params<double> params;
+    Seen(const List& list, std::int64_t e, const double* x, const double* v, std::int64_t n)
+        : params(law_params<Law, double>(list.params.data() + e * list.numbers, list.common)) {
+        const std::int64_t* const p = list.corners.data() + e * list.width;
+        const auto at = [n](const double* a, std::int64_t i) { return Vec3<double>{a[i], a[n + i], a[2 * n + i]}; };
+        for (int c = 1; c < Law::corners; ++c) {
+            d[c - 1] = at(x, p[c]) - at(x, p[0]);
+            if constexpr (!Law::own_velocities)
+                if (v) u[c - 1] = at(v, p[c]) - at(v, p[0]);
+        }
+        if constexpr (Law::own_velocities)
+            if (v)
+                for (int c = 0; c < Law::corners; ++c) u[c] = at(v, p[c]);
+    }
+};
+
+}  // namespace cloth

@@ -1,0 +1,197 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// A scene as the engine sees it: particles, and parts whose forces, bounds, energies and costs add up.
+#pragma once
+
+#include <optional>
+
+#include "grid.hpp"
+#include "held.hpp"
+#include "list.hpp"
+
+namespace cloth {
+
+/// Forces of the caller's own: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n). Other than 0 ends
+/// the run.
+using Callback = int (*)(double t, const double* x, const double* v, double* f);
+
+struct Plan {
+    std::int64_t count = 0;
+    std::vector<double> masses, inverse;
+    std::optional<Grid> grid;
+    Tables<double> tables;
+    Tables<float> narrow_tables;
+    std::vector<List> lists;
+    /// Rate of linear drag [1/s], and accelerations by gravity and by wind through that drag [m/s^2].
+    double drag = 0.0, gravity[3] = {}, wind[3] = {};
+    Held held;
+    Callback callback = nullptr;
+    /// Where particles stand inside runs without a grid: neighbours close together.
+    std::vector<std::int64_t> order, rank;
+    std::vector<Elements<double>> elements;
+    std::vector<Elements<float>> narrow_elements;
+
+    template <class T>
+    const Tables<T>& grid_tables() {
+        if constexpr (sizeof(T) == 8) {
+            return tables;
+        } else {
+            if (narrow_tables.numbers.empty()) narrow_tables = Tables<float>(*grid, inverse.data());
+            return narrow_tables;
+        }
+    }
+    template <class T>
+    const std::vector<Elements<T>>& taken() {
+        auto& all = [this]() -> auto& {
+            if constexpr (sizeof(T) == 8)
+                return elements;
+            else
+                return narrow_elements;
+        }();
+        for (std::size_t k = all.size(); k < lists.size(); ++k)
+            all.push_back(lists[k].template taken<T>(rank.data(), count));
+        return all;
+    }
+    double push(int axis) const { return gravity[axis] + wind[axis]; }
+    /// Whether forces depend on velocities, and how.
+    Mode mode() const {
+        if (grid && grid->damped()) return Mode::damped;
+        bool moving = drag > 0.0 || held.count() || callback;
+        for (const List& list : lists) moving = moving || list.damped;
+        return moving ? Mode::drag : Mode::still;
+    }
+    bool has_weak() const {
+        bool weak = grid && grid->has_weak();
+        for (const List& list : lists) weak = weak || list.weak;
+        return weak;
+    }
+};
+
+/// One run of the leapfrog: so many equal steps.
+struct Run {
+    double t, step;
+    std::int64_t steps;
+    bool narrow, alternate;
+    int bands;
+    const double *x0, *v0;  ///< at the start, (3, n)
+    double *x, *v;          ///< at the end; v may be null
+    double* booked;         ///< (grippers, booked_numbers), or null
+    double* powers;         ///< time integrals of lost and given power [J], or null
+};
+
+enum class Done : int { well, callback_failed };
+
+/// Factors of the steps of a run: the start, then one for each step; the last drifts half a step.
+template <class T>
+inline Motion<T> motion_of(const Run& run, std::int64_t step) {
+    const double h = run.step, drift = step + 1 == run.steps ? 0.5 * h : h;
+    if (step < 0) return {T(0), T(0.5 * h), T(0), T(0.5 * h)};
+    return {T(h), T(0.25 * h), T(0.25 * h), T(drift)};
+}
+/// Of a single evaluation: it moves nothing, and velocities that were zero become accelerations.
+template <class T>
+inline constexpr Motion<T> evaluation{T(1), T(0), T(0), T(0)};
+/// How often the weak springs of a step count: where they are taken at every second step only, impulses lie
+/// symmetrically in the run.
+inline double weak_factor(const Run& run, std::int64_t step) {
+    if (!run.alternate || step < 0 || run.steps == 1) return 1.0;
+    if (step % 2 == 1) return 0.0;
+    return step == 0 || step == run.steps - 1 ? 1.5 : 2.0;
+}
+inline double middle_of(const Run& run, std::int64_t step) { return step < 0 ? run.t : run.t + (step + 0.5) * run.step; }
+
+/// Powers that damping and drag take and that wind gives at x and v, (3, n); joints of grippers aside.
+void powers(const Plan& plan, const double* x, const double* v, double& lost, double& given);
+
+/// What a run keeps between its steps of the parts that are not a sheet's own springs: particles as quads.
+template <class T>
+struct Beside {
+    Plan& plan;
+    const Run& run;
+    double origin[3] = {};
+    Array<T> x, v, f;               ///< positions, velocities that damping sees, forces; a quad a particle
+    std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
+    std::vector<Pose> poses;
+    std::vector<double> grips;  ///< (grips, booked_numbers)
+
+    Beside(Plan& plan, const Run& run) : plan(plan), run(run) {
+        if constexpr (sizeof(T) == 4)
+            for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
+        poses = plan.held.poses(run.t, run.step, run.steps);
+        grips.assign(plan.held.count() * booked_numbers, 0.0);
+    }
+    bool needed() const { return !plan.lists.empty() || plan.callback || run.powers; }
+    void make(bool forces) {
+        x.assign(4 * (plan.count + 1), T(0));
+        v.assign(4 * (plan.count + 1), T(0));
+        if (forces) f.assign(4 * (plan.count + 1), T(0));
+        if (plan.callback || run.powers) {
+            ox.resize(3 * plan.count);
+            ov.resize(3 * plan.count);
+            of.resize(3 * plan.count);
+        }
+    }
+    /// Forces of lists and of the caller at step `step`, in f; powers booked.
+    Done forces(std::int64_t step) {
+        std::fill(f.begin(), f.end(), T(0));
+        const T weak = static_cast<T>(weak_factor(run, step));
+        const auto& all = plan.taken<T>();
+        for (std::size_t k = 0; k < all.size(); ++k) {
+            const T factor = plan.lists[k].weak ? weak : T(1);
+            if (factor != T(0)) add_forces<T>(plan.lists[k], all[k], x.data(), v.data(), f.data(), factor);
+        }
+        if (!plan.callback && !run.powers) return Done::well;
+        const std::int64_t n = plan.count;
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < n; ++i) {
+                const std::int64_t at = 4 * plan.rank[i] + c;
+                ox[c * n + i] = origin[c] + static_cast<double>(x[at]);
+                ov[c * n + i] = static_cast<double>(v[at]);
+            }
+        if (run.powers && step >= 0) {
+            double lost = 0.0, given = 0.0;
+            powers(plan, ox.data(), ov.data(), lost, given);
+            run.powers[0] += run.step * lost;
+            run.powers[1] += run.step * given;
+        }
+        if (!plan.callback) return Done::well;
+        std::fill(of.begin(), of.end(), 0.0);
+        if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data())) return Done::callback_failed;
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < n; ++i) f[4 * plan.rank[i] + c] += static_cast<T>(of[c * n + i]);
+        return Done::well;
+    }
+    /// Force on the particle of a grip at step `step`, from its place and velocity as the run keeps them.
+    Vec3<T> pull(std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool book) {
+        const Held& held = plan.held;
+        const Vec3<double> at{origin[0] + x_.x, origin[1] + x_.y, origin[2] + x_.z};
+        const Vec3<double> moving{double(v_.x), double(v_.y), double(v_.z)};
+        const auto point = held.point(poses[(step + 1) * held.grippers + held.gripper[grip]], grip);
+        const Vec3<double> force = held.force(grip, point, at, moving);
+        if (book && step >= 0) {
+            // Each grip for itself, in its own sum: threads book in any order.
+            held.book(grips.data() + grip * booked_numbers, grip, point, force, moving, run.step);
+        }
+        return {T(force.x), T(force.y), T(force.z)};
+    }
+    /// Sum up what was booked, in order of the grips.
+    void finish() {
+        if (!run.booked) return;
+        for (std::int64_t grip = 0; grip < plan.held.count(); ++grip)
+            for (int k = 0; k < booked_numbers; ++k)
+                run.booked[plan.held.gripper[grip] * booked_numbers + k] += grips[grip * booked_numbers + k];
+    }
+};
+
+/// A number at the end of a run: in single precision what changed is added to what it was.
+template <class T>
+inline double ended(double before, double origin, T value, T carry) {
+    if constexpr (sizeof(T) == 8)
+        return static_cast<double>(value);
+    else
+        return before + ((static_cast<double>(value) - static_cast<double>(static_cast<T>(before - origin))) +
+                         static_cast<double>(carry));
+}
+
+}  // namespace cloth

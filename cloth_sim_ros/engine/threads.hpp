@@ -1,0 +1,114 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// A few threads that are kept between calls. No bit depends on how many there are.
+#pragma once
+
+#include <sched.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <thread>
+
+#include "storage.hpp"
+
+namespace cloth {
+
+inline void pause_briefly() {
+#if defined(__x86_64__)
+    __builtin_ia32_pause();
+#elif defined(__aarch64__)
+    __asm__ __volatile__("yield");
+#endif
+}
+
+/// Wait until a condition that another thread makes true: at first without leaving the core.
+template <class F>
+inline void wait_until(F&& done) {
+    for (int tries = 0; !done(); ++tries) {
+        if (tries < 4000)
+            pause_briefly();
+        else
+            sched_yield();
+    }
+}
+
+class Pool {
+public:
+    static Pool& shared() {
+        static Pool* pool = new Pool;  // never destroyed: its threads may outlive static objects
+        return *pool;
+    }
+    /// Call job(0) to job(workers - 1) at once, each on a thread of its own; where the pool is busy with another call, or
+    /// no thread can be had, `alone` in their place.
+    template <class Job, class Alone>
+    void run(int workers, Job&& job, Alone&& alone) {
+        std::unique_lock lock(mutex_, std::try_to_lock);
+        if (workers <= 1 || !lock || !grow(workers - 1)) {
+            alone();
+            return;
+        }
+        const std::function<void(int)> work = [&](int number) { job(number); };
+        for (int k = 0; k < workers - 1; ++k) {
+            threads_[k]->work.store(&work, std::memory_order_release);
+            threads_[k]->work.notify_one();
+        }
+        job(0);
+        for (int k = 0; k < workers - 1; ++k)
+            wait_until([&] { return threads_[k]->work.load(std::memory_order_acquire) == nullptr; });
+    }
+
+private:
+    struct Worker {
+        std::atomic<const std::function<void(int)>*> work{nullptr};
+        std::thread thread;
+    };
+
+    bool grow(int count) {
+        if (process_ != getpid()) {
+            // A forked child has none of its parent's threads; what describes them is left behind.
+            for (auto& worker : threads_) static_cast<void>(worker.release());
+            threads_.clear();
+            process_ = getpid();
+        }
+        try {
+            while (static_cast<int>(threads_.size()) < count) {
+                auto worker = std::make_unique<Worker>();
+                Worker* const own = worker.get();
+                const int number = static_cast<int>(threads_.size()) + 1;
+                worker->thread = std::thread([own, number] { serve(*own, number); });
+                worker->thread.detach();
+                threads_.push_back(std::move(worker));
+            }
+        } catch (const std::system_error&) {
+            return false;
+        }
+        return true;
+    }
+    [[noreturn]] static void serve(Worker& own, int number) {
+        const Ieee rounding;
+        for (;;) {
+            const std::function<void(int)>* work = nullptr;
+            // Runs of one frame follow each other closely: a thread that slept would be late for each.
+            for (int tries = 0; tries < 20000 && !work; ++tries) {
+                work = own.work.load(std::memory_order_acquire);
+                if (!work) pause_briefly();
+            }
+            if (!work) {
+                own.work.wait(nullptr, std::memory_order_acquire);
+                continue;
+            }
+            (*work)(number);
+            own.work.store(nullptr, std::memory_order_release);
+        }
+    }
+
+    std::mutex mutex_;
+    std::vector<std::unique_ptr<Worker>> threads_;
+    pid_t process_ = getpid();
+};
+
+}  // namespace cloth

@@ -1,0 +1,250 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Vectors of a machine's width, and the few operations that the laws need. Only IEEE arithmetic (+ - * / sqrt, and fma
+// where it is written), lane by lane: so every width gives the same bits. CLOTH_VECTOR_BYTES is set by the build.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
+#include <utility>
+
+#if defined(__AVX2__) || defined(__AVX512F__)
+#include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
+#endif
+
+#ifndef CLOTH_VECTOR_BYTES
+#define CLOTH_VECTOR_BYTES 16
+#endif
+
+namespace cloth {
+
+template <class T>
+struct Wide {
+    typedef T type __attribute__((vector_size(CLOTH_VECTOR_BYTES)));
+    static constexpr int lanes = CLOTH_VECTOR_BYTES / sizeof(T);
+};
+/// One number a lane.
+template <class T>
+using vec = typename Wide<T>::type;
+template <class T>
+inline constexpr int lanes = Wide<T>::lanes;
+
+template <class T>
+struct Four {
+    typedef T type __attribute__((vector_size(4 * sizeof(T))));
+};
+/// x, y, z of one particle, and one number more that is not used.
+template <class T>
+using quad = typename Four<T>::type;
+
+/// The same arithmetic for one number or a vector of them: V is double, float, vec<double> or vec<float>.
+template <class V>
+struct Scalar {
+    using type = typename std::remove_reference<decltype(V{}[0])>::type;
+};
+template <>
+struct Scalar<double> {
+    using type = double;
+};
+template <>
+struct Scalar<float> {
+    using type = float;
+};
+template <class V>
+using scalar = typename Scalar<V>::type;
+
+template <class V>
+inline V splat(scalar<V> a) {
+    if constexpr (sizeof(V) == sizeof(scalar<V>))
+        return a;
+    else
+        return a - V{};  // a - 0 is a, signed zeros included
+}
+
+template <class T>
+inline vec<T> load(const T* from) {
+    vec<T> to;
+    std::memcpy(&to, from, sizeof to);
+    return to;
+}
+template <class T>
+inline void store(T* to, vec<T> from) {
+    std::memcpy(to, &from, sizeof from);
+}
+template <class T>
+inline quad<T> load4(const T* from) {
+    quad<T> to;
+    std::memcpy(&to, from, sizeof to);
+    return to;
+}
+template <class T>
+inline void store4(T* to, quad<T> from) {
+    std::memcpy(to, &from, sizeof from);
+}
+
+/// a b + c, rounded once.
+inline double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
+inline float fma(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+
+template <class V>
+    requires(sizeof(V) > sizeof(scalar<V>))
+inline V fma(V a, V b, V c) {
+    [[maybe_unused]] constexpr bool wide = sizeof(scalar<V>) == 8;
+#if defined(__AVX512F__)
+    if constexpr (sizeof(V) == 64 && wide) return V(_mm512_fmadd_pd(__m512d(a), __m512d(b), __m512d(c)));
+    if constexpr (sizeof(V) == 64 && !wide) return V(_mm512_fmadd_ps(__m512(a), __m512(b), __m512(c)));
+#endif
+#if defined(__FMA__)
+    if constexpr (sizeof(V) == 32 && wide) return V(_mm256_fmadd_pd(__m256d(a), __m256d(b), __m256d(c)));
+    if constexpr (sizeof(V) == 32 && !wide) return V(_mm256_fmadd_ps(__m256(a), __m256(b), __m256(c)));
+    if constexpr (sizeof(V) == 16 && wide) return V(_mm_fmadd_pd(__m128d(a), __m128d(b), __m128d(c)));
+    if constexpr (sizeof(V) == 16 && !wide) return V(_mm_fmadd_ps(__m128(a), __m128(b), __m128(c)));
+#elif defined(__aarch64__)
+    if constexpr (sizeof(V) == 16 && wide) return V(vfmaq_f64(float64x2_t(c), float64x2_t(a), float64x2_t(b)));
+    if constexpr (sizeof(V) == 16 && !wide) return V(vfmaq_f32(float32x4_t(c), float32x4_t(a), float32x4_t(b)));
+#endif
+    V r;
+    for (std::size_t k = 0; k < sizeof(V) / sizeof(scalar<V>); ++k) r[k] = fma(a[k], b[k], c[k]);
+    return r;
+}
+
+inline double root(double a) { return __builtin_sqrt(a); }
+inline float root(float a) { return __builtin_sqrtf(a); }
+
+template <class V>
+    requires(sizeof(V) > sizeof(scalar<V>))
+inline V root(V a) {
+    [[maybe_unused]] constexpr bool wide = sizeof(scalar<V>) == 8;
+#if defined(__AVX512F__)
+    if constexpr (sizeof(V) == 64 && wide) return V(_mm512_sqrt_pd(__m512d(a)));
+    if constexpr (sizeof(V) == 64 && !wide) return V(_mm512_sqrt_ps(__m512(a)));
+#endif
+#if defined(__AVX2__)
+    if constexpr (sizeof(V) == 32 && wide) return V(_mm256_sqrt_pd(__m256d(a)));
+    if constexpr (sizeof(V) == 32 && !wide) return V(_mm256_sqrt_ps(__m256(a)));
+#endif
+    V r;
+    for (std::size_t k = 0; k < sizeof(V) / sizeof(scalar<V>); ++k) r[k] = root(a[k]);
+    return r;
+}
+
+/// 1 / sqrt(a).
+template <class V>
+inline V inverse_root(V a) {
+    return splat<V>(1) / root(a);
+}
+
+// Comparisons give a bool for numbers and a mask for vectors; select takes either.
+inline double select(bool yes, double a, double b) { return yes ? a : b; }
+inline float select(bool yes, float a, float b) { return yes ? a : b; }
+template <class M, class V>
+    requires(sizeof(V) > sizeof(scalar<V>))
+inline V select(M yes, V a, V b) {
+    return yes ? a : b;
+}
+template <class V>
+inline V absolute(V a) {
+    return select(a < V{}, -a, a);
+}
+/// The smaller, or b where a is not a number.
+template <class V>
+inline V smaller(V a, V b) {
+    return select(a < b, a, b);
+}
+template <class V>
+inline V larger(V a, V b) {
+    return select(a > b, a, b);
+}
+
+/// The last N lanes of one vector, then the first of the next: what lies N places to the left.
+template <int N, class V>
+inline V shift(V last, V next) {
+    using T = scalar<V>;
+    constexpr int L = sizeof(V) / sizeof(T);
+    return [&]<int... I>(std::integer_sequence<int, I...>) {
+        return V(__builtin_shufflevector(last, next, (L - N + I)...));
+    }(std::make_integer_sequence<int, L>{});
+}
+
+// Particles lie as quads, laws want vectors of x, of y and of z: `lanes` quads to three vectors, and back. Vectors are
+// taken as groups of four lanes, and each group of four rows is transposed.
+template <int L>
+constexpr int interleaved(int lane, int first) {
+    return (lane & ~3) + (lane & 2) + first + (lane & 1 ? L : 0);
+}
+template <int L>
+constexpr int half_of(int lane, int first) {
+    return (lane & ~3) + (lane & 1) + first + (lane & 2 ? L : 0);
+}
+template <class V>
+inline void transpose(V& a, V& b, V& c, V& d) {
+    constexpr int L = sizeof(V) / sizeof(scalar<V>);
+    [&]<int... I>(std::integer_sequence<int, I...>) {
+        const V even_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 0)...);
+        const V odd_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 1)...);
+        const V even_cd = __builtin_shufflevector(c, d, interleaved<L>(I, 0)...);
+        const V odd_cd = __builtin_shufflevector(c, d, interleaved<L>(I, 1)...);
+        a = __builtin_shufflevector(even_ab, even_cd, half_of<L>(I, 0)...);
+        b = __builtin_shufflevector(odd_ab, odd_cd, half_of<L>(I, 0)...);
+        c = __builtin_shufflevector(even_ab, even_cd, half_of<L>(I, 2)...);
+        d = __builtin_shufflevector(odd_ab, odd_cd, half_of<L>(I, 2)...);
+    }(std::make_integer_sequence<int, L>{});
+}
+
+/// Rows k, k + 4, k + 8, ... side by side.
+template <class T>
+inline vec<T> beside(const quad<T>* rows, int k) {
+    if constexpr (lanes<T> == 4) {
+        return rows[k];
+    } else {
+        const auto two = __builtin_shufflevector(rows[k], rows[k + 4], 0, 1, 2, 3, 4, 5, 6, 7);
+        if constexpr (lanes<T> == 8) {
+            return two;
+        } else {
+            const auto more = __builtin_shufflevector(rows[k + 8], rows[k + 12], 0, 1, 2, 3, 4, 5, 6, 7);
+            return __builtin_shufflevector(two, more, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+        }
+    }
+}
+
+template <class T>
+inline void apart(const quad<T>* rows, vec<T>& x, vec<T>& y, vec<T>& z) {
+    if constexpr (lanes<T> == 2) {
+        x = vec<T>{rows[0][0], rows[1][0]};
+        y = vec<T>{rows[0][1], rows[1][1]};
+        z = vec<T>{rows[0][2], rows[1][2]};
+    } else {
+        vec<T> none = beside<T>(rows, 3);
+        x = beside<T>(rows, 0);
+        y = beside<T>(rows, 1);
+        z = beside<T>(rows, 2);
+        transpose(x, y, z, none);
+    }
+}
+
+template <class T>
+inline void together(vec<T> x, vec<T> y, vec<T> z, quad<T>* rows) {
+    constexpr int L = lanes<T>;
+    if constexpr (L == 2) {
+        rows[0] = quad<T>{x[0], y[0], z[0], 0};
+        rows[1] = quad<T>{x[1], y[1], z[1], 0};
+    } else {
+        vec<T> four[4] = {x, y, z, vec<T>{}};
+        transpose(four[0], four[1], four[2], four[3]);
+        for (int k = 0; k < 4; ++k) {
+            rows[k] = __builtin_shufflevector(four[k], four[k], 0, 1, 2, 3);
+            if constexpr (L >= 8) rows[k + 4] = __builtin_shufflevector(four[k], four[k], 4, 5, 6, 7);
+            if constexpr (L == 16) {
+                rows[k + 8] = __builtin_shufflevector(four[k], four[k], 8, 9, 10, 11);
+                rows[k + 12] = __builtin_shufflevector(four[k], four[k], 12, 13, 14, 15);
+            }
+        }
+    }
+}
+
+}  // namespace cloth
