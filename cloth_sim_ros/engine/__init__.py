@@ -1,3 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine: C++ that steps particles. Arrays in, arrays out."""
+"""The C++ engine: every force law once, the loops over particles, and whole frames in one call.
+
+Arrays in, arrays out: it knows no scene, no file, no clock, no ROS, nor who calls. Begin with `laws.hpp` (the laws), then
+`grid_row.hpp` (one row of a sheet, one step), `frame.hpp` (a frame) and `library.cpp` (what Python sees). `binding` loads
+the library that fits the machine and checks what is handed to it.
+"""

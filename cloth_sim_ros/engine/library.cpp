@@ -1,14 +1,233 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What Python sees of the engine: a C ABI, called through ctypes.
+// What Python sees: a C interface, called without the interpreter's lock. binding.py checks shapes, types and ranges
+// before; arrays are (3, n) doubles by component unless said otherwise. Every call returns a Status.
 
-#define CLOTH_PUBLIC extern "C" __attribute__((visibility("default")))
+#include "frame.hpp"
+#include "measures.hpp"
 
-CLOTH_PUBLIC int cloth_engine_abi() { return 0; }
+#define CLOTH_API extern "C" __attribute__((visibility("default")))
 
-CLOTH_PUBLIC const char* cloth_engine_name()
-{
-    static_assert(CLOTH_VECTOR_BYTES == 16 || CLOTH_VECTOR_BYTES == 32 || CLOTH_VECTOR_BYTES == 64);
-    return CLOTH_VECTOR_BYTES == 64 ? "64 bytes" : CLOTH_VECTOR_BYTES == 32 ? "32 bytes" : "16 bytes";
+using cloth::Plan;
+
+namespace {
+
+enum Status : int { well = 0, failed = 1, no_memory = 2, callback_failed = 3 };
+
+template <class F>
+int guarded(F&& work) {
+    try {
+        const cloth::Ieee rounding;
+        work();
+        return well;
+    } catch (const std::bad_alloc&) {
+        return no_memory;
+    } catch (...) {
+        return failed;
+    }
+}
+
+}  // namespace
+
+/// Number of this interface: the binding refuses another.
+CLOTH_API int cloth_engine_abi() { return 1; }
+/// The instruction set that this library was built for.
+CLOTH_API const char* cloth_engine_name() {
+#if defined(__AVX512F__)
+    return "avx512";
+#elif defined(__AVX2__)
+    return "avx2";
+#elif defined(__aarch64__)
+    return "neon";
+#else
+    return "baseline";
+#endif
+}
+
+CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const double* inverse) {
+    try {
+        auto plan = std::make_unique<Plan>();
+        plan->count = count;
+        plan->masses.assign(masses, masses + count);
+        plan->inverse.assign(inverse, inverse + count);
+        for (std::int64_t i = 0; i < count; ++i) plan->rank.push_back(i);
+        return plan.release();
+    } catch (const std::bad_alloc&) {
+        return nullptr;
+    }
+}
+CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
+
+/// Families as rows of present, weak, k_s, rest length, damping, border, parity.
+CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
+    return guarded([&] {
+        cloth::Grid grid;
+        grid.rows = rows;
+        grid.columns = columns;
+        for (int f = 0; f < cloth::family_count; ++f) {
+            const double* const row = families + 7 * f;
+            grid.families[f] = {row[0] != 0.0, row[1] != 0.0, row[2], row[3], row[4], row[5], static_cast<int>(row[6])};
+        }
+        plan->grid = grid;
+        plan->tables = cloth::Tables<double>(grid, plan->inverse.data());
+    });
+}
+CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
+                              const double* common, int weak) {
+    return guarded([&] {
+        plan->lists.emplace_back(static_cast<cloth::Kind>(kind), count, corners, params, common, weak != 0);
+    });
+}
+CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
+    return guarded([&] {
+        std::copy(gravity, gravity + 3, plan->gravity);
+        std::copy(wind, wind + 3, plan->wind);
+        plan->drag = drag;
+    });
+}
+/// Place of each particle inside runs without a grid.
+CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
+    return guarded([&] { plan->rank.assign(rank, rank + plan->count); });
+}
+CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
+    return guarded([&] { plan->callback = callback; });
+}
+CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, const double* paths, std::int64_t count,
+                              const std::int64_t* particles, const std::int64_t* owners, const double* offsets,
+                              const double* stiffness, const double* damping) {
+    return guarded([&] {
+        std::vector<std::int64_t> order(count);
+        std::iota(order.begin(), order.end(), std::int64_t{0});
+        std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return particles[a] < particles[b]; });
+        cloth::Held held;
+        held.grippers = grippers;
+        held.paths.assign(paths, paths + grippers * cloth::path_numbers);
+        for (std::int64_t k : order) {
+            held.particle.push_back(particles[k]);
+            held.gripper.push_back(owners[k]);
+            held.offset.push_back({offsets[3 * k], offsets[3 * k + 1], offsets[3 * k + 2]});
+            held.stiffness.push_back(stiffness[k]);
+            held.damping.push_back(damping[k]);
+        }
+        plan->held = std::move(held);
+    });
+}
+
+CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
+    int status = well;
+    const int other = guarded([&] {
+        if (cloth::make_frame(*plan, *frame) != cloth::Done::well) status = callback_failed;
+    });
+    return other ? other : status;
+}
+CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
+    int status = well;
+    const int other = guarded([&] {
+        if (cloth::accelerations(*plan, t, x, v, out) != cloth::Done::well) status = callback_failed;
+    });
+    return other ? other : status;
+}
+
+/// Kinetic and potential energy [J] into two numbers; v may be null.
+CLOTH_API int cloth_energy(const Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded([&] {
+        const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
+        out[0] = e.kinetic;
+        out[1] = e.potential;
+    });
+}
+/// Power lost to damping and drag, and given by the wind [W]; the joints of grippers aside.
+CLOTH_API int cloth_powers(const Plan* plan, const double* x, const double* v, double* out) {
+    return guarded([&] {
+        out[0] = out[1] = 0.0;
+        cloth::powers(*plan, x, v, out[0], out[1]);
+    });
+}
+/// Adds to (grippers, booked_numbers) times the weight.
+CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
+    return guarded([&] {
+        const std::size_t size = plan->held.grippers * cloth::booked_numbers;
+        std::vector<double> rates(size, 0.0);
+        cloth::grip_rates(*plan, t, x, v, rates.data());
+        for (std::size_t k = 0; k < size; ++k) out[k] += weight * rates[k];
+    });
+}
+CLOTH_API int cloth_rates(const Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
+    return guarded([&] {
+        const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp);
+        out[0] = r.omega2;
+        out[1] = r.damping;
+    });
+}
+CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {
+    return guarded([&] { cloth::add_bounds(*plan, x, stiff, damp); });
+}
+CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
+    return guarded([&] { cloth::eigenvalues(blocks, n, out); });
+}
+CLOTH_API int cloth_product(const Plan* plan, const double* x, const double* v, const double* dx, const double* dv,
+                            double* out) {
+    return guarded([&] { cloth::add_product(*plan, x, v, dx, dv, out); });
+}
+/// Blocks of a list of springs or joints, in its own order; see pair_blocks.
+CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
+                                double* out) {
+    return guarded([&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+}
+/// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
+CLOTH_API int cloth_pose(const double* path, double t, double* out) {
+    return guarded([&] {
+        const cloth::Pose p = cloth::pose_at(path, t);
+        const auto put = [&](int at, cloth::Vec3<double> a) { out[at] = a.x, out[at + 1] = a.y, out[at + 2] = a.z; };
+        put(0, p.place);
+        put(3, p.speed);
+        for (int j = 0; j < 3; ++j) out[6 + j] = p.rotation[j].x, out[9 + j] = p.rotation[j].y, out[12 + j] = p.rotation[j].z;
+        put(15, p.spin);
+    });
+}
+
+/// out = the weighted sum of arrays.
+CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
+                            double* out) {
+    return guarded([&] { cloth::combine(arrays, from, weights, size, out); });
+}
+/// Largest distance of a particle in two arrays (3, n) [m]; infinite where a number is none.
+CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out) {
+    return guarded([&] { *out = cloth::largest_distance(x, y, n); });
+}
+/// Sum of m_i a_i . b_i over particles, in their order.
+CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out) {
+    return guarded([&] {
+        double sum = 0.0;
+        for (std::int64_t i = 0; i < n; ++i) sum += m[i] * cloth::dot(cloth::particle(a, n, i), cloth::particle(b, n, i));
+        *out = sum;
+    });
+}
+/// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN where undefined, and, where `squares` is not
+/// null, |dh/dx|^2 of their four corners (count, 4).
+CLOTH_API int cloth_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x, std::int64_t n,
+                            double* lengths, double* squares) {
+    return guarded([&] {
+        const std::vector<double> params(3 * count, 0.0);
+        const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr, false);
+        const auto all = [&](auto law) {
+            using Law = decltype(law);
+            for (std::int64_t e = 0; e < count; ++e) {
+                const cloth::Seen<Law> s(list, e, x, nullptr, n);
+                double square, limit;
+                cloth::Vec3<double> area[3];
+                Law::areas(s.d, square, limit, area);
+                const auto l = Law::length(s.d);
+                lengths[e] = square > limit ? l.h : __builtin_nan("");
+                if (!squares) continue;
+                squares[4 * e] = cloth::norm2(-(l.gradient[0] + l.gradient[1] + l.gradient[2]));
+                for (int i = 0; i < 3; ++i) squares[4 * e + 1 + i] = cloth::norm2(l.gradient[i]);
+            }
+        };
+        if (list.kind == cloth::Kind::crossed)
+            all(cloth::Crossed{});
+        else
+            all(cloth::Altitude{});
+    });
 }
