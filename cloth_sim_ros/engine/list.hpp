@@ -161,9 +161,9 @@ template <class T>
 inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
-        if (list.damped)
+        if (Law::own_velocities || list.damped)
             add_forces<Law, T, true>(taken, list.common, x, v, f, factor);
-        else
+        else if constexpr (!Law::own_velocities)
             add_forces<Law, T, false>(taken, list.common, x, v, f, factor);
     });
 }

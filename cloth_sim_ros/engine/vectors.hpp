@@ -121,8 +121,8 @@ template <class V>
 inline V root(V a) {
     [[maybe_unused]] constexpr bool wide = sizeof(scalar<V>) == 8;
 #if defined(__AVX512F__)
-    if constexpr (sizeof(V) == 64 && wide) return V(_mm512_sqrt_pd(__m512d(a)));
-    if constexpr (sizeof(V) == 64 && !wide) return V(_mm512_sqrt_ps(__m512(a)));
+    if constexpr (sizeof(V) == 64 && wide) return V(_mm512_maskz_sqrt_pd(0xff, __m512d(a)));
+    if constexpr (sizeof(V) == 64 && !wide) return V(_mm512_maskz_sqrt_ps(0xffff, __m512(a)));
 #endif
 #if defined(__AVX2__)
     if constexpr (sizeof(V) == 32 && wide) return V(_mm256_sqrt_pd(__m256d(a)));
