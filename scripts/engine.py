@@ -62,6 +62,8 @@ def sanitize(tests: list[str]) -> int:
             "LD_PRELOAD": preload,
             # Python itself never frees all it has.
             "ASAN_OPTIONS": "detect_leaks=0",
+            # Small arrays too have each their own piece of memory, whose ends are watched.
+            "PYTHONMALLOC": "malloc",
             "UBSAN_OPTIONS": "print_stacktrace=1",
         }
         # What a sanitizer has found it writes to the error stream itself, which pytest would keep back.

@@ -250,7 +250,7 @@ def project(tmp_path: Path) -> Path:
     """A copy of the project as from a fresh clone, with a small engine that is built at once."""
     folder = tmp_path / "project"
     built = shutil.ignore_patterns("*.so", "__pycache__", "*.hpp")
-    for name in ("cloth_sim_ros", "config", "launch", "resource"):
+    for name in ("cloth_sim_ros", "config", "launch", "resource", "scripts"):
         shutil.copytree(ROOT / name, folder / name, ignore=built)
     for name in ("setup.py", "setup.cfg", "package.xml"):
         shutil.copy(ROOT / name, folder)
@@ -304,3 +304,50 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     for name in build.names_for():
         assert (engine / build.file_name(name)).is_file()
     assert ctypes.CDLL(str(engine / build.file_name(here()))).cloth_at(1) == 1
+
+
+def make_engine(project: Path, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "scripts/engine.py", *arguments],
+        cwd=project, env={**os.environ, **variables}, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+def test_make_builds_once_and_then_says_nothing(project: Path, tmp_path: Path) -> None:
+    first, second = make_engine(project), make_engine(project)
+    assert (first.returncode, second.returncode) == (0, 0), first.stdout + first.stderr
+    assert first.stdout.startswith("cloth_sim_ros: building the engine with ")
+    assert second.stdout == ""
+    (project / "cloth_sim_ros" / "engine" / build.UNIT).write_text("no C++\n")
+    failed = make_engine(project)
+    assert failed.returncode == 1
+    assert "cloth_sim_ros: the compiler could not build the engine" in failed.stdout
+    assert "Traceback" not in failed.stderr
+
+
+def test_sanitizers_see_what_is_written_beyond_an_array(project: Path) -> None:
+    gcc = shutil.which("g++")
+    if gcc is None:
+        pytest.skip("g++ is not installed")
+    at = subprocess.run([gcc, "-print-file-name=libasan.so"], check=True, capture_output=True, text=True).stdout.strip()
+    if not Path(at).is_absolute():
+        pytest.skip("g++ is without its sanitizers")
+    with (project / "cloth_sim_ros" / "engine" / build.UNIT).open("a") as unit:
+        unit.write("CLOTH_PUBLIC void cloth_write(double* values, int at) { values[at] = 1.0; }\n")
+    (project / "test_writes.py").write_text(
+        "import ctypes, os, pytest\n"
+        "@pytest.mark.parametrize('at', [pytest.param(9, id='within'), pytest.param(10, id='beyond')])\n"
+        "def test_write(at):\n"
+        "    library = ctypes.CDLL(os.environ['CLOTH_SIM_ROS_ENGINE'])\n"
+        "    assert library.cloth_at(7) == -1\n"
+        "    library.cloth_write((ctypes.c_double * 10)(), at)\n"
+    )
+    within = make_engine(project, "--sanitize", "test_writes.py", "-k", "within", CXX="g++")
+    assert within.returncode == 0, within.stdout + within.stderr
+    assert within.stdout.count("1 passed") == len({*instruction_set.libraries()[:1], here()})
+    beyond = make_engine(project, "--sanitize", "test_writes.py", "-k", "beyond", CXX="g++")
+    assert beyond.returncode != 0
+    assert "heap-buffer-overflow" in beyond.stderr
+    assert not list((project / "cloth_sim_ros" / "engine").glob("*.so")), "the plain libraries stay as they are"
+    if shutil.which("clang++"):
+        assert "with g++, not with clang" in make_engine(project, "--sanitize", "test_writes.py", CXX="clang++").stdout
