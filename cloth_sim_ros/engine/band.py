@@ -1,0 +1,250 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Symmetric band matrices of 3x3 blocks, an order that keeps them narrow, and sums in a fixed order (band.hpp).
+
+A matrix is an array made by `rows`: block row I holds its blocks J = I ... I + width, the upper half, as
+``rows[I, r, 3 (J - I) + c]`` for the entry (3 I + r, 3 J + c). What lies beyond is zero, and stays so.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import library
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+#: What a function of the library returns.
+_OK, _NOT_POSITIVE, _NO_MEMORY, _CHOSEN, _PAIRS, _PLACES = range(6)
+#: Arguments of its functions: p is an array, i a number.
+_FUNCTIONS = {
+    "cloth_band_assemble": "piipippipi",
+    "cloth_band_assemble_diagonal": "piipipp",
+    "cloth_band_factor": "piii",
+    "cloth_band_forward": "piiip",
+    "cloth_band_backward": "piiip",
+    "cloth_band_join": "pipiiiipii",
+    "cloth_cuthill_mckee": "ipip",
+    "cloth_sum": "pip",
+}
+
+
+def rows(count: int, width: int) -> Array:
+    """Return a matrix of zeros: ``count`` block rows, each with ``width`` blocks beside the diagonal.
+
+    Raises:
+        ValueError: if one of them is negative.
+    """
+    for name, value in (("count", count), ("width", width)):
+        if value < 0:
+            raise ValueError(f"{name} is {value}: a band matrix has no fewer than 0 of them")
+    return np.zeros((count, 3, 3 * (width + 1) + _padding()))
+
+
+def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: Index) -> None:
+    """Add the pair blocks B that are chosen: B on both diagonals, -B between them.
+
+    Args:
+        rows: the matrix.
+        places: block row of each particle, negative for those that do not move, shape (n,).
+        pairs: particles of each pair, shape (m, 2).
+        blocks: xx, yy, zz, xy, xz, yz of each pair, shape (m, 6).
+        chosen: indices of pairs.
+
+    Raises:
+        ValueError: if an argument does not fit the others. Pairs before the wrong one have then been added.
+    """
+    width = _width("rows", rows)
+    _check("places", places, np.int64, None)
+    _check("pairs", pairs, np.int64, None, 2)
+    _check("blocks", blocks, np.float64, len(pairs), 6)
+    _check("chosen", chosen, np.int64, None)
+    matrix = (rows.ctypes.data, len(rows), width)
+    listed = (places.ctypes.data, len(places), pairs.ctypes.data, blocks.ctypes.data, len(pairs))
+    status = _function("cloth_band_assemble")(*matrix, *listed, chosen.ctypes.data, len(chosen))
+    if status == _CHOSEN:
+        raise ValueError(f"chosen has {_outside(chosen, len(pairs))}: there are {len(pairs)} pairs, counted from 0")
+    if status == _PAIRS:
+        wrong = _outside(pairs[chosen], len(places))
+        raise ValueError(f"pairs have particle {wrong}: places has {len(places)} particles, counted from 0")
+    if status == _PLACES:
+        _refuse_places(places, len(rows))
+        raise ValueError(
+            f"places of two particles of a pair are equal or more than {width} apart: choose pairs within the band"
+        )
+
+
+def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) -> None:
+    """Add masses (n,) and particle blocks (6, n: xx, yy, zz, xy, xz, yz) to the diagonal at ``places`` (n,).
+
+    Raises:
+        ValueError: if an argument does not fit the others.
+    """
+    width = _width("rows", rows)
+    _check("places", places, np.int64, None)
+    _check("masses", masses, np.float64, len(places))
+    _check("blocks", blocks, np.float64, 6, len(places))
+    matrix, listed = (rows.ctypes.data, len(rows), width), (places.ctypes.data, len(places))
+    call = _function("cloth_band_assemble_diagonal")
+    if call(*matrix, *listed, masses.ctypes.data, blocks.ctypes.data) == _PLACES:
+        _refuse_places(places, len(rows))
+
+
+def factor(rows: Array, inner: int) -> bool:
+    """Eliminate the first ``inner`` block rows of a positive definite matrix; return whether it was one.
+
+    They are replaced by their rows of the Cholesky factor U (A = U'U), diagonals inverted; the others by their Schur
+    complement. With all block rows that is the whole factorisation.
+
+    Raises:
+        ValueError: if an argument does not fit the others.
+    """
+    width = _width("rows", rows)
+    _check_inner("inner", inner, len(rows))
+    return bool(_function("cloth_band_factor")(rows.ctypes.data, len(rows), width, inner) == _OK)
+
+
+def forward(rows: Array, inner: int, y: Array) -> None:
+    """Eliminate the first ``inner`` unknowns from the right-hand side y (block rows, 3), after `factor`.
+
+    Raises:
+        ValueError: if an argument does not fit the others.
+    """
+    _substitute("cloth_band_forward", rows, inner, y)
+
+
+def backward(rows: Array, inner: int, y: Array) -> None:
+    """Find the first ``inner`` unknowns of what `forward` left in y (block rows, 3), the others being solved.
+
+    Raises:
+        ValueError: if an argument does not fit the others.
+    """
+    _substitute("cloth_band_backward", rows, inner, y)
+
+
+def join(upper: Array, lower: Array, inner_upper: int, inner_lower: int, middle: Array) -> None:
+    """Set ``middle`` to the sum of two Schur complements of the same block rows, the lower one's in reverse order.
+
+    Raises:
+        ValueError: if an argument does not fit the others.
+    """
+    width, wide = _width("upper", upper), _width("middle", middle)
+    if _width("lower", lower) != width:
+        raise ValueError(
+            f"lower has {_width('lower', lower)} blocks beside the diagonal, upper {width}: make them equal"
+        )
+    shared = len(middle)
+    if shared > width + 1 or shared > wide + 1:
+        raise ValueError(
+            f"middle has {shared} block rows, with {wide} blocks beside the diagonal: upper has {width}, and the whole"
+            f" of a Schur complement has to fit in both"
+        )
+    for name, part, inner in (("inner_upper", upper, inner_upper), ("inner_lower", lower, inner_lower)):
+        _check_inner(name, inner, len(part))
+        if len(part) - inner != shared:
+            raise ValueError(f"{name} is {inner} of {len(part)} block rows: {shared} are to be left, those of middle")
+    ends = (upper.ctypes.data, len(upper), lower.ctypes.data, len(lower), width, inner_upper, inner_lower)
+    _function("cloth_band_join")(*ends, middle.ctypes.data, shared, wide)
+
+
+def cuthill_mckee(count: int, pairs: Index) -> Index:
+    """Return particles 0 ... count - 1 in an order in which those of a pair lie close together, shape (count,).
+
+    Cuthill and McKee's, reversed, from the best of a few starts; it depends on the set of pairs alone.
+
+    Args:
+        count: number of particles.
+        pairs: particles of each pair, shape (m, 2); any order, repeated ones too.
+
+    Raises:
+        ValueError: if the count is negative, or a particle is not there.
+        MemoryError: if there is not enough memory.
+    """
+    if count < 0:
+        raise ValueError(f"count is {count}: there are no fewer than 0 particles")
+    _check("pairs", pairs, np.int64, None, 2)
+    order = np.empty(count, dtype=np.int64)
+    status = _function("cloth_cuthill_mckee")(count, pairs.ctypes.data, len(pairs), order.ctypes.data)
+    if status == _PAIRS:
+        raise ValueError(f"pairs have particle {_outside(pairs, count)}: there are {count}, counted from 0")
+    if status == _NO_MEMORY:
+        raise MemoryError(f"not enough memory to order {count} particles with {len(pairs)} pairs")
+    return order
+
+
+def fixed_sum(values: Array) -> float:
+    """Return the sum of an array, in an order that its size alone decides, on any machine.
+
+    Raises:
+        ValueError: if it is not a contiguous array of float64.
+    """
+    _check("values", values, np.float64, *(None,) * np.ndim(values))
+    total = ctypes.c_double()
+    _function("cloth_sum")(values.ctypes.data, values.size, ctypes.addressof(total))
+    return total.value
+
+
+def _substitute(name: str, rows: Array, inner: int, y: Array) -> None:
+    width = _width("rows", rows)
+    _check_inner("inner", inner, len(rows))
+    _check("y", y, np.float64, len(rows), 3, written=True)
+    _function(name)(rows.ctypes.data, len(rows), width, inner, y.ctypes.data)
+
+
+@cache
+def _function(name: str) -> Any:
+    function = library()[name]
+    kinds: dict[str, Any] = {"p": ctypes.c_void_p, "i": ctypes.c_int64}
+    function.argtypes, function.restype = [kinds[kind] for kind in _FUNCTIONS[name]], ctypes.c_int
+    return function
+
+
+@cache
+def _padding() -> int:
+    """Numbers behind the blocks of each row."""
+    stride = library()["cloth_band_stride"]
+    stride.argtypes, stride.restype = [ctypes.c_int64], ctypes.c_int64
+    return int(stride(0)) - 3
+
+
+def _width(name: str, rows: Array) -> int:
+    """Return the blocks beside the diagonal of a matrix."""
+    _check(name, rows, np.float64, None, 3, None, written=True)
+    blocks, rest = divmod(rows.shape[2] - _padding(), 3)
+    if rest or blocks < 1:
+        raise ValueError(f"{name} has rows of {rows.shape[2]} numbers: make it with band.rows()")
+    return blocks - 1
+
+
+def _check(name: str, array: Any, kind: type, *shape: int | None, written: bool = False) -> None:
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{name} is a {type(array).__name__}: it has to be an array of {np.dtype(kind)}")
+    fits = len(shape) == array.ndim and all(n is None or n == size for n, size in zip(shape, array.shape, strict=True))
+    if array.dtype != kind or not fits:
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ValueError(
+            f"{name} is an array of {array.dtype}, shape {array.shape}: it has to be one of {np.dtype(kind)}, shape"
+            f" ({wanted})"
+        )
+    if not (array.flags.c_contiguous and array.flags.aligned and (array.flags.writeable or not written)):
+        raise ValueError(f"{name} is not contiguous, aligned and writeable where it is written to: make a copy of it")
+
+
+def _check_inner(name: str, inner: int, count: int) -> None:
+    if not 0 <= inner <= count:
+        raise ValueError(f"{name} is {inner}: it has to be from 0 to the number of block rows, {count}")
+
+
+def _outside(indices: Index, count: int) -> int:
+    return int(indices[(indices < 0) | (indices >= count)].flat[0])
+
+
+def _refuse_places(places: Index, count: int) -> None:
+    if places.max(initial=-1) >= count:
+        raise ValueError(f"places has block row {places.max()}: the matrix has {count}, counted from 0")
