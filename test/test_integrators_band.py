@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cloth_sim_ros.physics.integrators import band_matrix
 from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
 from cloth_sim_ros.physics.integrators.base import UnstableError
 
@@ -39,6 +40,29 @@ def test_band_solution_equals_the_dense_one(count: int, width: int) -> None:
     expected[free] = np.linalg.solve(dense[np.ix_(free, free)], right.T.ravel()[free])
     matrix.solve(right)
     assert right.T.ravel() == pytest.approx(expected, abs=1e-11)
+
+
+def test_one_thread_and_two_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    solutions = []
+    for multiplications in (0, 10**9):
+        monkeypatch.setattr(band_matrix, "_WORTH_A_THREAD", multiplications)
+        matrix, _, _, blocks, masses = system(120, 7)
+        matrix.update(blocks, masses, np.zeros((6, 120)))
+        right = np.random.default_rng(1).normal(size=(3, 120))
+        matrix.solve(right)
+        solutions.append(right.tobytes())
+    assert solutions[0] == solutions[1]
+
+
+def test_a_matrix_is_made_anew_each_time() -> None:
+    matrix, _, _, blocks, masses = system(41, 4)
+    solutions = []
+    for _ in range(2):
+        matrix.update(blocks, masses, np.zeros((6, 41)))
+        right = np.ones((3, 41))
+        matrix.solve(right)
+        solutions.append(right.tobytes())
+    assert solutions[0] == solutions[1]
 
 
 def test_a_matrix_that_is_not_positive_is_refused() -> None:

@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.engine.band import cuthill_mckee
+
 #: An order whose bandwidth is at most so many times the root of the particle count is kept: a sheet has little less.
 _NARROW = 3.0
 
@@ -14,8 +16,8 @@ _NARROW = 3.0
 def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64] | None:
     """Return the particles in an order in which those that interact lie close together, shape (particle_count,).
 
-    None where they do already, as in a chain or a grid. The order is that of Cuthill and McKee, reversed (George,
-    1971), and depends on the pairs alone.
+    None where they do already, as in a chain or a grid. The order is that of Cuthill and McKee, reversed, and
+    depends on the pairs alone.
 
     Args:
         particle_count: number of particles.
@@ -23,13 +25,7 @@ def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int
     """
     if bandwidth(pairs) <= _NARROW * np.sqrt(particle_count):
         return None
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    ends = np.concatenate([pairs, pairs[:, ::-1]])
-    graph = csr_matrix((np.ones(len(ends), dtype=np.int8), ends.T), shape=(particle_count, particle_count))
-    order: NDArray[np.int64] = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
-    return order
+    return cuthill_mckee(particle_count, np.ascontiguousarray(pairs, dtype=np.int64))
 
 
 def bandwidth(pairs: NDArray[np.int64]) -> int:

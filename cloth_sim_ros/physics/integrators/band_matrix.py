@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.engine import band
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.kernels import band
 from cloth_sim_ros.physics.terms.base import Array
 
 _Index = NDArray[np.int64]
@@ -51,8 +51,7 @@ class BandMatrix:
         places: block row of each particle, -1 for those that do not move, shape (n,).
         width: block half bandwidth.
         pairs: particle pairs of each group of blocks that will be added, each of shape (m, 2); those that lie outside
-            the band
-            are left out.
+            the band are left out.
     """
 
     def __init__(self, places: _Index, width: int, pairs: list[_Index]) -> None:
@@ -73,9 +72,11 @@ class BandMatrix:
         below = places >= self._upper
         self._maps = (np.where(above, places, -1), np.where(below, last - places, -1))
         self._chosen = [self._split(ends) for ends in self._pairs]
-        shape = 3, 3 * (self.width + 1)
-        self._rows = np.zeros((self._upper + self._shared, *shape)), np.zeros((self._lower + self._shared, *shape))
-        self._middle = np.zeros((self._shared, 3, 3 * max(self._shared, 1)))
+        # What is shared is counted once, in the upper part.
+        self._owned = (self._maps[0], np.where(self._maps[1] < self._lower, self._maps[1], -1))
+        upper, lower = (band.rows(own + self._shared, self.width) for own in (self._upper, self._lower))
+        self._rows = upper, lower
+        self._middle = band.rows(self._shared, max(self._shared - 1, 0))
         self._made = True
 
     def _split(self, pairs: _Index) -> tuple[_Index, _Index]:
@@ -108,21 +109,19 @@ class BandMatrix:
             good = self._eliminate(0, blocks, masses, diagonal)
             good = lower.result() and good
             band.join(*self._rows, self._upper, self._lower, self._middle)
-            good = good and bool(band.factor(self._middle, self._shared))
+            good = good and band.factor(self._middle, self._shared)
         else:
             good = self._eliminate(0, blocks, masses, diagonal)
         if not good:
             raise UnstableError("the matrix of an implicit step is not positive definite: the motion is not finite")
 
     def _eliminate(self, part: int, blocks: list[Array], masses: Array, diagonal: Array) -> bool:
-        rows, places = self._rows[part], self._maps[part]
+        rows = self._rows[part]
         rows.fill(0.0)
         for pairs, values, chosen in zip(self._pairs, blocks, self._chosen, strict=True):
-            band.assemble(rows, places, pairs, values, chosen[part])
-        # What is shared is counted once.
-        own = places if part == 0 else np.where(places < self._lower, places, -1)
-        band.assemble_diagonal(rows, own, masses, diagonal)
-        return bool(band.factor(rows, (self._upper, self._lower)[part]))
+            band.assemble(rows, self._maps[part], pairs, values, chosen[part])
+        band.assemble_diagonal(rows, self._owned[part], masses, diagonal)
+        return band.factor(rows, (self._upper, self._lower)[part])
 
     def solve(self, right: Array) -> None:
         """Replace ``right`` (3, n) by the solution; zero for particles that do not move."""

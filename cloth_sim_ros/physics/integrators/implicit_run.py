@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
+from cloth_sim_ros.engine.band import fixed_sum
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
-from cloth_sim_ros.physics.kernels.leapfrog import all_finite, largest_distance
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.terms.base import Array
 from cloth_sim_ros.physics.terms.grips import Grips
@@ -160,7 +160,7 @@ class ImplicitAdvance:
                     self._observer.observe(moment, x, v, weight)
             state.x, state.v, guess = done.x, done.v, done.a
             total += done.error
-        return total if all_finite(state.x, state.v) else None
+        return total if np.isfinite(state.x).all() and np.isfinite(state.v).all() else None
 
     def _step(self, t: float, h: float, guess: Array) -> _Step | None:
         """Take one step of the method; None if a stage does not converge."""
@@ -177,7 +177,7 @@ class ImplicitAdvance:
         if second is None:
             return None
         k2x, k2v = second
-        error = error_constant() * h * h / (1.0 - GAMMA) * float(largest_distance(k1v, k2v))
+        error = error_constant() * h * h / (1.0 - GAMMA) * _largest(k1v - k2v)
         end = base_x + d * k2x
         stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
         return _Step(end, base_v + d * k2v, k2v, error, stages)
@@ -188,7 +188,7 @@ class ImplicitAdvance:
         # With grippers where they are halfway: pulled from where they end, it would gain more than they put in.
         u = self._descend(t + 0.5 * h, x, v, h, guess)
         end = x + h * u
-        error = 0.5 * h * float(largest_distance(u, v + h * guess))
+        error = 0.5 * h * _largest(u - (v + h * guess))
         # Simpson's rule along the straight way that it goes: a gripper may turn back within such a step.
         sixth = h / 6.0
         stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
@@ -208,7 +208,7 @@ class ImplicitAdvance:
         """Energy after a step less what there was and what grippers and air put in, and the kinetic energy then [J]."""
         before = self._dynamics.energy(t, self._state.x, self._state.v)
         after = self._dynamics.energy(t + h, done.x, done.v)
-        kinetic = 0.5 * float(np.sum(self._dynamics.model.masses * done.v * done.v))
+        kinetic = 0.5 * fixed_sum(self._dynamics.model.masses * done.v * done.v)
         return after - before - self._work(done) - _ROUNDING * abs(before), kinetic
 
     def _work(self, done: _Step) -> float:
@@ -220,7 +220,7 @@ class ImplicitAdvance:
             if isinstance(term, Grips) and term.particles.size:
                 for moment, weight, x, v in done.stages:
                     term.add_force(moment, x, v, nothing)
-                    work += weight * float(term.wrenches[:, 6].sum())
+                    work += weight * fixed_sum(term.wrenches[:, 6].copy())
         return work
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
@@ -233,11 +233,13 @@ class ImplicitAdvance:
             if iteration >= _PATIENCE:
                 correction *= self._share(t, x, v, d, u, correction)
             u += correction
-            size = d * float(np.sqrt((correction * correction).sum(axis=0).max()))
+            size = d * _largest(correction)
             if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > _SLOW * last):
                 return None
             if last < math.inf:
-                self._curvature = max(0.5 * self._curvature if self._curvature < math.inf else 0.0, size / last**2)
+                self._curvature = max(
+                    0.5 * self._curvature if self._curvature < math.inf else 0.0, size / (last * last)
+                )
             # Newton's iteration converges quadratically: the next correction would be about curvature * size^2.
             if size <= self._close or self._curvature * size * size <= _MARGIN * self._close:
                 return u, (u - v) / d
@@ -285,3 +287,10 @@ class ImplicitAdvance:
         # Moving air pushes with a force that is nearly constant, and has no energy of its own.
         slip = 0.5 * self._dynamics.dissipation(t, place, u) - self._dynamics.supply(t, place, u)
         return self._dynamics.energy(t, place, u - v) + d * slip
+
+
+def _largest(vectors: Array) -> float:
+    """Return the largest length of vectors (3, n); infinite if any is not finite."""
+    x, y, z = vectors
+    square = float((x * x + y * y + z * z).max())
+    return math.sqrt(square) if math.isfinite(square) else math.inf

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.engine import band
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
 from cloth_sim_ros.physics.model import Model
@@ -39,7 +40,6 @@ class StageMatrix:
                 self._coupled.append((term, np.ascontiguousarray(pairs)))
         places, width = _order(self._band_pairs(), moving)
         self._matrix = BandMatrix(places, width, [pairs for _, pairs in self._coupled])
-        self._blocks = np.empty((6, self._model.particle_count))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -51,8 +51,9 @@ class StageMatrix:
         # At coincident places a block is the stiffness times the unit matrix: the order does not depend on the state.
         x = np.zeros((3, self._model.particle_count))
         pairs = [np.empty((0, 2), dtype=np.int64), *(pairs for _, pairs in self._coupled)]
-        sizes = [np.empty(0), *(term.pair_blocks(x, 1.0, 0.0)[:, :3].sum(axis=1) for term, _ in self._coupled)]
-        ends, size = np.concatenate(pairs), np.concatenate(sizes)
+        blocks = [np.empty((0, 6)), *(term.pair_blocks(x, 1.0, 0.0) for term, _ in self._coupled)]
+        ends, (xx, yy, zz) = np.concatenate(pairs), np.concatenate(blocks)[:, :3].T
+        size = xx + yy + zz
         largest = np.zeros(self._model.particle_count)
         for side in (0, 1):
             np.maximum.at(largest, ends[:, side], size)
@@ -64,12 +65,11 @@ class StageMatrix:
         Raises:
             UnstableError: if an entry is not finite.
         """
-        total = np.zeros_like(self._blocks)
-        for kind, weight in (("add_stiffness", d * d), ("add_damping", d)):
-            self._blocks.fill(0.0)
-            for term in self._single:
-                getattr(term, kind)(x, self._blocks)
-            total += weight * self._blocks
+        stiffness, damping = np.zeros((2, 6, self._model.particle_count))
+        for term in self._single:
+            term.add_stiffness(x, stiffness)
+            term.add_damping(x, damping)
+        total = d * d * stiffness + d * damping
         blocks = [term.pair_blocks(x, d * d, d) for term, _ in self._coupled]
         self._matrix.update(blocks, self._model.masses, total)
 
@@ -90,9 +90,6 @@ def stage_matrix(dynamics: Dynamics) -> StageMatrix:
 
 def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
     """Return the block row of each particle, -1 for anchored ones, and the largest distance of coupled ones."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
     places = np.where(moving, np.cumsum(moving) - 1, -1).astype(np.int64)
     ends = places[pairs]
     ends = ends[(ends >= 0).all(axis=1)]
@@ -100,8 +97,7 @@ def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray
         return places, 0
     width = int(np.abs(ends[:, 0] - ends[:, 1]).max())
     count = int(moving.sum())
-    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
-    order = np.asarray(reverse_cuthill_mckee(graph + graph.T, symmetric_mode=True))
+    order = band.cuthill_mckee(count, ends)
     rank = np.empty(count, dtype=np.int64)
     rank[order] = np.arange(count)
     better = int(np.abs(rank[ends[:, 0]] - rank[ends[:, 1]]).max())
