@@ -83,8 +83,9 @@ struct Tile {
     inline void add_products(const double* left, const double* right, std::int64_t blocks, std::int64_t stride) {
         // A block row's columns begin three numbers later than those of the block row above.
         const std::int64_t next = 3 * stride - 3;
+        // Three rows at once would need more registers than there are.
         for (; blocks > 0; --blocks, left += next, right += next)
-#pragma GCC unroll 3
+#pragma GCC unroll 1
             for (int k = 0; k < 3; ++k) {
                 V u[N];
 #pragma GCC unroll 8

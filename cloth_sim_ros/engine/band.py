@@ -20,6 +20,8 @@ from cloth_sim_ros.engine.binding import library
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+_FLOAT, _INDEX = np.dtype(np.float64), np.dtype(np.int64)
+
 #: What a function of the library returns.
 _OK, _NOT_POSITIVE, _NO_MEMORY, _CHOSEN, _PAIRS, _PLACES = range(6)
 #: Arguments of its functions: p is an array, i a number.
@@ -60,23 +62,28 @@ def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: In
     Raises:
         ValueError: if an argument does not fit the others. Pairs before the wrong one have then been added.
     """
-    width = _width("rows", rows)
-    _check("places", places, np.int64, None)
-    _check("pairs", pairs, np.int64, None, 2)
-    _check("blocks", blocks, np.float64, len(pairs), 6)
-    _check("chosen", chosen, np.int64, None)
-    matrix = (rows.ctypes.data, len(rows), width)
-    listed = (places.ctypes.data, len(places), pairs.ctypes.data, blocks.ctypes.data, len(pairs))
-    status = _function("cloth_band_assemble")(*matrix, *listed, chosen.ctypes.data, len(chosen))
+    listed = _address("pairs", pairs, _INDEX, (None, 2))
+    m = len(pairs)
+    status = _function("cloth_band_assemble")(
+        *_matrix("rows", rows),
+        _address("places", places, _INDEX, (None,)),
+        len(places),
+        listed,
+        _address("blocks", blocks, _FLOAT, (m, 6)),
+        m,
+        _address("chosen", chosen, _INDEX, (None,)),
+        len(chosen),
+    )
     if status == _CHOSEN:
-        raise ValueError(f"chosen has {_outside(chosen, len(pairs))}: there are {len(pairs)} pairs, counted from 0")
+        raise ValueError(f"chosen has {_outside(chosen, m)}: there are {m} pairs, counted from 0")
     if status == _PAIRS:
         wrong = _outside(pairs[chosen], len(places))
         raise ValueError(f"pairs have particle {wrong}: places has {len(places)} particles, counted from 0")
     if status == _PLACES:
         _refuse_places(places, len(rows))
         raise ValueError(
-            f"places of two particles of a pair are equal or more than {width} apart: choose pairs within the band"
+            "places of two particles of a pair are equal, or further apart than rows has blocks: choose pairs within"
+            " the band"
         )
 
 
@@ -86,13 +93,14 @@ def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) 
     Raises:
         ValueError: if an argument does not fit the others.
     """
-    width = _width("rows", rows)
-    _check("places", places, np.int64, None)
-    _check("masses", masses, np.float64, len(places))
-    _check("blocks", blocks, np.float64, 6, len(places))
-    matrix, listed = (rows.ctypes.data, len(rows), width), (places.ctypes.data, len(places))
-    call = _function("cloth_band_assemble_diagonal")
-    if call(*matrix, *listed, masses.ctypes.data, blocks.ctypes.data) == _PLACES:
+    status = _function("cloth_band_assemble_diagonal")(
+        *_matrix("rows", rows),
+        _address("places", places, _INDEX, (None,)),
+        len(places),
+        _address("masses", masses, _FLOAT, places.shape),
+        _address("blocks", blocks, _FLOAT, (6, len(places))),
+    )
+    if status == _PLACES:
         _refuse_places(places, len(rows))
 
 
@@ -105,9 +113,9 @@ def factor(rows: Array, inner: int) -> bool:
     Raises:
         ValueError: if an argument does not fit the others.
     """
-    width = _width("rows", rows)
+    matrix = _matrix("rows", rows)
     _check_inner("inner", inner, len(rows))
-    return bool(_function("cloth_band_factor")(rows.ctypes.data, len(rows), width, inner) == _OK)
+    return bool(_function("cloth_band_factor")(*matrix, inner) == _OK)
 
 
 def forward(rows: Array, inner: int, y: Array) -> None:
@@ -134,23 +142,22 @@ def join(upper: Array, lower: Array, inner_upper: int, inner_lower: int, middle:
     Raises:
         ValueError: if an argument does not fit the others.
     """
-    width, wide = _width("upper", upper), _width("middle", middle)
-    if _width("lower", lower) != width:
-        raise ValueError(
-            f"lower has {_width('lower', lower)} blocks beside the diagonal, upper {width}: make them equal"
-        )
-    shared = len(middle)
+    first, count_upper, width = _matrix("upper", upper)
+    second, count_lower, other = _matrix("lower", lower)
+    third, shared, wide = _matrix("middle", middle)
+    if other != width:
+        raise ValueError(f"lower has {other} blocks beside the diagonal, upper {width}: make them equal")
     if shared > width + 1 or shared > wide + 1:
         raise ValueError(
             f"middle has {shared} block rows, with {wide} blocks beside the diagonal: upper has {width}, and the whole"
             f" of a Schur complement has to fit in both"
         )
-    for name, part, inner in (("inner_upper", upper, inner_upper), ("inner_lower", lower, inner_lower)):
-        _check_inner(name, inner, len(part))
-        if len(part) - inner != shared:
-            raise ValueError(f"{name} is {inner} of {len(part)} block rows: {shared} are to be left, those of middle")
-    ends = (upper.ctypes.data, len(upper), lower.ctypes.data, len(lower), width, inner_upper, inner_lower)
-    _function("cloth_band_join")(*ends, middle.ctypes.data, shared, wide)
+    for name, count, inner in (("inner_upper", count_upper, inner_upper), ("inner_lower", count_lower, inner_lower)):
+        _check_inner(name, inner, count)
+        if count - inner != shared:
+            raise ValueError(f"{name} is {inner} of {count} block rows: {shared} are to be left, those of middle")
+    ends = (first, count_upper, second, count_lower, width, inner_upper, inner_lower)
+    _function("cloth_band_join")(*ends, third, shared, wide)
 
 
 def cuthill_mckee(count: int, pairs: Index) -> Index:
@@ -168,9 +175,9 @@ def cuthill_mckee(count: int, pairs: Index) -> Index:
     """
     if count < 0:
         raise ValueError(f"count is {count}: there are no fewer than 0 particles")
-    _check("pairs", pairs, np.int64, None, 2)
-    order = np.empty(count, dtype=np.int64)
-    status = _function("cloth_cuthill_mckee")(count, pairs.ctypes.data, len(pairs), order.ctypes.data)
+    address, order = _address("pairs", pairs, _INDEX, (None, 2)), np.empty(count, dtype=np.int64)
+    place = _address("order", order, _INDEX, (count,), written=True)
+    status = _function("cloth_cuthill_mckee")(count, address, len(pairs), place)
     if status == _PAIRS:
         raise ValueError(f"pairs have particle {_outside(pairs, count)}: there are {count}, counted from 0")
     if status == _NO_MEMORY:
@@ -184,17 +191,15 @@ def fixed_sum(values: Array) -> float:
     Raises:
         ValueError: if it is not a contiguous array of float64.
     """
-    _check("values", values, np.float64, *(None,) * np.ndim(values))
-    total = ctypes.c_double()
-    _function("cloth_sum")(values.ctypes.data, values.size, ctypes.addressof(total))
+    address, total = _address("values", values, _FLOAT, (None,) * np.ndim(values)), ctypes.c_double()
+    _function("cloth_sum")(address, values.size, ctypes.addressof(total))
     return total.value
 
 
 def _substitute(name: str, rows: Array, inner: int, y: Array) -> None:
-    width = _width("rows", rows)
+    matrix = _matrix("rows", rows)
     _check_inner("inner", inner, len(rows))
-    _check("y", y, np.float64, len(rows), 3, written=True)
-    _function(name)(rows.ctypes.data, len(rows), width, inner, y.ctypes.data)
+    _function(name)(*matrix, inner, _address("y", y, _FLOAT, (len(rows), 3), written=True))
 
 
 @cache
@@ -213,27 +218,35 @@ def _padding() -> int:
     return int(stride(0)) - 3
 
 
-def _width(name: str, rows: Array) -> int:
-    """Return the blocks beside the diagonal of a matrix."""
-    _check(name, rows, np.float64, None, 3, None, written=True)
+def _matrix(name: str, rows: Array) -> tuple[int, int, int]:
+    """Return the address, the block rows and the blocks beside the diagonal of a matrix."""
+    address = _address(name, rows, _FLOAT, (None, 3, None), written=True)
     blocks, rest = divmod(rows.shape[2] - _padding(), 3)
     if rest or blocks < 1:
         raise ValueError(f"{name} has rows of {rows.shape[2]} numbers: make it with band.rows()")
-    return blocks - 1
+    return address, len(rows), blocks - 1
 
 
-def _check(name: str, array: Any, kind: type, *shape: int | None, written: bool = False) -> None:
+def _address(
+    name: str, array: Any, kind: np.dtype[Any], shape: tuple[int | None, ...], *, written: bool = False
+) -> int:
+    """Return where the numbers of an array are, which is of a kind and of a shape, None for any size."""
     if not isinstance(array, np.ndarray):
-        raise ValueError(f"{name} is a {type(array).__name__}: it has to be an array of {np.dtype(kind)}")
-    fits = len(shape) == array.ndim and all(n is None or n == size for n, size in zip(shape, array.shape, strict=True))
-    if array.dtype != kind or not fits:
+        raise ValueError(f"{name} is a {type(array).__name__}: it has to be an array of {kind}")
+    sizes = array.shape
+    if array.dtype != kind or len(sizes) != len(shape) or any(map(_differ, shape, sizes)):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise ValueError(
-            f"{name} is an array of {array.dtype}, shape {array.shape}: it has to be one of {np.dtype(kind)}, shape"
-            f" ({wanted})"
+            f"{name} is an array of {array.dtype}, shape {sizes}: it has to be one of {kind}, shape ({wanted})"
         )
-    if not (array.flags.c_contiguous and array.flags.aligned and (array.flags.writeable or not written)):
+    flags = array.flags
+    if not (flags.carray or (flags.c_contiguous and flags.aligned and not written)):
         raise ValueError(f"{name} is not contiguous, aligned and writeable where it is written to: make a copy of it")
+    return int(array.__array_interface__["data"][0])
+
+
+def _differ(wanted: int | None, size: int) -> bool:
+    return wanted is not None and wanted != size
 
 
 def _check_inner(name: str, inner: int, count: int) -> None:
