@@ -44,8 +44,9 @@ def test_band_solution_equals_the_dense_one(count: int, width: int) -> None:
 
 def test_one_thread_and_two_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     solutions = []
-    for multiplications in (0, 10**9):
-        monkeypatch.setattr(band_matrix, "_WORTH_A_THREAD", multiplications)
+    for enough in (0, 10**9):
+        monkeypatch.setattr(band_matrix, "_FACTOR_ASIDE", enough)
+        monkeypatch.setattr(band_matrix, "_SOLVE_ASIDE", enough)
         matrix, _, _, blocks, masses = system(120, 7)
         matrix.update(blocks, masses, np.zeros((6, 120)))
         right = np.random.default_rng(1).normal(size=(3, 120))

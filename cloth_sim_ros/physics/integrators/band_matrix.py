@@ -23,6 +23,9 @@ from cloth_sim_ros.physics.terms.base import Array
 
 _Index = NDArray[np.int64]
 
+#: Multiplications from which a factorisation is worth two threads, and numbers of a matrix from which a solution is.
+_FACTOR_ASIDE, _SOLVE_ASIDE = 8_000_000, 2_000_000
+
 
 @cache
 def _helper() -> ThreadPoolExecutor:
@@ -40,8 +43,11 @@ class _Here(Executor):
 
 
 _HERE = _Here()
-#: Multiplications from which a factorisation is worth two threads.
-_WORTH_A_THREAD = 2_000_000
+
+
+def _side(aside: bool) -> Executor:
+    """Return what runs the lower part: the second thread where there is enough to do for both."""
+    return _helper() if aside else _HERE
 
 
 class BandMatrix:
@@ -61,7 +67,9 @@ class BandMatrix:
         self._shared = width if self.count >= 4 * width else 0
         self._upper = (self.count - self._shared) // 2 if self._shared else self.count
         self._lower = self.count - self._shared - self._upper
-        self._threaded = 4.5 * self.count * (width + 1) ** 2 >= _WORTH_A_THREAD
+        numbers = 9 * self.count * (width + 1)
+        self._factors_aside = numbers * (width + 1) >= 2 * _FACTOR_ASIDE
+        self._solves_aside = numbers >= _SOLVE_ASIDE
         self._pairs = pairs
         self._made = False
 
@@ -87,10 +95,6 @@ class BandMatrix:
         lower = (ends >= self._upper + self._shared).any(axis=1)
         return np.flatnonzero(near & ~lower), np.flatnonzero(near & lower)
 
-    def _side(self) -> Executor:
-        """What runs the lower part: the second thread where there is enough to do for both."""
-        return _helper() if self._threaded else _HERE
-
     def update(self, blocks: list[Array], masses: Array, diagonal: Array) -> None:
         """Assemble and factorise.
 
@@ -105,7 +109,7 @@ class BandMatrix:
         if not self._made:
             self._make()
         if self._shared:
-            lower = self._side().submit(self._eliminate, 1, blocks, masses, diagonal)
+            lower = _side(self._factors_aside).submit(self._eliminate, 1, blocks, masses, diagonal)
             good = self._eliminate(0, blocks, masses, diagonal)
             good = lower.result() and good
             band.join(*self._rows, self._upper, self._lower, self._middle)
@@ -133,14 +137,15 @@ class BandMatrix:
         if self._shared:
             lower = y[self._upper :][::-1].copy()
             lower[self._lower :] = 0.0
-            below = self._side().submit(band.forward, self._rows[1], self._lower, lower)
+            side = _side(self._solves_aside)
+            below = side.submit(band.forward, self._rows[1], self._lower, lower)
             band.forward(self._rows[0], self._upper, upper)
             below.result()
             middle = upper[self._upper :] + lower[self._lower :][::-1]
             band.forward(self._middle, self._shared, middle)
             band.backward(self._middle, self._shared, middle)
             upper[self._upper :], lower[self._lower :] = middle, middle[::-1]
-            below = self._side().submit(band.backward, self._rows[1], self._lower, lower)
+            below = side.submit(band.backward, self._rows[1], self._lower, lower)
             band.backward(self._rows[0], self._upper, upper)
             below.result()
             y[self._upper :] = lower[::-1]
