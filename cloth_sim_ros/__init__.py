@@ -9,48 +9,91 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cloth_sim_ros.events import Grasp, Pause, Relax, Reset, SetParameters, Step, Target
-    from cloth_sim_ros.physics.dynamics import Dynamics
+    from cloth_sim_ros.physics.forces.air_panels import AirPanels
+    from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+    from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+    from cloth_sim_ros.physics.forces.drag import Drag
+    from cloth_sim_ros.physics.forces.force import Force
+    from cloth_sim_ros.physics.forces.gravity import Gravity
+    from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+    from cloth_sim_ros.physics.forces.grips import Grips
+    from cloth_sim_ros.physics.forces.opposite import OppositeSprings
+    from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+    from cloth_sim_ros.physics.forces.wind import Wind
+    from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+    from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+    from cloth_sim_ros.physics.integrators.implicit import Implicit
     from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
+    from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
     from cloth_sim_ros.physics.model import Model
+    from cloth_sim_ros.physics.parts import GridFamily
+    from cloth_sim_ros.physics.plan import Plan, compile
+    from cloth_sim_ros.physics.simulate import Motion, simulate
     from cloth_sim_ros.physics.state import State
-    from cloth_sim_ros.physics.terms.drag import Drag
-    from cloth_sim_ros.physics.terms.gravity import Gravity
-    from cloth_sim_ros.physics.terms.pair_springs import PairSprings
     from cloth_sim_ros.scene import Scene
     from cloth_sim_ros.simulation import Frame, Simulation
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PLACES = {
-    "Drag": "physics.terms.drag",
-    "Dynamics": "physics.dynamics",
+    "Advance": "physics.integrators.base",
+    "AirPanels": "physics.forces.air_panels",
+    "AltitudeSprings": "physics.forces.altitude",
+    "compile": "physics.plan",
+    "CrossedSprings": "physics.forces.crossed",
+    "Drag": "physics.forces.drag",
+    "Extrapolated": "physics.integrators.extrapolated",
+    "Force": "physics.forces.force",
     "Frame": "simulation",
     "Grasp": "events",
-    "Gravity": "physics.terms.gravity",
+    "Gravity": "physics.forces.gravity",
+    "GridFamily": "physics.parts",
+    "GridSprings": "physics.forces.grid_springs",
+    "Grips": "physics.forces.grips",
+    "Implicit": "physics.integrators.implicit",
     "Leapfrog": "physics.integrators.leapfrog",
     "Model": "physics.model",
-    "PairSprings": "physics.terms.pair_springs",
+    "Motion": "physics.simulate",
+    "OppositeSprings": "physics.forces.opposite",
+    "PairSprings": "physics.forces.pair_springs",
     "Pause": "events",
+    "Plan": "physics.plan",
     "Relax": "events",
     "Reset": "events",
     "Scene": "scene",
     "SetParameters": "events",
+    "simulate": "physics.simulate",
     "Simulation": "simulation",
     "State": "physics.state",
     "Step": "events",
+    "SymplecticEuler": "physics.integrators.symplectic_euler",
     "Target": "events",
+    "UnstableError": "physics.integrators.base",
+    "Wind": "physics.forces.wind",
 }
 
 __all__ = [
+    "Advance",
+    "AirPanels",
+    "AltitudeSprings",
+    "CrossedSprings",
     "Drag",
-    "Dynamics",
+    "Extrapolated",
+    "Force",
     "Frame",
     "Grasp",
     "Gravity",
+    "GridFamily",
+    "GridSprings",
+    "Grips",
+    "Implicit",
     "Leapfrog",
     "Model",
+    "Motion",
+    "OppositeSprings",
     "PairSprings",
     "Pause",
+    "Plan",
     "Relax",
     "Reset",
     "Scene",
@@ -58,7 +101,12 @@ __all__ = [
     "Simulation",
     "State",
     "Step",
+    "SymplecticEuler",
     "Target",
+    "UnstableError",
+    "Wind",
+    "compile",
+    "simulate",
 ]
 
 

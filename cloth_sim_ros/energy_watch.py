@@ -1,20 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The energy balance of a live simulation: each frame is run a second time beside it, watched, and thrown away.
-
-Watching needs every step of the motion, which the compiled loop does not show. So the watched run goes term by term,
-from the same state: it differs
-from the real one by rounding alone, and the real one never knows of it.
-"""
+"""The energy balance of a live simulation, frame by frame: its runs note what they lose and what is given to them."""
 
 from __future__ import annotations
 
 import attrs
-import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.integrators.base import Integrator
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 
@@ -40,26 +33,30 @@ class EnergyWatch:
     """Adds up the energy balance over frames; what events change between two frames is nobody's work and left out.
 
     Args:
-        dynamics: the equations of the simulation.
+        plan: the equations of the simulation.
     """
 
-    def __init__(self, dynamics: Dynamics) -> None:
-        self._dynamics = Dynamics(dynamics.model)
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._before = (0.0, 0.0)
         self._sums = EnergyReport(total=0.0, work=0.0, wind=0.0, dissipated=0.0, residual=0.0, turned_over=0.0)
 
-    def follow(self, integrator: Integrator, before: State, t: float, duration: float) -> EnergyReport:
-        """Run one frame of length duration [s] from the state before it, which is used up, and report."""
-        balance = EnergyBalance(self._dynamics, before, t)
-        integrator.advance(self._dynamics, before, t, duration, balance)
-        residual = balance.close(t + duration, before)
+    def begin(self, state: State, t: float) -> None:
+        """Look at a state before a frame at time t [s]."""
+        self._before = self._plan.energies(t, state.x, state.v)
+
+    def end(self, state: State, t: float, book: Book) -> EnergyReport:
+        """Sum up the frame that ended at time t [s], and report."""
+        kinetic, potential = self._plan.energies(t, state.x, state.v)
+        lost, work, wind = book.lost, book.work, book.given
         sums = self._sums
         self._sums = EnergyReport(
-            total=self._dynamics.energy(t + duration, before.x, before.v),
-            work=sums.work + balance.work,
-            wind=sums.wind + balance.wind,
-            dissipated=sums.dissipated + balance.lost,
-            residual=sums.residual + residual,
-            turned_over=sums.turned_over + balance.turned_over,
+            total=kinetic + potential,
+            work=sums.work + work,
+            wind=sums.wind + wind,
+            dissipated=sums.dissipated + lost,
+            residual=sums.residual + (kinetic + potential - sum(self._before) - work - wind + lost),
+            turned_over=sums.turned_over + abs(kinetic - self._before[0]) + abs(lost) + abs(work) + abs(wind),
         )
         return self._sums
 
@@ -67,10 +64,9 @@ class EnergyWatch:
         """Book what is lost by bringing the cloth to a stop, as dissipated, and report.
 
         Args:
-            ended: the state that `follow` was given last: it stands at the frame's end.
+            ended: the state at the frame's end, still moving.
         """
-        masses = self._dynamics.model.masses
-        kinetic = 0.5 * float(np.sum(masses * ended.v * ended.v))
+        kinetic = self._plan.energies(0.0, ended.x, ended.v)[0]
         sums = self._sums
         self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
         return self._sums

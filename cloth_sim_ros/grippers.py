@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import attrs
 import numpy as np
 
 from cloth_sim_ros.events import Target
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
 from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.grips import Grips
-from cloth_sim_ros.physics.terms.pair_springs import lecture_damping
 
 
 @attrs.frozen
@@ -39,6 +41,8 @@ class Grippers:
     def __init__(self, names: list[str], state: State) -> None:
         self.names = names
         self._state = state
+        #: What was laid into the force that holds particles last: as long as it is the same, only paths are new.
+        self._laid: tuple[Any, ...] | None = None
         count = len(names)
         pose = np.zeros((count, 7))
         pose[:, 6] = 1.0
@@ -106,12 +110,13 @@ class Grippers:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
         away = self._state.x - pose[:3, None]
-        distance = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2)
+        distance = np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
         near = distance <= radius
         particles = np.flatnonzero(near & (model.inverse_masses > 0.0))
         turn = rotation_matrix(pose[3:])
         # A world vector in the gripper's frame: R' d.
-        offsets = np.einsum("ji,jn->ni", turn, away[:, particles])
+        x, y, z = away[:, particles]
+        offsets = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] * z for i in range(3)], axis=1)
         self._replace(g, particles, offsets)
         if particles.size:
             return GraspResult(name, True, int(particles.size))
@@ -131,12 +136,12 @@ class Grippers:
         return GraspResult(name, False, 0, reason)
 
     def plan_frame(
-        self, term: Grips, model: Model, t: float, duration: float, stiffness: float, damping: float
+        self, grips: Grips, model: Model, t: float, duration: float, stiffness: float, damping: float
     ) -> None:
-        """Lay each gripper's path over the frame into the term, with what it holds.
+        """Lay each gripper's path over the frame into the force that holds particles, with what it holds.
 
         Args:
-            term: the term that applies the grips.
+            grips: the force that holds particles.
             model: for the masses of the held particles.
             t: time at which the frame starts [s].
             duration: length of the frame [s].
@@ -146,16 +151,22 @@ class Grippers:
         """
         memory = self._state.memory
         pose, twist, turn = (self._renewed(f"gripper.{what}") for what in ("pose", "twist", "turn"))
+        paths = np.empty_like(grips.paths)
         for g in range(len(self.names)):
             target = memory["gripper.target"][g]
-            term.paths[g], twist[g], turn[g] = path_row(t, duration, pose[g], twist[g], turn[g], target)
+            paths[g], twist[g], turn[g] = path_row(t, duration, pose[g], twist[g], turn[g], target)
             pose[g] = target
-        particles = memory["grip.particles"]
+        particles, starts = memory["grip.particles"], memory["grip.starts"]
+        held = (particles, starts, memory["grip.offsets"], stiffness, damping, grips)
+        if self._laid is not None and all(new is old for new, old in zip(held, self._laid, strict=True)):
+            grips.move(paths)
+            return
+        self._laid = held
         # Border particles carry half or a quarter of the mass, and so of the grip, as they do of the threads: they
         # don't set the step.
         each = stiffness * model.masses[particles] / model.masses.max()
         damping_each = lecture_damping(damping, each, model.masses[particles])
-        term.hold(memory["grip.starts"], particles, memory["grip.offsets"], each, damping_each)
+        grips.hold(paths, starts, particles, memory["grip.offsets"], each, damping_each)
 
     def _renewed(self, name: str) -> np.ndarray:
         """Put a copy of an array in its place, to write into: who holds the array holds the state before."""

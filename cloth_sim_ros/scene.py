@@ -16,7 +16,7 @@ from cloth_sim_ros import parameter_file, parameters, relaxation, scene_files
 from cloth_sim_ros.cloth_identity import cloth_of, difference
 from cloth_sim_ros.parameters import ParameterError, parameter, section
 from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
@@ -25,11 +25,11 @@ from cloth_sim_ros.physics.mesh_sheet import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene_physics import (
     Sheet,
     anchored_particles,
-    build_dynamics,
+    build_plan,
     build_model,
     build_sheet,
     grid_threads_of,
@@ -239,9 +239,9 @@ class Scene:
         """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
         return build_model(self)
 
-    def dynamics(self) -> Dynamics:
+    def plan(self) -> Plan:
         """Build the equations of motion of the model, with the fused plan that its sheet has."""
-        return build_dynamics(self)
+        return build_plan(self)
 
     def initial_positions(self) -> Array:
         """Starting positions [m], shape (particle_count, 3)."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a scene to physics: its sheet, its anchors, its terms. What the scene does not use is not built."""
+"""From a scene to physics: its sheet, its anchors, its forces. What the scene does not use is not built."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.grid_sheet import GridSheet
-from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads, grid_threads
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.surface import grid_cells, grid_hinges
-from cloth_sim_ros.physics.terms.base import Array, Term
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
-from cloth_sim_ros.physics.terms.grips import Grips
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene import Scene
@@ -109,51 +108,40 @@ def anchored_particles(scene: Scene, sheet: Sheet) -> list[int]:
 
 
 def build_model(scene: Scene) -> Model:
-    """Build masses, terms and anchors."""
+    """Build masses, forces and anchors."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
-    terms = [*_elastic_terms(scene, sheet, masses)]
+    forces = [*_elastic_forces(scene, sheet, masses)]
     if any(scene.gravity):
-        terms.append(Gravity(masses, scene.gravity))
+        forces.append(Gravity(scene.gravity))
     if scene.air.drag:
-        terms.append(Drag(masses, scene.air.drag))
-    terms.extend(_air_terms(scene, sheet, masses))
+        forces.append(Drag(scene.air.drag))
+    forces.extend(_air_forces(scene, sheet))
     if scene.gripper_names:
-        terms.append(Grips(len(scene.gripper_names)))
-    return Model(masses, terms, anchors=anchored_particles(scene, sheet))
+        forces.append(Grips(len(scene.gripper_names)))
+    return Model(masses, forces, anchors=anchored_particles(scene, sheet))
 
 
-def _air_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
+def _air_forces(scene: Scene, sheet: Sheet) -> list[Force]:
     """Build what moving air adds to drag, and what air does to a surface."""
-    wind, terms = scene.wind, list[Term]()
+    wind, forces = scene.wind, list[Force]()
     if any(wind.velocity) and scene.air.drag:
-        from cloth_sim_ros.physics.terms.wind import Wind
+        from cloth_sim_ros.physics.forces.wind import Wind
 
-        terms.append(Wind(masses, wind.velocity, scene.air.drag))
+        forces.append(Wind(wind.velocity, scene.air.drag))
     if wind.normal_drag or wind.tangential_drag:
-        from cloth_sim_ros.physics.terms.air_panels import AirPanels
+        from cloth_sim_ros.physics.forces.air_panels import AirPanels
 
         # A grid's cells, not its triangles: every particle has air on as much surface as it has mass.
         panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
         normal, tangential = wind.normal_drag, wind.tangential_drag
-        terms.append(AirPanels(panels, normal=normal, tangential=tangential, wind=wind.velocity))
-    return terms
+        forces.append(AirPanels(panels, normal=normal, tangential=tangential, wind=wind.velocity))
+    return forces
 
 
-def build_dynamics(scene: Scene) -> Dynamics:
-    """Build the equations of motion; a grid's springs get their fused plan, all else that of listed springs."""
-    dynamics = Dynamics(build_model(scene))
-    sheet = build_sheet(scene)
-    if isinstance(sheet, GridSheet):
-        named = _grid_families(scene, sheet)
-        springs = GridSprings(sheet.rows, sheet.columns, [family for part in named.values() for family in part])
-        if GridPlan(dynamics, springs, frozenset(named)).fused:
-            return dynamics
-    from cloth_sim_ros.physics.mesh_plan import MeshPlan
-
-    if MeshPlan.fits(dynamics):
-        dynamics.plan = MeshPlan(dynamics)
-    return dynamics
+def build_plan(scene: Scene) -> Plan:
+    """Build the equations of motion."""
+    return compile(build_model(scene))
 
 
 def _grid_families(scene: Scene, sheet: GridSheet) -> dict[str, list[GridFamily]]:
@@ -166,15 +154,15 @@ def _grid_families(scene: Scene, sheet: GridSheet) -> dict[str, list[GridFamily]
     )
 
 
-def _elastic_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
+def _elastic_forces(scene: Scene, sheet: Sheet, masses: Array) -> list[Force]:
     material = scene.material
     if isinstance(sheet, RawSprings):
         return [sheet.term]
-    terms: list[Term]
+    forces: list[Force]
     if isinstance(sheet, GridSheet):
-        terms = [*sheet.springs(_grid_families(scene, sheet))]
+        forces = [*sheet.springs(_grid_families(scene, sheet))]
     else:
-        terms = [
+        forces = [
             sheet.springs(
                 stretch_modulus=material.stretch_modulus,
                 k_d0=material.damping,
@@ -184,15 +172,15 @@ def _elastic_terms(scene: Scene, sheet: Sheet, masses: Array) -> list[Term]:
         ]
     if scene.bending.model in ("opposite", "crossed", "altitude"):
         # Pairs that a spring joins already get no second one: across a cell's diagonal it is the other diagonal.
-        shear = [term.pairs for term in terms if term.name == "shear" and isinstance(term, PairSprings)]
-        terms.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))
-    return terms
+        shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
+        forces.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))
+    return forces
 
 
 def _hinge_springs(
     scene: Scene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
-) -> list[Term]:
-    """Build the terms of S7, of S7 and S8, or of S7 and S9."""
+) -> list[Force]:
+    """Build the forces of S7, of S7 and S8, or of S7 and S9."""
     from cloth_sim_ros.physics import bending_calibration as calibration
 
     model = scene.bending.model

@@ -15,14 +15,12 @@ from cloth_sim_ros import relaxation
 from cloth_sim_ros.cloth_identity import difference
 from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.grippers import GraspResult, Grippers
+from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance, restart
-from cloth_sim_ros.physics.integrators.columns import LARGE
-from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.sleep import Sleep, is_asleep, wake
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.grips import Grips, WrenchObserver
 from cloth_sim_ros.scene import Scene
 
 if TYPE_CHECKING:
@@ -145,7 +143,7 @@ class Simulation:
 
     def energy(self) -> float:
         """Kinetic plus potential energy [J] at the present state."""
-        return self.dynamics.energy(self.time, self.state.x, self.state.v)
+        return self.plan.energy(self.time, self.state.x, self.state.v)
 
     def check(self, event: Event) -> None:
         """Refuse an event that can't take effect.
@@ -235,7 +233,7 @@ class Simulation:
             integrator=done.integrator if done else self._integrator.name,
             tolerance=self._tolerance,
             advance=done,
-            wrenches=self._wrenches.mean_wrenches if moved and self._wrenches else self._no_wrenches.copy(),
+            wrenches=self._book.wrenches if moved and self._book else np.zeros((len(self.grippers.names), 6)),
         )
         if done and not done.steps and not self.paused and self.grippers.settled:
             self._slept = frame
@@ -264,21 +262,24 @@ class Simulation:
                 done = self._sleep.frame(self._integrator.name)
         if done is None:
             self._known_to_rest = False
-            watched = state.share() if self._energy is not None else None
-            done = self._integrator.advance(self.dynamics, state, start, period, self._wrenches)
-            if self._energy is not None and watched is not None:
-                self.energy_report = self._energy.follow(self._integrator, watched, start, period)
-            if self._sleep.follow(state, start + period) and self._energy is not None and watched is not None:
-                self.energy_report = self._energy.stop(watched)
+            if self._energy is not None:
+                self._energy.begin(state, start)
+            done = self._integrator.advance(self.plan, state, start, period, self._book)
+            if self._energy is not None and self._book is not None:
+                self.energy_report = self._energy.end(state, start + period, self._book)
+            moving = state.share()
+            if self._sleep.follow(state, start + period) and self._energy is not None:
+                self.energy_report = self._energy.stop(moving)
         state.frame += 1
         return done
 
     def _plan_grippers(self, t: float) -> None:
-        if self._grips is None:
+        grips = self.plan.grips
+        if grips is None:
             return
         state, period, gripper = self.state, self._scene.period, self._scene.gripper
         before = state.memory["gripper.turn"][:, :3]
-        self.grippers.plan_frame(self._grips, self.model, t, period, gripper.stiffness, gripper.damping)
+        self.grippers.plan_frame(grips, self.model, t, period, gripper.stiffness, gripper.damping)
         jerk = np.abs(state.memory["gripper.turn"][:, :3] - before)[state.memory["gripper.closed"]]
         if jerk.max(initial=0.0) > _JUMP * period:
             restart(state)
@@ -292,9 +293,9 @@ class Simulation:
         if not is_asleep(self.state) or not self._sleep.goes_on(self.state):
             return False
         self._known_to_rest = True
-        if self._wrenches is not None:
-            self._wrenches.restart()
-            self._wrenches.observe(t, self.state.x, self.state.v, self._scene.period)
+        if self._book is not None:
+            self._book.restart()
+            note(self._book, self.plan, t, self.state.x, self.state.v, self._scene.period)
         return True
 
     def _sleep_on(self, last: Frame) -> Frame:
@@ -322,31 +323,24 @@ class Simulation:
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene = scene
-        self.dynamics = scene.dynamics()
-        self.model = self.dynamics.model
-        grips = [term for term in self.model.terms if isinstance(term, Grips)]
-        self._grips = grips[0] if grips else None
-        self._wrenches = WrenchObserver(self._grips) if self._grips else None
+        self.plan = scene.plan()
+        self.model = self.plan.model
+        watches = scene.diagnostics.energy
+        self._book = Book(self.plan.gripper_count, powers=watches) if self.plan.gripper_count or watches else None
         self._energy: EnergyWatch | None = None
         if scene.diagnostics.energy:
             from cloth_sim_ros.energy_watch import EnergyWatch
 
-            self._energy = EnergyWatch(self.dynamics)
+            self._energy = EnergyWatch(self.plan)
         self.energy_report = None
-        self._no_wrenches = np.zeros((len(self.grippers.names), 6))
         self._hold_tolerance()
-        if self.model.particle_count >= LARGE:
-            from cloth_sim_ros.memory import give_back
-
-            give_back()
 
     def _holds_step(self) -> bool:
         """Whether a fixed step is within the stability limit of the motion as it is; true where none is set."""
         step, x = self._scene.step, self.state.x
         if not step:
             return True
-        limit = self._integrator.step_limit(*self.dynamics.rates(x))
-        return step <= limit or step <= sharp_step_limit(self.dynamics, self.time, x, limit)
+        return step <= self._integrator.step_limit(*self.plan.rates(x))
 
     def _hold_tolerance(self) -> None:
         """Let integrator and sleep follow the tolerance in force: the scene's, relaxed by what the state says."""
@@ -354,7 +348,7 @@ class Simulation:
         self._integrator = scene.build_integrator(factor=factor)
         #: Tolerance in force [m], None where the step is fixed or none is set.
         self._tolerance = (relaxation.relaxed(scene.tolerance, factor) or None) if not scene.step else None
-        self._sleep = Sleep(self.dynamics, tolerance=self._tolerance, period=scene.period)
+        self._sleep = Sleep(self.plan, tolerance=self._tolerance, period=scene.period)
         self._known_to_rest, self._slept = False, None
 
 

@@ -18,8 +18,8 @@ from cloth_sim_ros.physics.bending_calibration import (
 )
 from cloth_sim_ros.physics.hinge_shape import HingeShape
 from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
-from cloth_sim_ros.physics.terms.opposite import OppositeSprings
-from cloth_sim_ros.physics.terms.tetrahedron import signed_lengths
+from cloth_sim_ros.physics.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.forces.tetrahedron import signed_lengths
 
 PAIR = np.array([[0, 1, 2, 3]])
 KINDS = ("crossed", "altitude")

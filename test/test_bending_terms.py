@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
-from cloth_sim_ros.physics.terms.crossed import CrossedSprings
-from cloth_sim_ros.physics.terms.opposite import OppositeSprings
-from cloth_sim_ros.physics.terms.tetrahedron import signed_lengths
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.forces.tetrahedron import signed_lengths
 
 N = 9
 RNG = np.random.default_rng(7)

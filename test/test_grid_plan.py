@@ -11,7 +11,7 @@ from cloth_sim_ros.physics.dynamics import Economy
 from cloth_sim_ros.physics.integrators.base import Observer
 from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.mesh_plan import MeshPlan
-from cloth_sim_ros.physics.terms.grips import WrenchObserver
+from cloth_sim_ros.physics.forces.grips import WrenchObserver
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix, rotation_vector
 from cloth_sim_ros.physics.kernels.grips import pose_at
-from cloth_sim_ros.physics.terms.grips import Grips
+from cloth_sim_ros.physics.forces.grips import Grips
 
 T = 1 / 60
 

@@ -22,8 +22,8 @@ from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array, Term
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 
 LAW = SpringLaw(mass=0.3, rest_length=0.25, stiffness=40.0)
 

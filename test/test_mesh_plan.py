@@ -21,11 +21,11 @@ from cloth_sim_ros.physics.kernels import mesh_leapfrog
 from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.ordering import bandwidth, local_order
-from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
-from cloth_sim_ros.physics.terms.base import Term
-from cloth_sim_ros.physics.terms.crossed import CrossedSprings
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.force import Term
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.physics.gripper_path import path_row
-from cloth_sim_ros.physics.terms.air_panels import AirPanels
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
-from cloth_sim_ros.physics.terms.grips import Grips
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 
 N = 12
 RNG = np.random.default_rng(11)

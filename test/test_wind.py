@@ -10,8 +10,8 @@ import pytest
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
 from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.physics.terms.air_panels import AirPanels
-from cloth_sim_ros.physics.terms.wind import Wind
+from cloth_sim_ros.physics.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.forces.wind import Wind
 
 N = 9
 MASSES = np.random.default_rng(4).uniform(0.1, 1.0, N)
@@ -243,7 +243,7 @@ def test_a_scene_without_wind_has_none_of_it():
     code = (
         "import sys; from cloth_sim_ros import Scene, Simulation;"
         "cloth = Simulation(Scene.from_parameters({'cloth.resolution': (4, 4)})); cloth.advance();"
-        "print(*(term.name for term in cloth.model.terms), 'cloth_sim_ros.physics.terms.air_panels' in sys.modules)"
+        "print(*(term.name for term in cloth.model.terms), 'cloth_sim_ros.physics.forces.air_panels' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["structural", "shear", "bend", "gravity", "drag", "grips", "False"]

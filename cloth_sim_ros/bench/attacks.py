@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.events import Event, Grasp, SetParameters, Target
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 #: Speed at which a gripper is yanked away [m/s].
 YANK = 10.0

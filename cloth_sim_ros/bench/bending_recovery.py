@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.bending_calibration import spring_constants
 from cloth_sim_ros.physics.hinge_shape import HingeShape
 from cloth_sim_ros.physics.kernels.pairs import add_pair_forces, pair_energy
 from cloth_sim_ros.physics.kernels.tetrahedron import JIT, dot, length_and_gradient, load
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 #: The five edges of the triangles, then the bending spring.
 EDGES = np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.bending_calibration import bending_terms, grid_hinge_constants
 from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
-from cloth_sim_ros.physics.terms.base import Array, Term
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -10,8 +10,8 @@ import numpy as np
 
 from cloth_sim_ros.bench.raw_sheet import FusedSprings
 from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.drag import Drag
 
 
 class SparseJacobian:

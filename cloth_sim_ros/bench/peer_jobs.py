@@ -18,8 +18,8 @@ import numpy as np
 from cloth_sim_ros.bench import peer_environment
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.raw_sheet import FusedSprings
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
 
 #: Beyond the time limit of its frames a process may take so long to start, compile and build its sheet [s].
 _STARTING = 180.0

@@ -18,11 +18,11 @@ from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
-from cloth_sim_ros.physics.terms.grips import Grips
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
 
 PERIOD = 1.0 / 60.0
 

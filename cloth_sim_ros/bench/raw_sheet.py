@@ -15,10 +15,10 @@ from cloth_sim_ros.physics.grid_plan import GridPlan
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
 from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.terms.base import Array, Term
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
 
 GRAVITY = (0.0, 0.0, -9.81)
 _SHIFTS = {

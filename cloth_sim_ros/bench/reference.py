@@ -17,9 +17,9 @@ from cloth_sim_ros.bench.raw_sheet import FusedSprings
 from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
 
 #: Relative and absolute tolerance of the reference, and of the run that it is checked against.
 TOLERANCE, CHECK = 1e-12, 1e-11

@@ -17,7 +17,7 @@ from cloth_sim_ros.bench.jacobian import SparseJacobian
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.reference import RightSide
 from cloth_sim_ros.physics.automatic import make_integrator
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 
 class TooSlow(RuntimeError):

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.physics.surface import grid_triangles
-from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
+from cloth_sim_ros.physics.forces.deferred_springs import DeferredSprings
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 

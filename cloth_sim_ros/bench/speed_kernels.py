@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.integrators.march import leapfrog_limit
 from cloth_sim_ros.physics.kernels.grid_forces import GridForces
 from cloth_sim_ros.physics.kernels.grid_leapfrog import GridLeapfrog
 from cloth_sim_ros.physics.kernels.grid_springs import GridSprings
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 #: So short [s] that nothing moves, however many steps are timed.
 _STILL = 1e-9

@@ -18,9 +18,9 @@ from cloth_sim_ros.physics.mesh_plan import MeshPlan
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.gravity import Gravity
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 

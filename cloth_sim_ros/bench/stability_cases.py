@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.integrators.energy_guard import own_energy
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.kernels.leapfrog import all_finite
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.grips import WrenchObserver
+from cloth_sim_ros.physics.forces.grips import WrenchObserver
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 

@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.integrators.march import leapfrog
 from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
 from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 #: How far the limits found may be from those predicted.
 LARGEST_DEVIATION = 0.1

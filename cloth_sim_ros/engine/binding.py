@@ -22,14 +22,16 @@ Indices = NDArray[np.int64]
 ABI = 1
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
+#: Runs of one frame at most; see frame.hpp.
+MOST_RUNS = 8
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Kinds of listed elements with the particles and numbers of each; see list.hpp.
 KINDS = {"spring": (0, 2, 3), "joint": (1, 2, 2), "crossed": (2, 4, 3), "altitude": (3, 4, 3), "triangle": (4, 3, 0), "quad": (5, 4, 0)}
 #: Families of a grid's springs in the engine's order; see grid_row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
-#: What a user's own force is called with: t, x, v and f; returns 0, or another number to end the run.
-CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctypes.c_double),) * 3)
+#: What a user's own force is called with: t, x, v, f and powers (or null); returns 0, or another number to end the run.
+CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctypes.c_double),) * 4)
 
 
 class EngineError(RuntimeError):
@@ -50,12 +52,10 @@ class Frame(ctypes.Structure):
         ("bands", ctypes.c_int64),
         ("x0", ctypes.c_void_p),
         ("v0", ctypes.c_void_p),
-        ("run_x", ctypes.c_void_p),
-        ("run_v", ctypes.c_void_p),
-        ("x", ctypes.c_void_p),
-        ("v", ctypes.c_void_p),
-        ("booked", ctypes.c_void_p),
-        ("powers", ctypes.c_void_p),
+        ("out", ctypes.c_void_p),
+        ("result", ctypes.c_void_p),
+        ("notes", ctypes.c_void_p),
+        ("powers", ctypes.c_int64),
         ("told", ctypes.c_void_p),
         ("rates", ctypes.c_int64),
     )
@@ -71,6 +71,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_order": (_INT, _P, _P),
     "cloth_plan_callback": (_INT, _P, CALLBACK),
     "cloth_plan_held": (_INT, _P, _I, _P, _I, _P, _P, _P, _P, _P),
+    "cloth_plan_paths": (_INT, _P, _P),
     "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
@@ -81,6 +82,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_eigenvalues": (_INT, _P, _I, _P),
     "cloth_product": (_INT, _P, _P, _P, _P, _P, _P),
     "cloth_pair_blocks": (_INT, _P, _I, _P, _D, _D, _P),
+    "cloth_alternation": (_INT, _P, _D, _P),
     "cloth_pose": (_INT, _P, _D, _P),
     "cloth_lengths": (_INT, _INT, _I, _P, _P, _I, _P, _P),
     "cloth_combine": (_INT, _I, _P, _P, _I, _P),
@@ -159,7 +161,8 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
     """
     if not isinstance(array, np.ndarray) or array.shape != shape:
         raise ValueError(f"{name} has shape {np.shape(array)}; it must be {shape}")
-    if array.dtype != _DOUBLE or not array.flags.c_contiguous:
+    # Asked first what is quickly told.
+    if (array.dtype is not _DOUBLE and array.dtype != _DOUBLE) or not array.flags.c_contiguous:
         layout = "" if array.flags.c_contiguous else ", not C-contiguous"
         raise ValueError(f"{name} is {array.dtype}{layout}; it must be C-contiguous float64")
     return int(array.ctypes.data)
@@ -177,7 +180,7 @@ def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.
         raise ValueError(f"{name} is {value!r}; it must be numbers") from error
     if given.ndim and given.shape != shape:
         raise ValueError(f"{name} has shape {given.shape}; it must be {shape}, or one number")
-    array = np.ascontiguousarray(np.broadcast_to(given, shape))
+    array = np.ascontiguousarray(np.broadcast_to(given, shape)).reshape(shape)
     wrong = np.argwhere(~(np.isfinite(array) & (array >= least)))
     if wrong.size:
         place = tuple(int(i) for i in wrong[0])

@@ -12,6 +12,9 @@
 
 namespace cloth {
 
+/// Runs of one frame at most.
+inline constexpr int max_runs = 8;
+
 template <class T>
 inline Done one_run(Plan& plan, const Run& run) {
     if (plan.grid) return GridRun<T>(plan, run).go();
@@ -45,24 +48,25 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
 /// What a frame is asked for; the same layout as binding.Frame.
 struct Frame {
     double t, duration;
-    std::int64_t runs;              ///< how many, each with its steps
+    std::int64_t runs;               ///< how many, each with its steps
     const std::int64_t* steps;
-    const double* weights;          ///< of the runs in the combination
+    const double* weights;           ///< of the runs in the combination
     std::int64_t narrow, alternate;  ///< of the first run
     std::int64_t bands;
     const double *x0, *v0;
-    double* const* run_x;  ///< positions and velocities of each run, (3, n)
-    double* const* run_v;
-    double *x, *v;         ///< the combination, or null: then the first run is the result
-    double* booked;        ///< (grippers, booked_numbers) of each run, or null
-    double* powers;        ///< integrals of lost and given power of each run, or null
-    double* told;          ///< largest change of a velocity [m/s] (infinite where the result is not finite), then rates if wanted
-    std::int64_t rates;    ///< whether bounds of frequency and damping are wanted
+    double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
+    double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
+    double* notes;          ///< of each run what was booked for each gripper, then lost and given power; or null
+    std::int64_t powers;    ///< whether powers are noted
+    double* told;           ///< largest change of a velocity [m/s] (infinite where the result is not finite), then rates
+    std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
 };
 
 inline Done make_frame(Plan& plan, const Frame& frame) {
     const std::int64_t n = plan.count, size = plan.held.grippers * booked_numbers;
     for (std::int64_t k = 0; k < frame.runs; ++k) {
+        double* const notes = frame.notes ? frame.notes + k * (size + 2) : nullptr;
+        double* const out = frame.out + k * 6 * n;
         const Run run{frame.t,
                       frame.duration / static_cast<double>(frame.steps[k]),
                       frame.steps[k],
@@ -71,22 +75,22 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
                       static_cast<int>(frame.bands),
                       frame.x0,
                       frame.v0,
-                      frame.run_x[k],
-                      frame.run_v[k],
-                      frame.booked ? frame.booked + k * size : nullptr,
-                      frame.powers ? frame.powers + 2 * k : nullptr};
+                      out,
+                      out + 3 * n,
+                      notes,
+                      frame.powers ? notes + size : nullptr};
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
     }
-    const double *x = frame.run_x[0], *v = frame.run_v[0];
-    if (frame.x) {
-        combine(frame.runs, frame.run_x, frame.weights, 3 * n, frame.x);
-        combine(frame.runs, frame.run_v, frame.weights, 3 * n, frame.v);
-        x = frame.x;
-        v = frame.v;
+    const double* x = frame.out;
+    if (frame.result) {
+        const double* from[max_runs];
+        for (std::int64_t k = 0; k < frame.runs; ++k) from[k] = frame.out + k * 6 * n;
+        combine(frame.runs, from, frame.weights, 6 * n, frame.result);
+        x = frame.result;
     }
     if (!frame.told) return Done::well;
-    frame.told[0] = largest_distance(v, frame.v0, n);
+    frame.told[0] = largest_distance(x + 3 * n, frame.v0, n);
     const double moved = largest_distance(x, frame.x0, n);
     if (!(moved < std::numeric_limits<double>::infinity())) frame.told[0] = moved;
     if (frame.rates) {

@@ -110,23 +110,28 @@ struct Tables {
     }
 };
 
-/// Positions (and velocities) in padded rows of doubles, with room for the neighbours of border particles.
+/// Positions (and velocities) in padded rows, with room for the neighbours of border particles; in single precision
+/// positions are about the first particle.
+template <class T>
 struct Padded {
     std::int64_t pitch, stride;
-    Array<double> numbers;
+    Array<T> numbers;
     Padded(const Grid& grid, const double* x, const double* v)
-        : pitch(row_pitch<double>(grid.columns)), stride((v ? 6 : 3) * pitch) {
-        numbers.assign((grid.rows + 2 * reach) * stride + 16, 0.0);
+        : pitch(row_pitch<T>(grid.columns)), stride((v ? 6 : 3) * pitch) {
+        numbers.assign((grid.rows + 2 * reach) * stride + 32, T(0));
         const std::int64_t n = grid.count();
         for (std::int64_t row = 0; row < grid.rows; ++row)
-            for (int c = 0; c < (v ? 6 : 3); ++c)
-                std::memcpy(at(row, c), (c < 3 ? x + c * n : v + (c - 3) * n) + row * grid.columns,
-                            grid.columns * sizeof(double));
+            for (int c = 0; c < (v ? 6 : 3); ++c) {
+                const double* const from = (c < 3 ? x + c * n : v + (c - 3) * n) + row * grid.columns;
+                const double origin = sizeof(T) == 4 && c < 3 ? x[c * n] : 0.0;
+                T* const to = at(row, c);
+                for (std::int64_t j = 0; j < grid.columns; ++j) to[j] = static_cast<T>(from[j] - origin);
+            }
     }
-    double* at(std::int64_t row, int component) {
-        return numbers.data() + 8 + (row + reach) * stride + component * pitch;
+    T* at(std::int64_t row, int component) {
+        return numbers.data() + 16 + (row + reach) * stride + component * pitch;
     }
-    const double* at(std::int64_t row, int component) const { return const_cast<Padded*>(this)->at(row, component); }
+    const T* at(std::int64_t row, int component) const { return const_cast<Padded*>(this)->at(row, component); }
 };
 
 }  // namespace cloth

@@ -43,7 +43,8 @@ class GridRun {
 public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), beside_(plan, run),
-          mode_(plan.mode()), pitch_(tables_.pitch), length_(row_length<T>(grid_.columns)),
+          mode_(plan.mode()), state_(plan.room<T>().state), ring_(plan.room<T>().ring), boxes_(plan.room<T>().boxes),
+          pitch_(tables_.pitch), length_(row_length<T>(grid_.columns)),
           stride_(components<T> * pitch_) {
         const bool more = beside_.needed();
         if (more) beside_.make(true);
@@ -52,11 +53,14 @@ public:
         levels_ = more ? 1 : levels();
         halo_ = reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
+        state_.resize(std::max<std::size_t>(bands_, state_.size()));
+        ring_.resize(state_.size());
         for (int b = 0; b < bands_; ++b) {
-            state_.emplace_back((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T), T(0));
-            ring_.emplace_back(levels_ * 9 * pitch_ + 64 / sizeof(T), T(0));
+            state_[b].assign((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T), T(0));
+            ring_[b].resize(levels_ * 9 * pitch_ + 64 / sizeof(T));
         }
-        boxes_.assign(static_cast<std::size_t>(bands_ - 1) * 4, Array<T>(halo_ * stride_));
+        boxes_.resize(std::max<std::size_t>((bands_ - 1) * 4, boxes_.size()));
+        for (auto& box : boxes_) box.resize(halo_ * stride_);
         done_ = std::vector<Counter>(bands_);
         const unsigned shape = grid_.shape(true);
         whole_ = row_taker<T>(shape, mode_);
@@ -293,11 +297,11 @@ private:
     const Tables<T>& tables_;
     Beside<T> beside_;
     Mode mode_;
+    std::vector<Array<T>>&state_, &ring_, &boxes_;
     std::int64_t pitch_, length_, stride_, halo_ = 0;
     int bands_ = 1, levels_ = 1;
     bool evaluates_ = false;
     std::vector<std::int64_t> border_;
-    std::vector<Array<T>> state_, ring_, boxes_;
     std::vector<Counter> done_;
     TakeRow<T> whole_ = nullptr, fast_ = nullptr;
     GridConstants<T> constants_[3];

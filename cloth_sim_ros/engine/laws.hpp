@@ -31,43 +31,52 @@ struct Spring {
 
     /// q in F = -q d on the far end.
     template <class V>
-    static inline V factor(const Params<V>& p, Vec3<V> d, Vec3<V> u, bool damped) {
+    static CLOTH_INLINE V factor(const Params<V>& p, Vec3<V> d, Vec3<V> u, bool damped) {
         const V inverse = inverse_root(norm2_plus(d, scalar<V>(shortest_square)));
         V slope = -p.ks;
         if (damped) slope = fma(p.c * dot(u, d), inverse, slope);
         return fma(slope, inverse, p.k);
     }
     template <class V>
-    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
+    static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
         f[0] = -factor(p, d[0], u[0], damped) * d[0];
     }
     template <class V>
-    static inline V energy(const Params<V>& p, const Vec3<V>* d) {
+    static CLOTH_INLINE V energy(const Params<V>& p, const Vec3<V>* d) {
         // k (|d| - l0)^2 / 2 with l0 = k_s / k.
         const V stretch = fma(p.k, root(norm2(d[0])), -p.ks);
         return select(p.k > V{}, splat<V>(0.5) * stretch * stretch / p.k, V{});
     }
     template <class V>
-    static inline V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
+    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
         const V rate = dot(u[0], d[0]);
         return p.c * rate * rate / norm2_plus(d[0], scalar<V>(shortest_square));
     }
     /// Twice k dd' + |k - k_s / |d|| (I - dd') at both ends. Compression's transverse part is negative and makes nothing
     /// unstable, but a spring pushed nearly to a point turns as fast as a stretched one: it counts by its size.
     template <class V>
-    static inline void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
-        const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(shortest_square)));
-        const Vec3<V> unit = inverse * d[0];
-        const V two = splat<V>(2);
-        const V along = two * p.k;
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+        const Axis<V> at = axis(p, d[0]);
+        stiff[0] = stiff[1] = outer(at.along, at.unit, at.across);
+        damp[0] = damp[1] = outer(at.damping, at.unit, V{});
+    }
+    /// The same as numbers: along dd' + across I, and damping dd'.
+    template <class V>
+    struct Axis {
+        Vec3<V> unit;
+        V along, across, damping;
+    };
+    template <class V>
+    static CLOTH_INLINE Axis<V> axis(const Params<V>& p, Vec3<V> d) {
+        const V inverse = inverse_root(norm2_plus(d, scalar<V>(shortest_square)));
+        const V two = splat<V>(2), along = two * p.k;
         const V across = smaller(absolute(fma(-two * p.ks, inverse, along)), splat<V>(most_across) * along);
-        stiff[0] = stiff[1] = outer(along - across, unit, across);
-        damp[0] = damp[1] = outer(two * p.c, unit, V{});
+        return {inverse * d, along - across, across, two * p.c};
     }
     /// The spring's part of an implicit step's matrix, `stiffness` k dd' + tension's part across + `damping` c dd'.
     /// Compression's transverse stiffness is negative and left out.
     template <class V>
-    static inline Sym3<V> matrix(const Params<V>& p, const Vec3<V>* d, V stiffness, V damping) {
+    static CLOTH_INLINE Sym3<V> matrix(const Params<V>& p, const Vec3<V>* d, V stiffness, V damping) {
         const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(shortest_square)));
         const V across = stiffness * larger(fma(-p.ks, inverse, p.k), V{});
         return outer(stiffness * p.k + damping * p.c - across, inverse * d[0], across);
@@ -85,19 +94,19 @@ struct Joint {
     };
 
     template <class V>
-    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool) {
+    static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool) {
         f[0] = -(p.k * d[0] + p.c * u[0]);
     }
     template <class V>
-    static inline V energy(const Params<V>& p, const Vec3<V>* d) {
+    static CLOTH_INLINE V energy(const Params<V>& p, const Vec3<V>* d) {
         return splat<V>(0.5) * p.k * norm2(d[0]);
     }
     template <class V>
-    static inline V lost(const Params<V>& p, const Vec3<V>*, const Vec3<V>* u) {
+    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>*, const Vec3<V>* u) {
         return p.c * norm2(u[0]);
     }
     template <class V>
-    static inline void bounds(const Params<V>& p, const Vec3<V>*, Sym3<V>* stiff, Sym3<V>* damp) {
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>*, Sym3<V>* stiff, Sym3<V>* damp) {
         stiff[0] = stiff[1] = outer(V{}, Vec3<V>{}, splat<V>(2) * p.k);
         damp[0] = damp[1] = outer(V{}, Vec3<V>{}, splat<V>(2) * p.c);
     }
@@ -119,34 +128,30 @@ struct Hinge {
     template <class V>
     struct Length {
         V h, square;
-        /// Gradients of h, G and 6V with respect to corners 1, 2, 3; all zero where h is not defined.
+        /// Gradients of h, which is zero where h is not defined, and G with respect to corners 1, 2, 3.
         Vec3<V> gradient[3], area[3];
     };
 
     template <class V>
-    static inline void areas(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
+    static CLOTH_INLINE void areas(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
         Areas::of(d, square, limit, area);
     }
     template <class V>
-    static inline Length<V> length(const Vec3<V>* d) {
+    static CLOTH_INLINE Length<V> length(const Vec3<V>* d) {
         Length<V> r;
         V limit;
         Areas::of(d, r.square, limit, r.area);
         const auto defined = r.square > limit;
         r.square = select(defined, r.square, splat<V>(1));
-        const V one = select(defined, splat<V>(1), V{});
-        const V inverse = one * inverse_root(r.square);
+        const V inverse = select(defined, inverse_root(r.square), V{});
         const Vec3<V> volume[3] = {cross(d[1], d[2]), cross(d[2], d[0]), cross(d[0], d[1])};
         r.h = dot(d[0], volume[0]) * inverse;
-        const V turn = -r.h / r.square;
-        for (int i = 0; i < 3; ++i) {
-            r.area[i] = one * r.area[i];
-            r.gradient[i] = inverse * volume[i] + turn * r.area[i];
-        }
+        const V turn = -(r.h * inverse) * inverse;
+        for (int i = 0; i < 3; ++i) r.gradient[i] = fma(turn, r.area[i], inverse * volume[i]);
         return r;
     }
     template <class V>
-    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
+    static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
         const Length<V> l = length(d);
         V tension = p.k * (p.rest - l.h);
         if (damped) {
@@ -156,7 +161,7 @@ struct Hinge {
         for (int i = 0; i < 3; ++i) f[i] = tension * l.gradient[i];
     }
     template <class V>
-    static inline V energy(const Params<V>& p, const Vec3<V>* d) {
+    static CLOTH_INLINE V energy(const Params<V>& p, const Vec3<V>* d) {
         V square, limit;
         Vec3<V> area[3];
         Areas::of(d, square, limit, area);
@@ -166,7 +171,7 @@ struct Hinge {
         return select(defined, splat<V>(0.5) * p.k * away * away, V{});
     }
     template <class V>
-    static inline V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
+    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
         const Length<V> l = length(d);
         const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
         return p.c * rate * rate;
@@ -174,7 +179,7 @@ struct Hinge {
     /// Of (grad h . u)^2 by Cauchy and Schwarz, (sum of a_i)^2 <= (sum of |g_j|) (sum of a_i^2 / |g_i|); of the curvature
     /// k (h - h0) h'' as Areas bounds h''.
     template <class V>
-    static inline void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
         const Length<V> l = length(d);
         const Vec3<V> g[4] = {-(l.gradient[0] + l.gradient[1] + l.gradient[2]), l.gradient[0], l.gradient[1],
                               l.gradient[2]};
@@ -200,7 +205,7 @@ struct CrossedAreas {
     static constexpr double sine = 1e-6;
 
     template <class V>
-    static inline void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
+    static CLOTH_INLINE void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
         const Vec3<V> a = d[0], w = d[2] - d[1], n = cross(a, w);
         square = norm2(n);
         limit = splat<V>(sine * sine) * norm2(a) * norm2(w);
@@ -210,7 +215,7 @@ struct CrossedAreas {
     }
     /// With P = [-a, w] of least singular value sigma: |h''| <= (2 sqrt(2) |w_i| / sigma + 2 |h| / sigma^2) |u|^2.
     template <class V, class L>
-    static inline void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
+    static CLOTH_INLINE void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> a = d[0], w = d[2] - d[1];
         const V half = splat<V>(0.5) * (norm2(a) + norm2(w));
         // The smaller eigenvalue of P'P from its trace and determinant, without cancellation.
@@ -229,7 +234,7 @@ struct AltitudeAreas {
     static constexpr double sine = 1e-12;
 
     template <class V>
-    static inline void of(const Vec3<V>* p, V& square, V& limit, Vec3<V>* area) {
+    static CLOTH_INLINE void of(const Vec3<V>* p, V& square, V& limit, Vec3<V>* area) {
         const Vec3<V> a = p[0], b = p[1], c = p[2], d = b - a, e = c - a;
         // n0 is the face opposite to corner 0, and so on; |p x q|^2 / 2 has the gradients q x n and n x p.
         const Vec3<V> n0 = cross(e, d), n1 = cross(b, c), n2 = cross(c, a), n3 = cross(a, b);
@@ -244,7 +249,7 @@ struct AltitudeAreas {
     /// h'' = 6V''/M - 2 M'h'/M - h M''/M, with |6V''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and
     /// M M'' <= sum over faces of (squared sides + 2 |n|) |u|^2.
     template <class V, class L>
-    static inline void curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, V* bound) {
+    static CLOTH_INLINE void curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
         const Vec3<V> area0 = -(l.area[0] + l.area[1] + l.area[2]);
         const V areas = norm2(area0) + norm2(l.area[0]) + norm2(l.area[1]) + norm2(l.area[2]);
@@ -288,7 +293,7 @@ struct Panel {
     };
 
     template <class V>
-    static inline Shares<V> shares(const Params<V>& p, const Vec3<V>* d) {
+    static CLOTH_INLINE Shares<V> shares(const Params<V>& p, const Vec3<V>* d) {
         Shares<V> r;
         r.n = splat<V>(0.5) * (Corners == 3 ? cross(d[0], d[1]) : cross(d[1], d[Corners - 2] - d[0]));
         const V square = norm2(r.n);
@@ -300,7 +305,7 @@ struct Panel {
         return r;
     }
     template <class V>
-    static inline void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v, Vec3<V>* f, bool) {
+    static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v, Vec3<V>* f, bool) {
         const Shares<V> s = shares(p, d);
         for (int i = 0; i < Corners; ++i) {
             const Vec3<V> u = v[i] - p.wind;
@@ -308,12 +313,12 @@ struct Panel {
         }
     }
     template <class V>
-    static inline V energy(const Params<V>&, const Vec3<V>*) {
+    static CLOTH_INLINE V energy(const Params<V>&, const Vec3<V>*) {
         return V{};
     }
     /// v'Bv: what still air would take.
     template <class V>
-    static inline V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
+    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
         const Shares<V> s = shares(p, d);
         V sum{};
         for (int i = 0; i < Corners; ++i) {
@@ -324,7 +329,7 @@ struct Panel {
     }
     /// w'Bv: what the wind puts in.
     template <class V>
-    static inline V given(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
+    static CLOTH_INLINE V given(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
         const Shares<V> s = shares(p, d);
         const V blown = s.across * dot(p.wind, s.n);
         V sum{};
@@ -334,7 +339,7 @@ struct Panel {
     /// The damping is exact. With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w
     /// feels at most (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
     template <class V>
-    static inline void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
         const Shares<V> s = shares(p, d);
         V longest{};
         for (int i = 0; i < Corners - 1; ++i) {

@@ -4,10 +4,13 @@
 // What Python sees: a C interface, called without the interpreter's lock. binding.py checks shapes, types and ranges
 // before; arrays are (3, n) doubles by component unless said otherwise. Every call returns a Status.
 
+#include "alternation.hpp"
 #include "frame.hpp"
 #include "measures.hpp"
 
 #define CLOTH_API extern "C" __attribute__((visibility("default")))
+
+#include "band_library.hpp"
 
 using cloth::Plan;
 
@@ -114,6 +117,11 @@ CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, const double* p
     });
 }
 
+/// New paths for the same grips.
+CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
+    return guarded([&] { plan->held.paths.assign(paths, paths + plan->held.grippers * cloth::path_numbers); });
+}
+
 CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
     int status = well;
     const int other = guarded([&] {
@@ -153,7 +161,7 @@ CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, cons
         for (std::size_t k = 0; k < size; ++k) out[k] += weight * rates[k];
     });
 }
-CLOTH_API int cloth_rates(const Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
+CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
     return guarded([&] {
         const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp);
         out[0] = r.omega2;
@@ -174,6 +182,10 @@ CLOTH_API int cloth_product(const Plan* plan, const double* x, const double* v, 
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {
     return guarded([&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+}
+/// See stable_share.
+CLOTH_API int cloth_alternation(const Plan* plan, double mass, double* out) {
+    return guarded([&] { *out = plan->grid ? cloth::stable_share(*plan->grid, mass) : 0.0; });
 }
 /// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
 CLOTH_API int cloth_pose(const double* path, double t, double* out) {

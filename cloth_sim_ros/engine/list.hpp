@@ -36,7 +36,8 @@ inline constexpr std::int64_t apart_by = 16, chunk = 64;
 template <class T>
 struct Elements {
     std::int64_t count = 0;
-    std::vector<std::int32_t> corner[4];
+    /// Places of the particles' quads.
+    std::vector<std::uint32_t> corner[4];
     Array<T> param[3];
 };
 
@@ -79,9 +80,9 @@ public:
         Elements<T> r;
         r.count = (count + 15) / 16 * 16;
         for (int c = 0; c < width; ++c) {
-            r.corner[c].assign(r.count, static_cast<std::int32_t>(nobody));
+            r.corner[c].assign(r.count, static_cast<std::uint32_t>(4 * nobody));
             for (std::int64_t k = 0; k < count; ++k)
-                r.corner[c][k] = static_cast<std::int32_t>(rank[corners[spread[k] * width + c]]);
+                r.corner[c][k] = static_cast<std::uint32_t>(4 * rank[corners[spread[k] * width + c]]);
         }
         for (int p = 0; p < numbers; ++p) {
             r.param[p].assign(r.count, T(0));
@@ -110,38 +111,43 @@ inline typename Law::template Params<V> law_params(const V* numbers, const doubl
                 Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
 }
 
-/// Add factor times the forces of all elements at positions x and velocities v to f, all quads by particle.
-template <class Law, class T, bool Damped>
+/// Add the forces of all elements at positions x and velocities v to f, all quads by particle; times a factor if Scaled.
+template <class Law, class T, bool Damped, bool Scaled>
 inline void add_forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, T factor) {
     using V = vec<T>;
     constexpr int L = lanes<T>, C = Law::corners, given = Law::own_velocities ? C : C - 1;
+    const std::uint32_t* corner[C];
+    for (int c = 0; c < C; ++c) corner[c] = list.corner[c].data();
+    const T* param[3];
+    for (int p = 0; p < Law::params; ++p) param[p] = list.param[p].data();
     const V scale = splat<V>(factor);
-    for (std::int64_t e = 0; e < list.count; e += L) {
+    const std::int64_t count = list.count;
+    for (std::int64_t e = 0; e < count; e += L) {
         Vec3<V> d[C - 1], u[C], g[C];
         quad<T> rows[L];
-        for (int c = 1; c < C; ++c) {
+        const auto ways = [&](const T* from, int c) {
             for (int k = 0; k < L; ++k)
-                rows[k] = load4(x + 4 * std::int64_t{list.corner[c][e + k]}) -
-                          load4(x + 4 * std::int64_t{list.corner[0][e + k]});
+                rows[k] = load4(from + std::size_t{corner[c][e + k]}) - load4(from + std::size_t{corner[0][e + k]});
+        };
+        for (int c = 1; c < C; ++c) {
+            ways(x, c);
             apart<T>(rows, d[c - 1].x, d[c - 1].y, d[c - 1].z);
             if constexpr (Damped && !Law::own_velocities) {
-                for (int k = 0; k < L; ++k)
-                    rows[k] = load4(v + 4 * std::int64_t{list.corner[c][e + k]}) -
-                              load4(v + 4 * std::int64_t{list.corner[0][e + k]});
+                ways(v, c);
                 apart<T>(rows, u[c - 1].x, u[c - 1].y, u[c - 1].z);
             }
         }
         if constexpr (Law::own_velocities)
             for (int c = 0; c < C; ++c) {
-                for (int k = 0; k < L; ++k) rows[k] = load4(v + 4 * std::int64_t{list.corner[c][e + k]});
+                for (int k = 0; k < L; ++k) rows[k] = load4(v + std::size_t{corner[c][e + k]});
                 apart<T>(rows, u[c].x, u[c].y, u[c].z);
             }
         V numbers[3];
-        for (int p = 0; p < Law::params; ++p) numbers[p] = load(list.param[p].data() + e);
+        for (int p = 0; p < Law::params; ++p) numbers[p] = load(param[p] + e);
         Law::force(law_params<Law, V>(numbers, common), d, u, g, Damped);
         quad<T> out[C][L];
         for (int c = 0; c < given; ++c) {
-            const Vec3<V> s = scale * g[c];
+            const Vec3<V> s = Scaled ? scale * g[c] : g[c];
             together<T>(s.x, s.y, s.z, out[Law::own_velocities ? c : c + 1]);
         }
         for (int k = 0; k < L; ++k) {
@@ -150,7 +156,7 @@ inline void add_forces(const Elements<T>& list, const double* common, const T* x
                 for (int c = 2; c < C; ++c) out[0][k] = out[0][k] - out[c][k];
             }
             for (int c = 0; c < C; ++c) {
-                T* const to = f + 4 * std::int64_t{list.corner[c][e + k]};
+                T* const to = f + std::size_t{corner[c][e + k]};
                 store4(to, load4(to) + out[c][k]);
             }
         }
@@ -161,10 +167,17 @@ template <class T>
 inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
-        if (Law::own_velocities || list.damped)
-            add_forces<Law, T, true>(taken, list.common, x, v, f, factor);
+        const auto add = [&](auto damped, auto scaled) {
+            add_forces<Law, T, damped.value, scaled.value>(taken, list.common, x, v, f, factor);
+        };
+        constexpr std::true_type yes;
+        constexpr std::false_type no;
+        if (factor != T(1))
+            add(yes, yes);
+        else if (Law::own_velocities || list.damped)
+            add(yes, no);
         else if constexpr (!Law::own_velocities)
-            add_forces<Law, T, false>(taken, list.common, x, v, f, factor);
+            add(no, no);
     });
 }
 

@@ -15,7 +15,10 @@ Done run_lists(Plan& plan, const Run& run) {
     Beside<T> beside(plan, run);
     const std::int64_t n = plan.count;
     beside.make(true);
-    Array<T> velocity(4 * n), before(4 * n, T(0)), carry(sizeof(T) == 4 ? 4 * n : 0, T(0));
+    auto& [velocity, before, carry] = plan.room<T>().more;
+    velocity.assign(4 * n, T(0));
+    before.assign(4 * n, T(0));
+    carry.assign(sizeof(T) == 4 ? 4 * n : 0, T(0));
     for (int c = 0; c < 3; ++c)
         for (std::int64_t i = 0; i < n; ++i) {
             const std::int64_t at = 4 * plan.rank[i] + c;

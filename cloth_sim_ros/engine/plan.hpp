@@ -12,9 +12,16 @@
 
 namespace cloth {
 
-/// Forces of the caller's own: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n). Other than 0 ends
-/// the run.
-using Callback = int (*)(double t, const double* x, const double* v, double* f);
+/// Forces of the caller's own: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n), and, where they
+/// are asked for, to the powers that damping takes and that else is given [W]. Other than 0 ends the run.
+using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
+
+/// What runs write into, kept from one to the next: memory that is new costs more than a short run.
+template <class T>
+struct Rooms {
+    std::vector<Array<T>> state, ring, boxes;
+    Array<T> quads[3], more[3];
+};
 
 struct Plan {
     std::int64_t count = 0;
@@ -32,6 +39,16 @@ struct Plan {
     std::vector<Elements<double>> elements;
     std::vector<Elements<float>> narrow_elements;
 
+    Rooms<double> rooms;
+    Rooms<float> narrow_rooms;
+
+    template <class T>
+    Rooms<T>& room() {
+        if constexpr (sizeof(T) == 8)
+            return rooms;
+        else
+            return narrow_rooms;
+    }
     template <class T>
     const Tables<T>& grid_tables() {
         if constexpr (sizeof(T) == 8) {
@@ -110,12 +127,13 @@ struct Beside {
     Plan& plan;
     const Run& run;
     double origin[3] = {};
-    Array<T> x, v, f;               ///< positions, velocities that damping sees, forces; a quad a particle
+    Array<T>&x, &v, &f;              ///< positions, velocities that damping sees, forces; a quad a particle
     std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
     std::vector<Pose> poses;
     std::vector<double> grips;  ///< (grips, booked_numbers)
 
-    Beside(Plan& plan, const Run& run) : plan(plan), run(run) {
+    Beside(Plan& plan, const Run& run)
+        : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]), f(plan.room<T>().quads[2]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         poses = plan.held.poses(run.t, run.step, run.steps);
@@ -149,15 +167,19 @@ struct Beside {
                 ox[c * n + i] = origin[c] + static_cast<double>(x[at]);
                 ov[c * n + i] = static_cast<double>(v[at]);
             }
-        if (run.powers && step >= 0) {
-            double lost = 0.0, given = 0.0;
-            powers(plan, ox.data(), ov.data(), lost, given);
-            run.powers[0] += run.step * lost;
-            run.powers[1] += run.step * given;
+        double now[2] = {};
+        const bool booked = run.powers && step >= 0;
+        if (plan.callback) {
+            std::fill(of.begin(), of.end(), 0.0);
+            double* const asked = booked ? now : nullptr;
+            if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data(), asked)) return Done::callback_failed;
+        }
+        if (booked) {
+            powers(plan, ox.data(), ov.data(), now[0], now[1]);
+            run.powers[0] += run.step * now[0];
+            run.powers[1] += run.step * now[1];
         }
         if (!plan.callback) return Done::well;
-        std::fill(of.begin(), of.end(), 0.0);
-        if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data())) return Done::callback_failed;
         for (int c = 0; c < 3; ++c)
             for (std::int64_t i = 0; i < n; ++i) f[4 * plan.rank[i] + c] += static_cast<T>(of[c * n + i]);
         return Done::well;

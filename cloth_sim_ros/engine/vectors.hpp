@@ -21,6 +21,9 @@
 #define CLOTH_VECTOR_BYTES 16
 #endif
 
+/// What the inner loops consist of: left to itself the compiler calls some of it, and passes vectors through memory.
+#define CLOTH_INLINE inline __attribute__((always_inline))
+
 namespace cloth {
 
 template <class T>
@@ -59,7 +62,7 @@ template <class V>
 using scalar = typename Scalar<V>::type;
 
 template <class V>
-inline V splat(scalar<V> a) {
+CLOTH_INLINE V splat(scalar<V> a) {
     if constexpr (sizeof(V) == sizeof(scalar<V>))
         return a;
     else
@@ -67,33 +70,33 @@ inline V splat(scalar<V> a) {
 }
 
 template <class T>
-inline vec<T> load(const T* from) {
+CLOTH_INLINE vec<T> load(const T* from) {
     vec<T> to;
     std::memcpy(&to, from, sizeof to);
     return to;
 }
 template <class T>
-inline void store(T* to, vec<T> from) {
+CLOTH_INLINE void store(T* to, vec<T> from) {
     std::memcpy(to, &from, sizeof from);
 }
 template <class T>
-inline quad<T> load4(const T* from) {
+CLOTH_INLINE quad<T> load4(const T* from) {
     quad<T> to;
     std::memcpy(&to, from, sizeof to);
     return to;
 }
 template <class T>
-inline void store4(T* to, quad<T> from) {
+CLOTH_INLINE void store4(T* to, quad<T> from) {
     std::memcpy(to, &from, sizeof from);
 }
 
 /// a b + c, rounded once.
-inline double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
-inline float fma(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+CLOTH_INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
+CLOTH_INLINE float fma(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
 
 template <class V>
     requires(sizeof(V) > sizeof(scalar<V>))
-inline V fma(V a, V b, V c) {
+CLOTH_INLINE V fma(V a, V b, V c) {
     [[maybe_unused]] constexpr bool wide = sizeof(scalar<V>) == 8;
 #if defined(__AVX512F__)
     if constexpr (sizeof(V) == 64 && wide) return V(_mm512_fmadd_pd(__m512d(a), __m512d(b), __m512d(c)));
@@ -113,12 +116,12 @@ inline V fma(V a, V b, V c) {
     return r;
 }
 
-inline double root(double a) { return __builtin_sqrt(a); }
-inline float root(float a) { return __builtin_sqrtf(a); }
+CLOTH_INLINE double root(double a) { return __builtin_sqrt(a); }
+CLOTH_INLINE float root(float a) { return __builtin_sqrtf(a); }
 
 template <class V>
     requires(sizeof(V) > sizeof(scalar<V>))
-inline V root(V a) {
+CLOTH_INLINE V root(V a) {
     [[maybe_unused]] constexpr bool wide = sizeof(scalar<V>) == 8;
 #if defined(__AVX512F__)
     if constexpr (sizeof(V) == 64 && wide) return V(_mm512_maskz_sqrt_pd(0xff, __m512d(a)));
@@ -135,35 +138,35 @@ inline V root(V a) {
 
 /// 1 / sqrt(a).
 template <class V>
-inline V inverse_root(V a) {
+CLOTH_INLINE V inverse_root(V a) {
     return splat<V>(1) / root(a);
 }
 
 // Comparisons give a bool for numbers and a mask for vectors; select takes either.
-inline double select(bool yes, double a, double b) { return yes ? a : b; }
-inline float select(bool yes, float a, float b) { return yes ? a : b; }
+CLOTH_INLINE double select(bool yes, double a, double b) { return yes ? a : b; }
+CLOTH_INLINE float select(bool yes, float a, float b) { return yes ? a : b; }
 template <class M, class V>
     requires(sizeof(V) > sizeof(scalar<V>))
-inline V select(M yes, V a, V b) {
+CLOTH_INLINE V select(M yes, V a, V b) {
     return yes ? a : b;
 }
 template <class V>
-inline V absolute(V a) {
+CLOTH_INLINE V absolute(V a) {
     return select(a < V{}, -a, a);
 }
 /// The smaller, or b where a is not a number.
 template <class V>
-inline V smaller(V a, V b) {
+CLOTH_INLINE V smaller(V a, V b) {
     return select(a < b, a, b);
 }
 template <class V>
-inline V larger(V a, V b) {
+CLOTH_INLINE V larger(V a, V b) {
     return select(a > b, a, b);
 }
 
 /// The last N lanes of one vector, then the first of the next: what lies N places to the left.
 template <int N, class V>
-inline V shift(V last, V next) {
+CLOTH_INLINE V shift(V last, V next) {
     using T = scalar<V>;
     constexpr int L = sizeof(V) / sizeof(T);
     return [&]<int... I>(std::integer_sequence<int, I...>) {
@@ -182,7 +185,7 @@ constexpr int half_of(int lane, int first) {
     return (lane & ~3) + (lane & 1) + first + (lane & 2 ? L : 0);
 }
 template <class V>
-inline void transpose(V& a, V& b, V& c, V& d) {
+CLOTH_INLINE void transpose(V& a, V& b, V& c, V& d) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);
     [&]<int... I>(std::integer_sequence<int, I...>) {
         const V even_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 0)...);
@@ -198,7 +201,7 @@ inline void transpose(V& a, V& b, V& c, V& d) {
 
 /// Rows k, k + 4, k + 8, ... side by side.
 template <class T>
-inline vec<T> beside(const quad<T>* rows, int k) {
+CLOTH_INLINE vec<T> beside(const quad<T>* rows, int k) {
     if constexpr (lanes<T> == 4) {
         return rows[k];
     } else {
@@ -213,7 +216,7 @@ inline vec<T> beside(const quad<T>* rows, int k) {
 }
 
 template <class T>
-inline void apart(const quad<T>* rows, vec<T>& x, vec<T>& y, vec<T>& z) {
+CLOTH_INLINE void apart(const quad<T>* rows, vec<T>& x, vec<T>& y, vec<T>& z) {
     if constexpr (lanes<T> == 2) {
         x = vec<T>{rows[0][0], rows[1][0]};
         y = vec<T>{rows[0][1], rows[1][1]};
@@ -228,7 +231,7 @@ inline void apart(const quad<T>* rows, vec<T>& x, vec<T>& y, vec<T>& z) {
 }
 
 template <class T>
-inline void together(vec<T> x, vec<T> y, vec<T> z, quad<T>* rows) {
+CLOTH_INLINE void together(vec<T> x, vec<T> y, vec<T> z, quad<T>* rows) {
     constexpr int L = lanes<T>;
     if constexpr (L == 2) {
         rows[0] = quad<T>{x[0], y[0], z[0], 0};

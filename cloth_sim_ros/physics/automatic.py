@@ -10,14 +10,15 @@ from functools import cached_property
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import TERM_STEP, Dynamics
-from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, Observer, UnstableError, restart
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, UnstableError, restart
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
 from cloth_sim_ros.physics.integrators.last_resort import within_reach
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.march import leapfrog_limit
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.plan import NUMPY_FORCE, Plan
 from cloth_sim_ros.physics.state import State
 
 #: Integrators by the name that a scene gives.
@@ -113,28 +114,28 @@ class Automatic(Integrator):
         return math.inf
 
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
     ) -> Advance:
         memory = Choice.of(state)
-        self._choose(memory, dynamics, state, duration)
+        self._choose(memory, plan, state, duration)
         memory.wait -= 1.0
         if memory.implicit:
             start = state.share()
             try:
-                done = self._implicit.advance(dynamics, state, t, duration, observer)
+                done = self._implicit.advance(plan, state, t, duration, book)
             except UnstableError:
                 # Its iterations find no way through some folds; explicit steps only need to be short enough.
                 state.restore(start)
                 memory.implicit = 0.0
-                done = self._explicit.advance(dynamics, state, t, duration, observer)
+                done = self._explicit.advance(plan, state, t, duration, book)
         else:
-            done = self._explicit.advance(dynamics, state, t, duration, observer)
+            done = self._explicit.advance(plan, state, t, duration, book)
         if memory.implicit:
-            cost = done.evaluations * _implicit_iteration(dynamics)
+            cost = done.evaluations * _implicit_iteration(plan)
             # A single frame that had to be repeated is no reason to change.
             memory.cost = 0.8 * memory.cost + 0.2 * cost if memory.cost else cost
         elif done.flagged:
-            cost = done.evaluations * dynamics.step_cost * dynamics.model.particle_count
+            cost = done.evaluations * plan.step_cost * plan.model.particle_count
             if cost > AFFORDABLE * duration * 1e9:
                 # Small steps that miss the tolerance are worth no more than large ones that do.
                 memory.vain, memory.wait = cost, 0.0
@@ -145,23 +146,23 @@ class Automatic(Integrator):
             why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
         return done._replace(reason=f"auto: {why}; {done.reason}")
 
-    def _choose(self, memory: Choice, dynamics: Dynamics, state: State, duration: float) -> None:
+    def _choose(self, memory: Choice, plan: Plan, state: State, duration: float) -> None:
         """Compare costs, from time to time and whenever the implicit method turns out dear."""
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > _DEAR * memory.explicit):
             return
-        memory.explicit = max(_explicit_frame(dynamics, state, duration), memory.vain)
+        memory.explicit = max(_explicit_frame(plan, state, duration), memory.vain)
         # Before long it is tried again.
         memory.vain *= 0.5
-        better = memory.explicit > AFFORDABLE * duration * 1e9 and within_reach(dynamics)
+        better = memory.explicit > AFFORDABLE * duration * 1e9 and within_reach(plan)
         if better:
-            implicit = memory.cost or ITERATIONS * _implicit_iteration(dynamics)
+            implicit = memory.cost or ITERATIONS * _implicit_iteration(plan)
             better = implicit <= (_DEAR if memory.implicit else 1.0) * memory.explicit
         if better != bool(memory.implicit):
             restart(state)
         memory.implicit, memory.wait = float(better), float(REVIEW)
 
 
-def _explicit_frame(dynamics: Dynamics, state: State, duration: float) -> float:
+def _explicit_frame(plan: Plan, state: State, duration: float) -> float:
     """Estimated cost of a frame by explicit steps at the stability limit [ns].
 
     What accuracy asks for on top of that is not counted: a motion that makes explicit steps smaller than stability
@@ -170,15 +171,15 @@ def _explicit_frame(dynamics: Dynamics, state: State, duration: float) -> float:
     stepper = Memory.of(state)
     if stepper.omega2 < 0.0:
         stepper = Memory()
-        stepper.omega2, stepper.damping = dynamics.rates(state.x)
+        stepper.omega2, stepper.damping = plan.rates(state.x)
     limit = SAFETY * leapfrog_limit(stepper.omega2, stepper.damping)
     steps = max(1.0, duration / limit)
-    return steps * dynamics.step_cost * dynamics.model.particle_count
+    return steps * plan.step_cost * plan.model.particle_count
 
 
-def _implicit_iteration(dynamics: Dynamics) -> float:
+def _implicit_iteration(plan: Plan) -> float:
     """Estimated cost of one iteration of the implicit method [ns]."""
     from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
 
-    rows, width = stage_matrix(dynamics).size
-    return MULTIPLY_ADD * 4.5 * rows * width * width + TERM_STEP * dynamics.model.particle_count
+    rows, width = stage_matrix(plan.model).size
+    return MULTIPLY_ADD * 4.5 * rows * width * width + NUMPY_FORCE * plan.model.particle_count

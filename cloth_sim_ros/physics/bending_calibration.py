@@ -33,14 +33,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.hinge_shape import HingeShape
 from cloth_sim_ros.physics.surface import opposite_kept
-from cloth_sim_ros.physics.terms.altitude import AltitudeSprings
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.crossed import CrossedSprings
-from cloth_sim_ros.physics.terms.opposite import OppositeSprings
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings
-from cloth_sim_ros.physics.terms.tetrahedron import TetrahedronSprings
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, gradient_squares
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 
@@ -90,7 +91,7 @@ def grid_hinge_constants(
     if len(diagonals) == 2 * len(cells):  # both diagonals of every cell: both checkerboards
         across, along, diagonal = 0.5 * hy / hx, 0.5 * hx / hy, hx * hy / square
     else:
-        diagonal = 1.5 * (square / (2.0 * hx * hy)) ** 2
+        diagonal = 1.5 * _squared(square / (2.0 * hx * hy))
         across = 1.0 / (hx / hy - hy * hy / (square * diagonal))
         along = 1.0 / (hy / hx - hx * hx / (square * diagonal))
     return bending_modulus * np.select([along_column, along_row], [across, along], diagonal)
@@ -109,7 +110,7 @@ def bending_terms(
     masses: ArrayLike | None = None,
     existing: ArrayLike | None = None,
     weak: bool = False,
-) -> list[PairSprings | TetrahedronSprings]:
+) -> list[PairSprings | HingeSprings]:
     """Build the terms of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
 
     Args:
@@ -154,7 +155,7 @@ def bending_terms(
     blend = model == "altitude"
     rest = shape.length("altitude" if blend else "crossed")
     k_d = _hinge_damping(damping, stiffness, shape, quads, mass, blend)
-    second: TetrahedronSprings = (
+    second: HingeSprings = (
         AltitudeSprings(quads, rest, stiffness, k_d, weak=weak)
         if blend
         else CrossedSprings(quads[:, :2], quads[:, 2:], rest, stiffness, k_d, weak=weak)
@@ -177,15 +178,19 @@ def spring_constants(
         raise ValueError(f"hinge constants are {what}; give {shape.edge.shape[0]} finite numbers of at least 0 N m")
     if ratio is None:
         flat, angle, folded = RATIOS[model]
-        share = np.where(np.abs(shape.angle) > angle, folded, flat)
+        share = np.where(shape.cosine < sine_and_cosine(angle)[1], folded, flat)
     elif not (math.isfinite(ratio) and ratio > 0.0):
         raise ValueError(f"ratio is {ratio}; it must be finite and above 0")
     else:
         share = np.full_like(constants, ratio)
-    opposite_per_second = shape.half_range_ratio(model) ** 2 / share
-    slope = shape.length_slope(model) ** 2 + opposite_per_second * shape.wing_distance_slope() ** 2
+    opposite_per_second = _squared(shape.half_range_ratio(model)) / share
+    slope = _squared(shape.length_slope(model)) + opposite_per_second * _squared(shape.wing_distance_slope())
     stiffness = constants / slope
     return stiffness, opposite_per_second * stiffness
+
+
+def _squared(a: Array) -> Array:
+    return a * a
 
 
 def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -> Array:
@@ -201,7 +206,7 @@ def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -
     """
     x = np.asarray(positions, dtype=np.float64)[:, :2]
     along = x[springs.pairs[:, 1]] - x[springs.pairs[:, 0]]
-    per_length2 = springs.stiffness / np.einsum("ij,ij->i", along, along) / area
+    per_length2 = springs.rigidity / np.einsum("ij,ij->i", along, along) / area
     products = np.stack((along[:, 0] ** 4, along[:, 1] ** 4, (along[:, 0] * along[:, 1]) ** 2))
     added: Array = products @ per_length2
     return added
@@ -243,9 +248,8 @@ def _hinge_damping(
     """k_d = k_d0 sqrt(m κ̂), m twice the reduced mass 1 / Σ |g_i|²/m_i of the length's gradient g at rest."""
     if not damping:
         return np.zeros_like(stiffness)
-    from cloth_sim_ros.physics.kernels.altitude import gradient_squares
-
-    c, s = np.cos(0.5 * shape.angle), np.sin(0.5 * shape.angle)
+    c = np.sqrt(np.maximum(0.5 * (1.0 + shape.cosine), 0.0))
+    s = np.copysign(np.sqrt(np.maximum(0.5 * (1.0 - shape.cosine), 0.0)), shape.sine)
     zero = np.zeros_like(c)
     points = np.array(
         [
@@ -255,9 +259,9 @@ def _hinge_damping(
         ]
     )
     x = np.ascontiguousarray(points.transpose(0, 2, 1).reshape(3, -1))
-    squares = np.empty((len(quads), 4))
-    gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), not blend, x, squares)
-    return damping * np.sqrt(2.0 * stiffness / (squares / mass[quads]).sum(axis=1))
+    kind = "altitude" if blend else "crossed"
+    first, second, third, fourth = (gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), x, kind=kind) / mass[quads]).T
+    return damping * np.sqrt(2.0 * stiffness / (first + second + third + fourth))
 
 
 def _check_modulus(bending_modulus: float) -> None:

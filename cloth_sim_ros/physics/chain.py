@@ -11,9 +11,9 @@ import numpy as np
 
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array, Term
-from cloth_sim_ros.physics.terms.gravity import Gravity
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
 
 
 @attrs.frozen(kw_only=True)
@@ -139,15 +139,15 @@ class Chain:
         positions[:, 0] = np.arange(self.particle_count) * self.law.rest_length
         return positions
 
-    def model(self, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), further: tuple[Term, ...] = ()) -> Model:
-        """Build the physics; `further` terms are listed behind the springs and gravity [m/s^2]."""
+    def model(self, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), further: tuple[Force, ...] = ()) -> Model:
+        """Build the physics; `further` forces are listed behind the springs and gravity [m/s^2]."""
         first = np.arange(self.particle_count - 1)
         pairs = np.stack([first, first + 1], axis=1)
         law = self.law
-        terms: list[Term] = [PairSprings(pairs, law.rest_length, law.stiffness / law.rest_length, law.damping)]
+        forces: list[Force] = [PairSprings(pairs, law.rest_length, law.stiffness, law.damping)]
         if any(gravity):
-            terms.append(Gravity(self.masses(), gravity))
-        return Model(self.masses(), [*terms, *further], anchors=self.anchors)
+            forces.append(Gravity(gravity))
+        return Model(self.masses(), [*forces, *further], anchors=self.anchors)
 
     def state(self) -> State:
         """The chain at rest along x."""
@@ -171,6 +171,6 @@ def joint(pair: tuple[int, int], *, stiffness: float, k_d0: float, mass: float, 
         k_d0: dimensionless damping; critical: 2 with one end fixed, sqrt(2) between two free particles of the given
         mass.
         mass: mass of one particle [kg].
-        name: the term's name.
+        name: the force's name.
     """
     return PairSprings([pair], 0.0, stiffness, lecture_damping(k_d0, stiffness, mass), name=name)

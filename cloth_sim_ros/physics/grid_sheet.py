@@ -4,19 +4,19 @@
 
 from __future__ import annotations
 
-from functools import partial
+import math
+
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.kernels.grid_rows import FAMILIES
-from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
 from cloth_sim_ros.physics.material import Threads
 from cloth_sim_ros.physics.surface import Layout, Surface, grid_triangles
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
+from cloth_sim_ros.physics.parts import GridFamily
 
 
 @attrs.frozen(kw_only=True)
@@ -95,7 +95,15 @@ class GridSheet:
             k = k_s / length
             damping = k * retardation or float(lecture_damping(k_d0, k, mass))
             weak = name not in ("right", "down")
-            return GridFamily(name, k_s, length, damping, border=border, parity=parity, weak=weak)
+            return GridFamily(
+                name=name,
+                stiffness=k_s,
+                rest_length=length,
+                damping=damping,
+                border=border,
+                parity=parity,
+                weak=weak,
+            )
 
         terms = {
             "structural": [
@@ -113,7 +121,7 @@ class GridSheet:
                 "both": ([None], [None]),
             }
             lefts, rights = parities[self.layout]
-            length = float(np.hypot(hx, hy))
+            length = math.sqrt(hx * hx + hy * hy)
             terms["shear"] = [
                 *(family("diagonal", threads.diagonal, length, parity=parity) for parity in lefts),
                 *(family("antidiagonal", threads.diagonal, length, parity=parity) for parity in rights),
@@ -127,34 +135,9 @@ class GridSheet:
             terms["bend"] = bends
         return terms
 
-    def springs(self, named: dict[str, list[GridFamily]]) -> list[PairSprings]:
-        """The terms of `families` as springs between pairs, whose lists are made when they are asked for."""
-        return [
-            DeferredSprings(
-                partial(self._pairs, name, families),
-                name=name,
-                weak=families[0].weak,
-                damped=any(family.damping > 0.0 for family in families),
-            )
-            for name, families in named.items()
-        ]
-
-    def _pairs(self, name: str, families: list[GridFamily]) -> PairSprings:
-        index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
-        grid = GridSprings(self.rows, self.columns, families)
-        ends, rest, stiffness, damping = [], [], [], []
-        for family in families:
-            weights = np.stack([grid.weights(family, row) for row in range(self.rows)])
-            row, column = np.nonzero(weights)
-            weight = weights[row, column]
-            near, far = (index[row + down, column + right] for down, right in FAMILIES[family.name])
-            ends.append(np.stack([near, far], axis=1))
-            rest.append(np.full(len(near), family.rest_length))
-            stiffness.append(weight * (family.stiffness / family.rest_length))
-            damping.append(weight * family.damping)
-        return PairSprings(
-            *(np.concatenate(part) for part in (ends, rest, stiffness, damping)), name=name, weak=families[0].weak
-        )
+    def springs(self, named: dict[str, list[GridFamily]]) -> list[GridSprings]:
+        """The forces of `families`."""
+        return [GridSprings(self.rows, self.columns, families, name=name) for name, families in named.items()]
 
 
 def _border_weights(count: int) -> Array:

@@ -4,11 +4,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.kernels.grips import PATH_COLUMNS
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.angles import arctangent
+from cloth_sim_ros.physics.forces.force import Array
 
 
 def normalised(orientation: ArrayLike) -> Array:
@@ -18,37 +22,38 @@ def normalised(orientation: ArrayLike) -> Array:
         ValueError: if it is not finite or has no length.
     """
     q = np.asarray(orientation, dtype=np.float64)
-    length = float(np.sqrt(np.sum(q * q))) if q.shape == (4,) else 0.0
-    if not np.isfinite(length) or length < 1e-6:
+    length = 0.0
+    if q.shape == (4,):
+        x, y, z, w = q.tolist()
+        length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not math.isfinite(length) or length < 1e-6:
         raise ValueError(
             f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0"
         )
     return q / length
 
 
-def product(a: Array, b: Array) -> Array:
+def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
     """Return the quaternion product a b, (x, y, z, w): the rotation b followed by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
-    return np.array(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ]
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
     )
 
 
-def rotation_vector(start: Array, end: Array) -> Array:
+def rotation_vector(start: Sequence[float], end: Sequence[float]) -> Array:
     """Return the rotation vector [rad], shape (3,), of the shortest turn from one unit quaternion to another."""
-    x, y, z, w = product(end, np.array([-start[0], -start[1], -start[2], start[3]]))
+    x, y, z, w = product(end, (-start[0], -start[1], -start[2], start[3]))
     if w < 0.0:
         x, y, z, w = -x, -y, -z, -w
-    sine = float(np.sqrt(x * x + y * y + z * z))
-    # atan2(sine, w) / sine -> 1 as the turn vanishes.
-    scale = 2.0 * float(np.arctan2(sine, w)) / sine if sine > 1e-12 else 2.0
-    return scale * np.array([x, y, z])
+    sine = math.sqrt(x * x + y * y + z * z)
+    # atan(sine / w) / sine -> 1 as the turn vanishes.
+    scale = 2.0 * arctangent(sine, w) / sine if sine > 1e-12 else 2.0
+    return np.array([scale * x, scale * y, scale * z])
 
 
 def rotation_matrix(orientation: Array) -> Array:
@@ -80,21 +85,22 @@ def path_row(
         last_turn: displacement [m] and rotation vector [rad] over the frame before, shape (6,).
         target: pose at the frame's end, shape (7,).
     """
-    turn = np.concatenate([target[:3] - pose[:3], rotation_vector(pose[3:], target[3:])])
-    row = np.zeros(PATH_COLUMNS)
+    place, end = pose.tolist(), target.tolist()
+    turn = [end[i] - place[i] for i in range(3)] + rotation_vector(place[3:], end[3:]).tolist()
+    begin, before = twist.tolist(), last_turn.tolist()
+    row, end_twist = [0.0] * PATH_NUMBERS, [0.0] * 6
     row[0] = t
-    row[1:4] = pose[:3]
-    row[13:17] = pose[3:]
-    end_twist = np.zeros(6)
-    for part, first in ((slice(0, 3), 4), (slice(3, 6), 17)):
-        d = turn[part]
-        square = float(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        before = last_turn[part]
-        shared = float(d[0] * before[0] + d[1] * before[1] + d[2] * before[2])
-        end = d / duration * (min(1.0, max(0.0, shared / square)) if square > 0.0 else 0.0)
-        begin = twist[part]
-        row[first : first + 3] = begin
-        row[first + 3 : first + 6] = (3.0 * d / duration - 2.0 * begin - end) / duration
-        row[first + 6 : first + 9] = (begin + end - 2.0 * d / duration) / duration**2
-        end_twist[part] = end
-    return row, end_twist, turn
+    row[1:4], row[13:17] = place[:3], place[3:]
+    for part, first in ((0, 4), (3, 17)):
+        d, d0 = turn[part : part + 3], before[part : part + 3]
+        square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+        shared = d[0] * d0[0] + d[1] * d0[1] + d[2] * d0[2]
+        kept = min(1.0, max(0.0, shared / square)) if square > 0.0 else 0.0
+        for i in range(3):
+            mean, v = d[i] / duration, begin[part + i]
+            last = mean * kept
+            row[first + i] = v
+            row[first + 3 + i] = (3.0 * mean - 2.0 * v - last) / duration
+            row[first + 6 + i] = (v + last - 2.0 * mean) / (duration * duration)
+            end_twist[part + i] = last
+    return np.array(row), np.array(end_twist), np.array(turn)

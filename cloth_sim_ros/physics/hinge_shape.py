@@ -22,9 +22,16 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.angles import sine_and_cosine
+from cloth_sim_ros.physics.forces.force import Array
 
 Length = Literal["crossed", "altitude"]
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Return the scalar products of rows, shapes (m, 3)."""
+    products: Array = a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
+    return products
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -41,8 +48,10 @@ class HingeShape:
     """Foot of wing 0 along the edge, counted from its first end."""
     foot1: Array
     """Foot of wing 1 along the edge, counted from its first end."""
-    angle: Array
-    """Fold angle in (-π, π], 0 flat, positive where the wings rise to the side of the normal."""
+    cosine: Array
+    """Of the fold angle, 0 flat, positive where the wings rise to the side of the normal."""
+    sine: Array
+    """Of the fold angle."""
 
     @classmethod
     def of(cls, hinges: ArrayLike, positions: ArrayLike) -> HingeShape:
@@ -54,7 +63,7 @@ class HingeShape:
         quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
         x = np.asarray(positions, dtype=np.float64)
         start, along = x[quads[:, 0]], x[quads[:, 1]] - x[quads[:, 0]]
-        edge = np.linalg.norm(along, axis=1)
+        edge = np.sqrt(_dot(along, along))
         if np.any(edge == 0.0):
             bad = int(np.argmax(edge == 0.0))
             raise ValueError(f"hinge {bad} {quads[bad].tolist()} has an edge without length; weld its particles")
@@ -62,9 +71,9 @@ class HingeShape:
         feet, heights, sides = [], [], []
         for wing in (2, 3):
             to = x[quads[:, wing]] - start
-            foot = np.einsum("ij,ij->i", to, unit)
+            foot = _dot(to, unit)
             side = to - foot[:, None] * unit
-            height = np.linalg.norm(side, axis=1)
+            height = np.sqrt(_dot(side, side))
             flat = height <= 1e-9 * edge
             if np.any(flat):
                 bad = int(np.argmax(flat))
@@ -73,44 +82,48 @@ class HingeShape:
             heights.append(height)
             sides.append(side / height[:, None])
         # flat means that the wings stand on opposite sides: sides[0] = -sides[1]
-        sine = np.einsum("ij,ij->i", unit, np.cross(sides[0], sides[1]))
-        cosine = -np.einsum("ij,ij->i", sides[0], sides[1])
+        sine, cosine = _dot(unit, np.cross(sides[0], sides[1])), -_dot(sides[0], sides[1])
+        length = np.sqrt(sine * sine + cosine * cosine)
         return cls(
             edge=edge,
             height0=heights[0],
             height1=heights[1],
             foot0=feet[0],
             foot1=feet[1],
-            angle=np.arctan2(sine, cosine),
+            cosine=cosine / length,
+            sine=sine / length,
         )
 
     def at(self, angle: ArrayLike) -> HingeShape:
-        """Return the same triangles folded by `angle` [rad], one number or shape (m,)."""
-        return attrs.evolve(self, angle=np.array(np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape)))
+        """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π."""
+        angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape).tolist()
+        known = {each: sine_and_cosine(each) for each in set(angles)}
+        sine, cosine = np.array([known[each] for each in angles]).reshape(-1, 2).T
+        return attrs.evolve(self, cosine=np.ascontiguousarray(cosine), sine=np.ascontiguousarray(sine))
 
     def wing_distance(self) -> Array:
         """Return the distance L of the wings [m]: the length of S7."""
-        return np.sqrt(self._distance2(np.cos(self.angle)))
+        return np.sqrt(self._distance2(self.cosine))
 
     def wing_distance_slope(self) -> Array:
         """Return dL/dθ [m]."""
         distance = self.wing_distance()
-        turn = self.height0 * self.height1 * np.sin(self.angle)
+        turn = self.height0 * self.height1 * self.sine
         return np.divide(-turn, distance, out=np.zeros_like(turn), where=distance > 0.0)
 
     def length(self, kind: Length) -> Array:
         """Return the signed length h [m] of S8 (`crossed`) or S9 (`altitude`)."""
         a, b, c = self._areas(kind)
-        t = np.cos(self.angle)
+        t = self.cosine
         area = np.sqrt(np.maximum(a + b * t + c * t * t, 0.0))
-        return self._volume() * np.sin(self.angle) / area
+        return self._volume() * self.sine / area
 
     def length_slope(self, kind: Length) -> Array:
         """Return dh/dθ [m]: e h0 h1 / M when flat."""
         a, b, c = self._areas(kind)
-        t, s = np.cos(self.angle), np.sin(self.angle)
+        t, s = self.cosine, self.sine
         square = a + b * t + c * t * t
-        return self._volume() * (t / np.sqrt(square) + s * s * (b + 2.0 * c * t) / (2.0 * square**1.5))
+        return self._volume() * (t / np.sqrt(square) + s * s * (b + 2.0 * c * t) / (2.0 * square * np.sqrt(square)))
 
     def half_range_ratio(self, kind: Length) -> Array:
         """Return (largest h / half the range of L) over all folds.
@@ -134,18 +147,18 @@ class HingeShape:
         return self.edge * self.height0 * self.height1
 
     def _distance2(self, t: ArrayLike) -> Array:
-        across = self.height0**2 + self.height1**2 + 2.0 * self.height0 * self.height1 * np.asarray(t)
+        across = self.height0 * self.height0 + self.height1 * self.height1 + 2.0 * self.height0 * self.height1 * np.asarray(t)
         return np.maximum(across + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
         """Coefficients of M² = a + b t + c t² [m^4]."""
-        a = self.edge**2 * (self.height0**2 + self.height1**2)
+        a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":
-            return a, 2.0 * self.edge**2 * product, np.zeros_like(a)
+            return a, 2.0 * self.edge * self.edge * product, np.zeros_like(a)
         b = np.zeros_like(a)
         for end in (np.zeros_like(self.edge), self.edge):
             one, two = self.foot0 - end, self.foot1 - end
-            a = a + (one**2 + self.height0**2) * (two**2 + self.height1**2) - (one * two) ** 2
+            a = a + (one * one + self.height0 * self.height0) * (two * two + self.height1 * self.height1) - (one * two) ** 2
             b = b + 2.0 * product * one * two
-        return a, b, -2.0 * product**2
+        return a, b, -2.0 * product * product

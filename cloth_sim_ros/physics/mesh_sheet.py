@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.deferred_springs import DeferredSprings
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
 
 #: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
 #: the network.
@@ -62,27 +60,16 @@ class MeshSheet:
         ends, or, with a
         viscosity [N s/m], k viscosity / Y.
         """
-        make = partial(
-            self._edge_springs,
-            stretch_modulus=stretch_modulus,
-            k_d0=k_d0,
-            density=density,
-            viscosity=viscosity,
-            name=name,
-        )
-        return DeferredSprings(make, name=name, weak=False, damped=k_d0 > 0.0 or viscosity > 0.0)
-
-    def _edge_springs(
-        self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float, name: str
-    ) -> PairSprings:
         a, b = self.surface.edges.T
         away = self.rest[b] - self.rest[a]
-        square = np.sum(away * away, axis=1)
+        square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
         areas = np.append(self.areas(), 0.0)  # edge_triangles has -1 where there is none
-        stiffness = stretch_modulus * areas[self.surface.edge_triangles].sum(axis=1) / square
+        first, second = areas[self.surface.edge_triangles].T
+        stiffness = stretch_modulus * (first + second) / square
         masses = self.masses(density)
         if viscosity:
             damping = stiffness * (viscosity / stretch_modulus)
         else:
             damping = lecture_damping(k_d0, stiffness, 0.5 * (masses[a] + masses[b]))
-        return PairSprings(self.surface.edges, np.sqrt(square), stiffness, damping, name=name)
+        length = np.sqrt(square)
+        return PairSprings(self.surface.edges, length, stiffness * length, damping, name=name)

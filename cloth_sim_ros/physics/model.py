@@ -1,15 +1,17 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What does not change while a cloth moves: its masses, its anchored particles and its terms."""
+"""What does not change while a cloth moves: its masses, its anchored particles and its forces."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.engine.band import fixed_sum
+from cloth_sim_ros.physics.forces.force import Array, Force
 
 
 class Model:
@@ -17,14 +19,14 @@ class Model:
 
     Args:
         masses: particle masses [kg], shape (particle_count,), positive.
-        terms: the forces; names must differ.
+        forces: the forces; names must differ.
         anchors: indices of particles that hold their place.
 
     Raises:
-        ValueError: for a mass that is not positive and finite, an anchor out of range, or two terms of one name.
+        ValueError: for a mass that is not positive and finite, an anchor out of range, or two forces of one name.
     """
 
-    def __init__(self, masses: ArrayLike, terms: Sequence[Term], *, anchors: Iterable[int] = ()) -> None:
+    def __init__(self, masses: ArrayLike, forces: Sequence[Force], *, anchors: Iterable[int] = ()) -> None:
         self.masses: Array = np.array(masses, dtype=np.float64)
         if self.masses.ndim != 1 or self.masses.size == 0:
             raise ValueError(f"masses have shape {self.masses.shape}; give one mass a particle, at least one")
@@ -33,11 +35,11 @@ class Model:
             raise ValueError(
                 f"mass of particle {wrong[0]} is {self.masses[wrong[0]]} kg; it must be finite and above 0"
             )
-        self.terms = tuple(terms)
-        names = [term.name for term in self.terms]
+        self.forces = tuple(forces)
+        names = [force.name for force in self.forces]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"two terms are named '{name}'; give each its own name")
+                raise ValueError(f"two forces are named '{name}'; give each its own name")
         self.anchors = np.unique(np.fromiter(anchors, dtype=np.int64))
         if self.anchors.size and not (self.anchors[0] >= 0 and self.anchors[-1] < self.particle_count):
             raise ValueError(f"anchors {self.anchors.tolist()} must lie between 0 and {self.particle_count - 1}")
@@ -45,18 +47,23 @@ class Model:
         self.inverse_masses: Array = 1.0 / self.masses
         self.inverse_masses[self.anchors] = 0.0
 
+    @cached_property
+    def mass(self) -> float:
+        """Mass of all particles [kg]."""
+        return fixed_sum(self.masses)
+
     @property
     def particle_count(self) -> int:
         """Number of particles, anchored ones included."""
         return int(self.masses.size)
 
-    def term(self, name: str) -> Term:
-        """Return the term of that name.
+    def force(self, name: str) -> Force:
+        """Return the force of that name.
 
         Raises:
-            KeyError: if the model lists no such term.
+            KeyError: if the model has no such force.
         """
-        for term in self.terms:
-            if term.name == name:
-                return term
-        raise KeyError(f"no term '{name}'; the model has {[term.name for term in self.terms]}")
+        for force in self.forces:
+            if force.name == name:
+                return force
+        raise KeyError(f"no force '{name}'; the model has {[force.name for force in self.forces]}")

@@ -10,8 +10,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
@@ -80,7 +80,7 @@ class RawSprings:
             damping = lecture_damping(_numbers("k_d0", tables["k_d0"], len(pairs)), stiffness, mean)
         else:
             damping = _numbers("k_d", tables.get("k_d", 0.0), len(pairs))
-        term = PairSprings(pairs, rest, stiffness, damping)
+        term = PairSprings(pairs, rest, k_s, damping)
         return cls(start=positions, velocities=velocities, mass=masses, term=term, surface_triangles=triangles)
 
     def positions(self) -> Array:

@@ -19,14 +19,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Advance, restart
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array
 
 #: Name in ``State.memory``: calm frames in a row, and whether the sheet sleeps, shape (2,), int64. It is not there
 #: while the sheet moves.
@@ -46,17 +44,16 @@ class Sleep:
     """Follows one simulation's frames; all that it remembers lies in the state.
 
     Args:
-        dynamics: equations of motion.
+        plan: equations of motion.
         tolerance: the tolerance in force [m]; None where there is none, and then nothing sleeps.
         period: length of a frame [s].
     """
 
-    def __init__(self, dynamics: Dynamics, *, tolerance: float | None, period: float) -> None:
-        self._dynamics = dynamics
+    def __init__(self, plan: Plan, *, tolerance: float | None, period: float) -> None:
+        self._plan = plan
         self._tolerance = tolerance or 0.0
         self._frames = max(2, math.ceil(CALM / period))
-        drag = sum(term.rate for term in dynamics.model.terms if isinstance(term, Drag))
-        self._speed = self._tolerance * min(DRIFT, max(0.5 * drag, _LEAST_RATE))
+        self._speed = self._tolerance * min(DRIFT, max(0.5 * plan.drag, _LEAST_RATE))
         self._error = DRIFT * self._tolerance * period
 
     def follow(self, state: State, t: float) -> bool:
@@ -80,13 +77,13 @@ class Sleep:
 
     def rests(self, state: State, t: float) -> bool:
         """Whether the state would stay where it is, let go at rest at time t [s], by the rule above."""
-        model = self._dynamics.model
+        model = self._plan.model
         if not self._tolerance or not self._steady() or state.v[:, model.anchors].any():
             return False
         acceleration = np.empty_like(state.x)
-        self._dynamics.acceleration(t, state.x, np.zeros_like(state.v), acceleration)
+        self._plan.accelerations(t, state.x, np.zeros_like(state.v), acceleration)
         coordinate = max(float(state.x.max()), -float(state.x.min()))
-        omega2, _ = self._dynamics.rates(state.x)
+        omega2, _ = self._plan.rates(state.x)
         rounding = _ROUNDINGS * float(np.finfo(np.float64).eps) * omega2 * coordinate
         return bool(all_below(acceleration, max(2.0 * DRIFT * self._tolerance, rounding)))
 
@@ -111,7 +108,7 @@ class Sleep:
         )
 
     def _steady(self) -> bool:
-        return all(term.steady() for term in self._dynamics.model.terms)
+        return self._plan.steady()
 
     def _calm(self, state: State) -> bool:
         return bool(self._tolerance) and bool(all_below(state.v, self._speed)) and self._steady()
@@ -130,15 +127,11 @@ def wake(state: State) -> None:
     state.memory.pop(MEMORY, None)
 
 
-@numba.njit(cache=True, nogil=True)
 def all_below(vectors: Array, limit: float) -> bool:
-    """Return whether every vector of an array (3, n) is at most as long as the limit; False for one that is not finite.
-
-    From the last to the first: the first ones are often anchored, and a sheet that moves is known by one particle.
-    """
-    most = limit * limit
-    for i in range(vectors.shape[1] - 1, -1, -1):
-        square = vectors[0, i] ** 2 + vectors[1, i] ** 2 + vectors[2, i] ** 2
-        if not square <= most:
-            return False
-    return True
+    """Return whether every vector of an array (3, n) is at most as long as the limit; False for one that is not finite."""
+    # A sheet that moves is known by its last particle: the first ones are often anchored.
+    x, y, z = vectors[:, -1].tolist()
+    if not x * x + y * y + z * z <= limit * limit:
+        return False
+    square = vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
+    return bool((square <= limit * limit).all())

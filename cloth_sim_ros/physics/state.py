@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics import npz, state_memory
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 _FRAME = "frame"
 _POSITION = "position"

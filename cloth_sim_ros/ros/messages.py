@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 _SECOND = 1_000_000_000
 #: CDR, little endian, as every ROS 2 middleware sends.

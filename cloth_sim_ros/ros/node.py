@@ -14,7 +14,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from cloth_sim_ros.events import Reset, SetParameters
-from cloth_sim_ros.rehearsal import rehearse
 from cloth_sim_ros.ros import diagnostics, parameters
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
@@ -136,14 +135,11 @@ class ClothNode:
         return self._outputs.published
 
     def warm_up(self) -> None:
-        """Compile what a frame needs, on a cloth that is thrown away, ahead of the first frame that is due.
+        """Load what recording needs, ahead of the first frame that is due.
 
         Raises:
-            ValueError: if the scene can't be stepped.
             StopRequestedError: if a signal came meanwhile.
         """
-        self.node.get_logger().info("preparing the kernels; the first start compiles them, which may take a while")
-        self._aside(lambda: rehearse(self._simulation.scene))
         self._recording.prepare()
 
     def start(self) -> None:

@@ -16,7 +16,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
 from cloth_sim_ros.scene import Scene
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene import Scene
 
 #: Above this many edges the report would hold up frames.

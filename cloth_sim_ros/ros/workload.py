@@ -8,7 +8,7 @@ The library itself has no such bound; a run of millions of steps is a fair thing
 from __future__ import annotations
 
 from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene import Scene
 
 #: Most particle steps in a frame: about a second of the slowest kernels.
@@ -32,7 +32,7 @@ def refuse_endless_frames(scene: Scene, x: Array) -> None:
     particles = x.shape[1]
     step, why = scene.step, f"step is {scene.step} s"
     if not step:
-        step = scene.build_integrator().step_limit(*scene.dynamics().rates(x))
+        step = scene.build_integrator().step_limit(*scene.plan().rates(x))
         why = f"the stability limit of '{scene.integrator}' is {step:.3g} s"
     # A frame of ten seconds may take longer than one of a sixtieth.
     patience = max(1.0, 2.0 * scene.period)

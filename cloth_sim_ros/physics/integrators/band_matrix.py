@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
 
 _Index = NDArray[np.int64]
 

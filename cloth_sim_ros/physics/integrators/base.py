@@ -10,25 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
-
-
-class Observer(ABC):
-    """Integrates quantities along the motion, without changing a bit of it.
-
-    Integrators call it at quadrature points: the sum of weight * g(t, x, v) is the time integral of g over the
-    advance, at the integrator's order.
-    """
-
-    @abstractmethod
-    def restart(self) -> None:
-        """Forget what was observed since the advance began: it is attempted anew."""
-
-    @abstractmethod
-    def observe(self, t: float, x: Array, v: Array, weight: float) -> None:
-        """Take note of one quadrature point; the arrays may only be read, and only during the call."""
 
 
 class UnstableError(RuntimeError):
@@ -81,7 +65,7 @@ class Integrator(ABC):
 
     @abstractmethod
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
     ) -> Advance:
         """Advance ``state`` from time t [s] by duration [s].
 

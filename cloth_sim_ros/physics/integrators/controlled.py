@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.dynamics import THOROUGH, Dynamics, Economy
-from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, Observer, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.control import (
@@ -32,14 +34,12 @@ from cloth_sim_ros.physics.integrators.control import (
     hopeless,
 )
 from cloth_sim_ros.physics.integrators.economies import Economies
+from cloth_sim_ros.physics.integrators.economy import THOROUGH, Economy
 from cloth_sim_ros.physics.integrators.energy_guard import EnergyGuard
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.integrators.last_resort import last_resort, within_reach
-from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
-from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.drag import Drag
-from cloth_sim_ros.physics.terms.grips import Grips
 
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
 LONGEST_STRETCH = 0.04
@@ -52,13 +52,13 @@ class ControlledAdvance:
     def __init__(
         self,
         options: Options,
-        dynamics: Dynamics,
+        plan: Plan,
         state: State,
         t: float,
         duration: float,
-        observer: Observer | None,
+        book: Book | None,
     ) -> None:
-        self._options, self._dynamics, self._state, self._observer = options, dynamics, state, observer
+        self._options, self._plan, self._state, self._book = options, plan, state, book
         self._t, self._duration = t, duration
         # What is not extrapolated need not be cut.
         single = options.columns == 1 and options.tolerance is None
@@ -70,7 +70,7 @@ class ControlledAdvance:
         if abs(memory.stretch - self._stretch) > 1e-6 * self._stretch:
             memory.stretch, memory.wait, memory.rounding, memory.alternating = self._stretch, 0, -1.0, -1.0
         self._memory = memory
-        self._economies = Economies(dynamics, memory, self._stretch, self._budget)
+        self._economies = Economies(plan, memory, self._stretch, self._budget)
         columns = min(memory.columns, options.columns) if controlled else options.columns
         if not controlled and memory.wait <= 0:
             # What the guard asked for is tried with larger steps from time to time.
@@ -84,28 +84,25 @@ class ControlledAdvance:
         #: Whether no advance was before this one since the last restart.
         self._begins = memory.softest < 0.0
         #: Whether a motion that no bound of its stiffness foretells may be kicked.
-        self._boundless = any(term.boundless for term in dynamics.model.terms)
+        self._boundless = any(force.boundless for force in plan.model.forces)
 
     def run(self) -> Advance:
         """Do it."""
         options, state, memory = self._options, self._state, self._memory
         if memory.omega2 < 0.0:
-            memory.omega2, memory.damping = self._dynamics.rates(state.x)
+            memory.omega2, memory.damping = self._plan.rates(state.x)
         limit = options.step_limit(memory.omega2, memory.damping)
         self._lost = self._out_of_reach(limit)
-        if options.step is not None and options.step > limit and not self._lost:
-            # Blocks bound it from below.
-            limit = sharp_step_limit(self._dynamics, self._t, state.x, limit)
-            if MEMORY not in state.memory:
-                refuse_unstable(options.step, limit, options.name)
+        if options.step is not None and options.step > limit and not self._lost and MEMORY not in state.memory:
+            refuse_unstable(options.step, limit, options.name)
         self._limit = limit
         if self._choice.judge:
             self._economies.prepare(self._t, state, limit)
         start, begun = state.share(), (memory.omega2, memory.damping)
         rejected = 0
         while True:
-            if self._observer is not None:
-                self._observer.restart()
+            if self._book is not None:
+                self._book.restart()
             if self._lost:
                 return self._last_resort(rejected)
             self._flagged = self._steps = 0
@@ -119,7 +116,7 @@ class ControlledAdvance:
             state.x, state.v = start.x, start.v
             memory.omega2, memory.damping = begun
             rejected += 1
-            self._lost = self._lost or (rejected == _ATTEMPTS and within_reach(self._dynamics))
+            self._lost = self._lost or (rejected == _ATTEMPTS and within_reach(self._plan))
             if rejected >= _ATTEMPTS and not self._lost:
                 raise UnstableError(
                     f"{options.name}: no step down to {self._stretch / self._first:.3g} s "
@@ -143,7 +140,7 @@ class ControlledAdvance:
     def _last_resort(self, rejected: int) -> Advance:
         self._memory.store(self._state)
         done = last_resort(
-            self._dynamics, self._state, self._t, self._duration, self._observer, instead_of=self._options.name
+            self._plan, self._state, self._t, self._duration, self._book, instead_of=self._options.name
         )
         return done._replace(
             evaluations=self._evaluations + done.evaluations,
@@ -183,9 +180,10 @@ class ControlledAdvance:
         columns = self._columns(part, t, start, economy)
         self._saved = economy
         before = columns.evaluations
-        if not columns.finite(choice.columns):
+        told = columns.told(choice.columns)
+        if not told.finite:
             self._evaluations += columns.evaluations - before
-            if choice.refine >= FINEST and not within_reach(self._dynamics):
+            if choice.refine >= FINEST and not within_reach(self._plan):
                 raise UnstableError(
                     f"{self._options.name}: not finite even by steps of {self._stretch / self._first:.3g} s"
                 )
@@ -194,23 +192,21 @@ class ControlledAdvance:
             return None
         error: float | None = 0.0
         if self._options.tolerance is not None:
-            error = self._error(columns)
+            error = self._error(columns, told.activity)
         self._evaluations += columns.evaluations - before
         if error is None:
             return None
         x, v = columns.combine(choice.columns)
-        omega2, damping = self._dynamics.rates(x)
+        omega2, damping = told.omega2, told.damping
         limit = self._options.step_limit(omega2, damping)
         h = self._stretch / self._first
         self._lost = self._out_of_reach(limit)
-        if not h <= limit and self._options.step is not None and not self._lost:
-            limit = sharp_step_limit(self._dynamics, t + self._stretch, x, limit)
         if self._lost or not h <= limit:
             self._limit = limit
             self._retry(choice.columns, choice.refine)
             return None
         if self._watches_energy(omega2):
-            guard, before = EnergyGuard(self._dynamics, t, state.x, state.v), columns.evaluations
+            guard, before = EnergyGuard(self._plan, t, state.x, state.v), columns.evaluations
             finest = choice.refine >= FINEST
             # What is left of many small gains is no reason to give up.
             known = 0.0 if finest else self._memory.made
@@ -224,6 +220,8 @@ class ControlledAdvance:
             self._memory.made = made
         self._limit = min(self._limit, limit) if part + 1 < self._parts else self._limit
         self._memory.omega2, self._memory.damping = omega2, damping
+        if self._book is not None:
+            columns.note(choice.columns, self._book)
         self._steps += sum(columns.counts[: choice.columns])
         state.x, state.v = x, v
         return error
@@ -235,7 +233,7 @@ class ControlledAdvance:
         # A fixed step that goes on was stable once.
         once = options.step if options.step is not None and known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), self._stretch))
-        return limit < memory.longest / FINEST and within_reach(self._dynamics)
+        return limit < memory.longest / FINEST and within_reach(self._plan)
 
     def _watches_energy(self, omega2: float) -> bool:
         """Whether a result's energy has to be looked at.
@@ -244,7 +242,7 @@ class ControlledAdvance:
         grow where stiffness changes, or where the error is beyond all help.
         """
         memory, choice = self._memory, self._choice
-        if choice.refine >= FINEST and not within_reach(self._dynamics):
+        if choice.refine >= FINEST and not within_reach(self._plan):
             return False
         if choice.columns > 1:
             return self._undamped()
@@ -257,8 +255,8 @@ class ControlledAdvance:
 
     def _undamped(self) -> bool:
         """Whether fast waves last for a stretch. Grips damp what they hold alone; air damps all waves a little."""
-        springs = (term for term in self._dynamics.model.terms if not isinstance(term, Grips | Drag))
-        return self._memory.damping * self._stretch < UNDAMPED or not any(term.damped for term in springs)
+        springs = (force for force in self._plan.model.forces if not isinstance(force, Grips | Drag))
+        return self._memory.damping * self._stretch < UNDAMPED or not any(force.damped for force in springs)
 
     def _refine_for_energy(self) -> None:
         memory = self._memory
@@ -268,26 +266,21 @@ class ControlledAdvance:
         self._retry(self._choice.columns, memory.refine)
 
     def _columns(self, part: int, t: float, start: State, economy: Economy) -> Columns:
-        """The runs of a stretch; those of the first are kept over attempts with the same steps, unless somebody looks
-        on.
-        """
+        """The runs of a stretch; those of the first are kept over attempts with the same steps."""
         counts = step_counts(self._first, MOST_COLUMNS + 1)
         kept = self._kept
         if part == 0 and kept is not None and kept.counts == counts and kept.economy == economy:
-            if kept.serves(self._choice.columns):
-                return kept
-            self._kept = None
+            return kept
         columns = Columns(
-            self._dynamics,
+            self._plan,
             start if part == 0 else self._state,
             t,
             self._stretch,
             counts,
-            observer=self._observer,
-            taken=self._choice.columns,
+            powers=self._book is not None and self._book.powers,
             economy=economy,
         )
-        if part == 0 and self._observer is None:
+        if part == 0:
             self._kept = columns
         return columns
 
@@ -303,10 +296,9 @@ class ControlledAdvance:
     def _retry(self, columns: int, refine: float) -> None:
         self._choice = Choice(columns, refine, self._choice.judge)
 
-    def _error(self, columns: Columns) -> float | None:
+    def _error(self, columns: Columns, activity: float) -> float | None:
         """Return the stretch's estimated error [m], or None after choosing what to try next."""
         memory, choice = self._memory, self._choice
-        activity = float(largest_distance(columns.velocities(choice.columns), self._state.v))
         if not choice.judge:
             if choice.columns == 1:
                 estimate = self._economies.estimate(columns.economy, activity)

@@ -11,9 +11,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from cloth_sim_ros.physics.dynamics import Dynamics, Economy
 from cloth_sim_ros.physics.integrators.control import (
     ALTERNATE_LEAST,
     ALTERNATE_SHARE,
@@ -28,9 +25,9 @@ from cloth_sim_ros.physics.integrators.control import (
     ROUNDING_PART,
     Memory,
 )
+from cloth_sim_ros.physics.integrators.economy import Economy
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
-from cloth_sim_ros.physics.integrators.march import leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import any_further, largest_distance
+from cloth_sim_ros.physics.plan import Plan, largest_distance
 from cloth_sim_ros.physics.state import State
 
 
@@ -38,14 +35,14 @@ class Economies:
     """The choice of one advance.
 
     Args:
-        dynamics: equations of motion.
+        plan: equations of motion.
         memory: what was measured, and is to be remembered.
         stretch: length of a stretch [s].
         budget: error that it may have [m].
     """
 
-    def __init__(self, dynamics: Dynamics, memory: Memory, stretch: float, budget: float) -> None:
-        self._dynamics, self._memory, self._stretch, self._budget = dynamics, memory, stretch, budget
+    def __init__(self, plan: Plan, memory: Memory, stretch: float, budget: float) -> None:
+        self._plan, self._memory, self._stretch, self._budget = plan, memory, stretch, budget
 
     def of(self, state: State) -> Economy:
         """Return what a run from this state saves on."""
@@ -53,8 +50,7 @@ class Economies:
 
     def share(self, economy: Economy, otherwise: float) -> float:
         """Return the share of the step limit that runs take, `otherwise` where they save on no springs."""
-        plan = self._dynamics.plan
-        return min(otherwise, plan.alternate_share) if economy.alternate and plan is not None else otherwise
+        return min(otherwise, self._plan.alternate_share) if economy.alternate else otherwise
 
     def estimate(self, economy: Economy, activity: float) -> float:
         """Return the error [m] of a run that was not judged, from the last judgement; `activity` [m/s] says how violent
@@ -74,8 +70,8 @@ class Economies:
         What single precision changes does not grow with the number of steps: positions carry what rounding takes, and
         what is left is a last bit of the sheet's extent.
         """
-        memory, plan = self._memory, self._dynamics.plan
-        if plan is None or memory.columns > 1:
+        memory, plan = self._memory, self._plan
+        if memory.columns > 1:
             return
         extent = _extent(state)
         if memory.rounding < 0.0 and NARROW_LEAST * extent <= NARROW_SHARE * self._budget and plan.narrows():
@@ -91,7 +87,8 @@ class Economies:
         rounding = self._memory.rounding
         if not 0.0 <= rounding <= NARROW_SHARE * self._budget:
             return False
-        return bool(any_further(state.v, self._stretch, NARROW_MOTION * rounding))
+        fastest = max(float(state.v.max()), -float(state.v.min()))
+        return fastest * self._stretch > NARROW_MOTION * rounding
 
     def _alternates(self) -> bool:
         memory = self._memory
@@ -100,10 +97,10 @@ class Economies:
 
     def _may_alternate(self, extent: float) -> bool:
         """Whether leaving out weak springs comes into question: it is not tried where it can't fit the budget."""
-        memory, plan = self._memory, self._dynamics.plan
+        memory, plan = self._memory, self._plan
         far = memory.refine == 1.0 and memory.error <= FAR * self._budget
         fits = ALTERNATE_LEAST * extent <= ALTERNATE_SHARE * self._budget
-        if plan is None or not far or not fits or plan.alternate_share == 0.0:
+        if not far or not fits or plan.alternate_share == 0.0:
             return False
         if memory.stiffest < 0.0:
             memory.stiffest = plan.alternate_stiffest()
@@ -112,11 +109,11 @@ class Economies:
     def _rounding(self, t: float, state: State, step: float) -> float:
         """Largest distance of a particle [m] after a part of a stretch in single precision from the same in double."""
         steps = max(1, steps_for(self._stretch, step) // ROUNDING_PART)
-        ends = [np.empty_like(state.x) for _ in range(2)]
-        for end, narrow in zip(ends, (False, True), strict=True):
-            economy = Economy(narrow=narrow)
-            leapfrog(self._dynamics, t, end, None, step, steps, economy=economy, start=(state.x, state.v))
-        return float(largest_distance(*ends))
+        ends = [
+            self._plan.runs(t, steps * step, (state.x, state.v), [steps], narrow=narrow)[0][0].x
+            for narrow in (False, True)
+        ]
+        return largest_distance(*ends)
 
 
 def _extent(state: State) -> float:

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.terms.base import Array
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan, weighted_dot
 
 #: Energy that may be made in all, relative to the kinetic energy, and to all energy (rounding).
 _SHARE, _ROUNDING = 2e-3, 1e-12
@@ -29,14 +29,14 @@ class EnergyGuard:
     """Judges runs that start from one state.
 
     Args:
-        dynamics: equations of motion.
+        plan: equations of motion.
         t: time at the start [s].
         x: positions at the start (3, n) [m]; kept, so nobody may write into them.
         v: velocities at the start (3, n) [m/s]; likewise.
     """
 
-    def __init__(self, dynamics: Dynamics, t: float, x: Array, v: Array) -> None:
-        self._dynamics, self._t, self._x, self._v = dynamics, t, x, v
+    def __init__(self, plan: Plan, t: float, x: Array, v: Array) -> None:
+        self._plan, self._t, self._x, self._v = plan, t, x, v
 
     def made(
         self, t: float, x: Array, v: Array, step: float, before: float, *, work: float, begins: bool
@@ -56,10 +56,10 @@ class EnergyGuard:
             Energy that is made by now [J], and whether the run made more than may be; nothing where air moves, whose
             work is not known.
         """
-        if self._dynamics.supply(self._t, self._x, self._v) or self._dynamics.supply(t, x, v):
+        if self._plan.supply(self._t, self._x, self._v) or self._plan.supply(t, x, v):
             return before, False
-        start = own_energy(self._dynamics, self._t, self._x, self._v, step)
-        rise = own_energy(self._dynamics, t, x, v, step) - start - work
+        start = own_energy(self._plan, self._t, self._x, self._v, step)
+        rise = own_energy(self._plan, t, x, v, step) - start - work
         moved = max(self._kinetic(self._v), self._kinetic(v)) + abs(work)
         little = _ROUNDING * abs(start) + self._noise(x)
         most = _SHARE * moved + little
@@ -67,7 +67,7 @@ class EnergyGuard:
         if not np.isfinite(rise):
             return before, True
         if begins:
-            swing = self._dynamics.energy(t, x, v) - self._dynamics.energy(self._t, self._x, self._v) - work
+            swing = self._plan.energy(t, x, v) - self._plan.energy(self._t, self._x, self._v) - work
             if swing > _SWING * moved + little:
                 return min(made, most), True
         return min(made, most), rise > 0.0 and made > most
@@ -75,16 +75,16 @@ class EnergyGuard:
     def _noise(self, x: Array) -> float:
         """Energy [J] of a sheet at rest that rounding of its coordinates leaves: w^2 / 2 times their squares."""
         place = _ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
-        omega2, _ = self._dynamics.rates(x)
-        return 0.5 * float(self._dynamics.model.masses.sum()) * omega2 * place * place
+        omega2, _ = self._plan.rates(x)
+        return 0.5 * self._plan.model.mass * omega2 * place * place
 
     def _kinetic(self, v: Array) -> float:
-        return 0.5 * float(np.sum(self._dynamics.model.masses * v * v))
+        return self._plan.energies(self._t, self._x, v)[0]
 
 
-def own_energy(dynamics: Dynamics, t: float, x: Array, v: Array, step: float) -> float:
+def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
     """Return the leapfrog's own energy [J] at steps of a length [s]; v'Kv by the forces half a step ahead and back."""
     still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
-    dynamics.acceleration(t, x + 0.5 * step * v, still, ahead)
-    dynamics.acceleration(t, x - 0.5 * step * v, still, back)
-    return dynamics.energy(t, x, v) + 0.125 * step * float(np.sum(dynamics.model.masses * v * (ahead - back)))
+    plan.accelerations(t, x + 0.5 * step * v, still, ahead)
+    plan.accelerations(t, x - 0.5 * step * v, still, back)
+    return plan.energy(t, x, v) + 0.125 * step * weighted_dot(plan.model.masses, v, ahead - back)

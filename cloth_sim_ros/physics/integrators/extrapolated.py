@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, Observer, check_step, check_tolerance
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
 from cloth_sim_ros.physics.integrators.control import MOST_COLUMNS
 from cloth_sim_ros.physics.integrators.controlled import ControlledAdvance
-from cloth_sim_ros.physics.integrators.march import leapfrog_limit
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 
@@ -21,7 +22,7 @@ class Extrapolated(Integrator):
     the latter. A further column is run at least every 16 frames, after every event and whenever the motion becomes
     livelier; in between the difference of the columns at hand is scaled by what the last judgement said. Without
     damping, modes near the step limit grow slowly under extrapolation: there the estimate grows with them and makes
-    the steps smaller; prefer `runge_kutta` for long undamped runs at tight tolerances.
+    the steps smaller.
 
     Order 2 to 5. Force evaluations a step of the first column: 1, 2.25, 3.75, 5.75 for 1, 2, 3, 4 columns. For
     damping up to critical.
@@ -57,6 +58,6 @@ class Extrapolated(Integrator):
         return leapfrog_limit(omega2, damping_rate)
 
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
     ) -> Advance:
-        return ControlledAdvance(self, dynamics, state, t, duration, observer).run()
+        return ControlledAdvance(self, plan, state, t, duration, book).run()

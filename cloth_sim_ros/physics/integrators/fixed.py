@@ -7,9 +7,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, Observer, UnstableError, refuse_unstable
-from cloth_sim_ros.physics.kernels.leapfrog import all_finite
+import numpy as np
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 #: Fraction of the step limit that is used: room for stiffening by stretch within one advance.
@@ -26,11 +28,11 @@ def steps_for(duration: float, step: float) -> int:
 def advance_fixed(
     integrator: Integrator,
     run: Callable[[float, int], int],
-    dynamics: Dynamics,
+    plan: Plan,
     state: State,
     duration: float,
     step: float | None,
-    observer: Observer | None,
+    book: Book | None,
 ) -> Advance:
     """Run an explicit method with equal steps; without a given step take `SAFETY` of its limit, smaller if the motion
     stiffens.
@@ -38,17 +40,17 @@ def advance_fixed(
     Args:
         integrator: gives the limit and the name.
         run: advances the state by so many steps of h; returns its force evaluations.
-        dynamics: equations of motion.
+        plan: equations of motion.
         state: advanced in place.
         duration: time to advance [s].
         step: the user's largest step [s], or None.
-        observer: told of every new attempt.
+        book: begun anew with every attempt.
 
     Raises:
         ValueError: if the given step is above the limit.
         UnstableError: if the motion does not stay finite.
     """
-    limit = integrator.step_limit(*dynamics.rates(state.x))
+    limit = integrator.step_limit(*plan.rates(state.x))
     if step is not None:
         refuse_unstable(step, limit, integrator.name)
     h_most = SAFETY * limit if step is None else step
@@ -59,11 +61,11 @@ def advance_fixed(
     while True:
         steps = steps_for(duration, h_most)
         h = duration / steps
-        if observer is not None:
-            observer.restart()
+        if book is not None:
+            book.restart()
         evaluations += run(h, steps)
-        finite = all_finite(state.x, state.v)
-        if finite and (step is not None or h <= integrator.step_limit(*dynamics.rates(state.x))):
+        finite = bool(np.isfinite(state.x).all() and np.isfinite(state.v).all())
+        if finite and (step is not None or h <= integrator.step_limit(*plan.rates(state.x))):
             break
         if step is not None:
             raise UnstableError(

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, Observer, check_step, check_tolerance
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 #: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
@@ -54,11 +55,11 @@ class Implicit(Integrator):
         return math.inf
 
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
     ) -> Advance:
         from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
 
-        return ImplicitAdvance(self, dynamics, state, t, duration, observer).run()
+        return ImplicitAdvance(self, plan, state, t, duration, book).run()
 
 
 def error_constant() -> float:

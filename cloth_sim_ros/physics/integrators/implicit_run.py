@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from cloth_sim_ros.engine.band import fixed_sum
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
+from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.terms.base import Array
-from cloth_sim_ros.physics.terms.grips import Grips
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
@@ -69,18 +68,18 @@ class ImplicitAdvance:
     def __init__(
         self,
         integrator: Implicit,
-        dynamics: Dynamics,
+        plan: Plan,
         state: State,
         t: float,
         duration: float,
-        observer: Observer | None,
+        book: Book | None,
     ) -> None:
-        self._integrator, self._dynamics, self._state, self._observer = integrator, dynamics, state, observer
+        self._integrator, self._plan, self._state, self._book = integrator, plan, state, book
         self._t, self._duration = t, duration
         tolerance = integrator.tolerance
         self._budget = math.inf if tolerance is None else SHARE_PER_SECOND * duration * tolerance
         self._memory = Memory.of(state)
-        self._matrix = stage_matrix(dynamics)
+        self._matrix = stage_matrix(plan.model)
         self._evaluations = 0
 
     def run(self) -> Advance:
@@ -90,8 +89,8 @@ class ImplicitAdvance:
         steps = max(least, steps_for(self._duration, memory.stretch)) if memory.stretch > 0.0 else least
         start, rejected = state.share(), 0
         while True:
-            if self._observer is not None:
-                self._observer.restart()
+            if self._book is not None:
+                self._book.restart()
             self._last_resort = steps >= LAST_STEPS
             error = self._steps(steps)
             if error is not None and (error <= self._budget or steps >= MOST_STEPS or self._unsolved):
@@ -145,7 +144,7 @@ class ImplicitAdvance:
         self._curvature, self._unsolved = math.inf, 0
         state, total = self._state, 0.0
         guess = np.empty_like(state.x)
-        self._dynamics.acceleration(self._t, state.x, state.v, guess)
+        self._plan.accelerations(self._t, state.x, state.v, guess)
         for k in range(steps):
             t = self._t + k * h
             done = self._step(t, h, guess)
@@ -155,9 +154,9 @@ class ImplicitAdvance:
                 done = self._safe_step(t, h, guess)
             if done is None:
                 return None
-            if self._observer is not None:
+            if self._book is not None:
                 for moment, weight, x, v in done.stages:
-                    self._observer.observe(moment, x, v, weight)
+                    note(self._book, self._plan, moment, x, v, weight)
             state.x, state.v, guess = done.x, done.v, done.a
             total += done.error
         return total if np.isfinite(state.x).all() and np.isfinite(state.v).all() else None
@@ -206,26 +205,23 @@ class ImplicitAdvance:
 
     def _gain(self, t: float, h: float, done: _Step) -> tuple[float, float]:
         """Energy after a step less what there was and what grippers and air put in, and the kinetic energy then [J]."""
-        before = self._dynamics.energy(t, self._state.x, self._state.v)
-        after = self._dynamics.energy(t + h, done.x, done.v)
-        kinetic = 0.5 * fixed_sum(self._dynamics.model.masses * done.v * done.v)
+        before = self._plan.energy(t, self._state.x, self._state.v)
+        after = self._plan.energy(t + h, done.x, done.v)
+        kinetic = self._plan.energies(t + h, done.x, done.v)[0]
         return after - before - self._work(done) - _ROUNDING * abs(before), kinetic
 
     def _work(self, done: _Step) -> float:
-        """Work of the grippers and of moving air over a step [J], as an observer sees it."""
-        work, nothing = 0.0, np.zeros_like(done.x)
+        """Work of the grippers and of moving air over a step [J], as a book notes it."""
+        work = 0.0
         for moment, weight, x, v in done.stages:
-            work += weight * self._dynamics.supply(moment, x, v)
-        for term in self._dynamics.model.terms:
-            if isinstance(term, Grips) and term.particles.size:
-                for moment, weight, x, v in done.stages:
-                    term.add_force(moment, x, v, nothing)
-                    work += weight * fixed_sum(term.wrenches[:, 6].copy())
+            work += weight * self._plan.supply(moment, x, v)
+            if self._plan.gripper_count:
+                work = sum(self._plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), work)
         return work
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
         """Solve a = a(t, x + d u, u), u = v + d a; return u and a, or None if it does not converge."""
-        moving = self._dynamics.model.inverse_masses > 0.0
+        moving = self._plan.model.inverse_masses > 0.0
         u = v + d * guess * moving
         last = math.inf
         for iteration in range(MOST_ITERATIONS):
@@ -248,7 +244,7 @@ class ImplicitAdvance:
 
     def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
         """Return velocities u of a stage that lower what it minimises, from the best of some starts; one is rest."""
-        starts = [v + d * guess * (self._dynamics.model.inverse_masses > 0.0), v.copy(), np.zeros_like(v)]
+        starts = [v + d * guess * (self._plan.model.inverse_masses > 0.0), v.copy(), np.zeros_like(v)]
         merits = [self._merit(t, x, v, d, start) for start in starts]
         best = min(range(len(starts)), key=lambda i: merits[i] if math.isfinite(merits[i]) else math.inf)
         u = starts[best]
@@ -262,11 +258,11 @@ class ImplicitAdvance:
 
     def _correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
         """Newton's correction of a stage's velocities."""
-        masses = self._dynamics.model.masses
+        masses = self._plan.model.masses
         place, a = x + d * u, np.empty_like(x)
-        self._dynamics.acceleration(t, place, u, a)
+        self._plan.accelerations(t, place, u, a)
         self._evaluations += 1
-        correction = masses * (v + d * a - u) * (self._dynamics.model.inverse_masses > 0.0)
+        correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
         self._matrix.update(place, d)
         self._matrix.solve(correction)
         return correction
@@ -285,8 +281,8 @@ class ImplicitAdvance:
     def _merit(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
         place = x + d * u
         # Moving air pushes with a force that is nearly constant, and has no energy of its own.
-        slip = 0.5 * self._dynamics.dissipation(t, place, u) - self._dynamics.supply(t, place, u)
-        return self._dynamics.energy(t, place, u - v) + d * slip
+        slip = 0.5 * self._plan.dissipation(t, place, u) - self._plan.supply(t, place, u)
+        return self._plan.energy(t, place, u - v) + d * slip
 
 
 def _largest(vectors: Array) -> float:

@@ -11,46 +11,47 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Observer, UnstableError
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.integrators.control import HOPELESS, Memory
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 #: Sheets of more particles are always stepped explicitly: one implicit frame would take half a minute and gigabytes.
 MOST_IMPLICIT = 50_000
 
 
-def within_reach(dynamics: Dynamics) -> bool:
+def within_reach(plan: Plan) -> bool:
     """Whether the implicit method comes into question for a sheet of this size."""
-    return dynamics.model.particle_count <= MOST_IMPLICIT
+    return plan.model.particle_count <= MOST_IMPLICIT
 
 
 def last_resort(
-    dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None, *, instead_of: str
+    plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str
 ) -> Advance:
     """Advance by implicit steps; at least one is flagged.
 
     Args:
-        dynamics: equations of motion.
+        plan: equations of motion.
         state: advanced in place.
         t: time at the start [s].
         duration: time to advance [s].
-        observer: told of the motion.
+        book: notes the motion.
         instead_of: name of the integrator whose steps made energy.
 
     Raises:
         UnstableError: if the motion does not stay finite.
     """
-    if not math.isfinite(dynamics.energy(t, state.x, state.v)):
+    if not math.isfinite(plan.energy(t, state.x, state.v)):
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
     from cloth_sim_ros.physics.integrators.implicit import Implicit
     from cloth_sim_ros.physics.integrators.implicit_run import LAST_STEPS
 
     memory = Memory.of(state)
-    done = Implicit(duration / LAST_STEPS).advance(dynamics, state, t, duration, observer)
+    done = Implicit(duration / LAST_STEPS).advance(plan, state, t, duration, book)
     # What was known of the motion is true no longer; what follows is tried where it can make no energy either.
     memory.columns, memory.refine, memory.wait, memory.interval, memory.made = 1, HOPELESS, 0, 1, 0.0
-    memory.omega2, memory.damping = dynamics.rates(state.x)
+    memory.omega2, memory.damping = plan.rates(state.x)
     memory.store(state)
     why = f"{instead_of}: springs made energy even by the smallest steps"
     return done._replace(

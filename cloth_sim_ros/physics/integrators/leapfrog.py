@@ -4,14 +4,20 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
+from cloth_sim_ros.physics.integrators.controlled import ControlledAdvance
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.state import State
 
 
-class Leapfrog(Extrapolated):
+class Leapfrog(Integrator):
     """Drift, kick, drift; velocity-dependent forces are evaluated at a midpoint velocity, so that the order stays 2.
 
-    The midpoint velocity is predicted with the accelerations of the two steps before (`march.leapfrog`); each advance
-    starts that with one extra evaluation, so that no history crosses its boundary.
+    With h the step: ``x_m = x + h/2 v``, ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``,
+    ``x' = x_m + h/2 v'``. Each advance starts with one extra evaluation, which stands for both accelerations before it,
+    so that no history crosses its boundary.
 
     Order 2. One force evaluation a step. Time-reversible and symplectic without damping. An oscillator of angular
     frequency w and damping rate c is stable for h^2 w^2 / 4 + h c / 2 <= 1 (characteristic polynomial; without damping
@@ -27,7 +33,22 @@ class Leapfrog(Extrapolated):
     """
 
     name = "leapfrog"
+    order = 2
+    evaluations_per_step = 1
     suits = "loose tolerances, long undamped runs; explicit, damping well below critical"
+    columns = 1
 
     def __init__(self, step: float | None = None, *, tolerance: float | None = None) -> None:
-        super().__init__(tolerance=tolerance, step=step, columns=1)
+        if tolerance is not None and step is not None:
+            raise ValueError(
+                f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
+            )
+        self.step, self.tolerance = check_step(step), check_tolerance(tolerance)
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        return leapfrog_limit(omega2, damping_rate)
+
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
+    ) -> Advance:
+        return ControlledAdvance(self, plan, state, t, duration, book).run()

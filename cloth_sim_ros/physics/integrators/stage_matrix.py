@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The linear systems of an implicit step: M + d^2 K + d D, assembled from the terms and factorised within a band."""
+"""The linear systems of an implicit step: M + d^2 K + d D, assembled from the forces and factorised within a band."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.terms.base import Array, Term
+from cloth_sim_ros.physics.parts import Listed
+from cloth_sim_ros.physics.plan import compile
 
 #: Pairs whose stiffness is below this share of the largest at either end do not widen the band: what of them lies
 #: outside is left to the iteration, which then converges by about this factor a step.
@@ -23,23 +26,26 @@ _NEGLIGIBLE = 0.05
 class StageMatrix:
     """Matrix of one model, positive definite by construction: compression's negative stiffness is left out.
 
-    Particles that move are numbered so that coupled ones lie close together (reverse Cuthill-McKee), row by row on a
-    grid.
+    Springs and joints enter it as they are; of hinges, panels and forces in numpy it takes the particle blocks that bound
+    them, which slows the iteration. Particles that move are numbered so that coupled ones lie close together (reverse
+    Cuthill-McKee), row by row on a grid.
     """
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        moving = self._model.inverse_masses > 0.0
-        self._coupled: list[tuple[Term, NDArray[np.int64]]] = []
-        self._single: list[Term] = []
-        for term in self._model.terms:
-            pairs = term.coupled_pairs()
-            if pairs is None:
-                self._single.append(term)
-            else:
-                self._coupled.append((term, np.ascontiguousarray(pairs)))
+        count = model.particle_count
+        springs, others = _split(model)
+        #: Springs and joints alone, as lists; all else.
+        self._springs, self._others = compile(Model(model.masses, springs)), compile(Model(model.masses, others))
+        self._pairs = [
+            np.ascontiguousarray(part.particles)
+            for force in springs
+            for part in force.parts(count) or ()
+            if isinstance(part, Listed)
+        ]
+        moving = model.inverse_masses > 0.0
         places, width = _order(self._band_pairs(), moving)
-        self._matrix = BandMatrix(places, width, [pairs for _, pairs in self._coupled])
+        self._matrix = BandMatrix(places, width, self._pairs)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -50,8 +56,8 @@ class StageMatrix:
         """The pairs that the band has to hold: all but those that are negligible beside others at both their ends."""
         # At coincident places a block is the stiffness times the unit matrix: the order does not depend on the state.
         x = np.zeros((3, self._model.particle_count))
-        pairs = [np.empty((0, 2), dtype=np.int64), *(pairs for _, pairs in self._coupled)]
-        blocks = [np.empty((0, 6)), *(term.pair_blocks(x, 1.0, 0.0) for term, _ in self._coupled)]
+        pairs = [np.empty((0, 2), dtype=np.int64), *self._pairs]
+        blocks = [np.empty((0, 6)), *self._blocks(x, 1.0, 0.0)]
         ends, (xx, yy, zz) = np.concatenate(pairs), np.concatenate(blocks)[:, :3].T
         size = xx + yy + zz
         largest = np.zeros(self._model.particle_count)
@@ -66,12 +72,14 @@ class StageMatrix:
             UnstableError: if an entry is not finite.
         """
         stiffness, damping = np.zeros((2, 6, self._model.particle_count))
-        for term in self._single:
-            term.add_stiffness(x, stiffness)
-            term.add_damping(x, damping)
-        total = d * d * stiffness + d * damping
-        blocks = [term.pair_blocks(x, d * d, d) for term, _ in self._coupled]
-        self._matrix.update(blocks, self._model.masses, total)
+        self._others.add_bounds(x, stiffness, damping)
+        self._matrix.update(self._blocks(x, d * d, d), self._model.masses, d * d * stiffness + d * damping)
+
+    def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:
+        return [
+            self._springs.pair_blocks(number, len(pairs), x, stiffness, damping)
+            for number, pairs in enumerate(self._pairs)
+        ]
 
     def solve(self, right: Array) -> None:
         """Replace ``right`` (3, n) by the solution; zero for anchored particles."""
@@ -81,11 +89,23 @@ class StageMatrix:
 _MATRICES: WeakKeyDictionary[Model, StageMatrix] = WeakKeyDictionary()
 
 
-def stage_matrix(dynamics: Dynamics) -> StageMatrix:
+def stage_matrix(model: Model) -> StageMatrix:
     """Return the matrix of a model, made when it is first asked for."""
-    if dynamics.model not in _MATRICES:
-        _MATRICES[dynamics.model] = StageMatrix(dynamics.model)
-    return _MATRICES[dynamics.model]
+    if model not in _MATRICES:
+        _MATRICES[model] = StageMatrix(model)
+    return _MATRICES[model]
+
+
+def _split(model: Model) -> tuple[list[Force], list[Force]]:
+    """The springs and joints of a model, a grid's as lists, and its other forces."""
+    springs: list[Force] = []
+    others: list[Force] = []
+    for force in model.forces:
+        if isinstance(force, GridSprings):
+            springs.append(force.listed)
+        else:
+            (springs if isinstance(force, PairSprings) else others).append(force)
+    return springs, others
 
 
 def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:

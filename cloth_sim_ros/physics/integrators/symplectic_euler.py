@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, Observer, check_step
+from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step
 from cloth_sim_ros.physics.integrators.fixed import advance_fixed
-from cloth_sim_ros.physics.kernels.leapfrog import kick_whole
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 
@@ -38,19 +40,20 @@ class SymplecticEuler(Integrator):
         if omega2 == 0.0 and damping_rate == 0.0:
             return float("inf")
         half = 0.5 * damping_rate
-        return 2.0 / (half + float(np.sqrt(half * half + omega2)))
+        return 2.0 / (half + math.sqrt(half * half + omega2))
 
     def advance(
-        self, dynamics: Dynamics, state: State, t: float, duration: float, observer: Observer | None = None
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
     ) -> Advance:
         a = np.empty_like(state.x)
 
         def run(h: float, steps: int) -> int:
             for k in range(steps):
-                dynamics.acceleration(t + k * h, state.x, state.v, a)
-                if observer is not None:
-                    observer.observe(t + k * h, state.x, state.v, h)
-                kick_whole(state.x, state.v, a, h)
+                plan.accelerations(t + k * h, state.x, state.v, a)
+                if book is not None:
+                    note(book, plan, t + k * h, state.x, state.v, h)
+                state.v += h * a
+                state.x += h * state.v
             return steps
 
-        return advance_fixed(self, run, dynamics, state, duration, self.step, observer)
+        return advance_fixed(self, run, plan, state, duration, self.step, book)

@@ -1,0 +1,48 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""S9: the seven candidate springs of the tetrahedron, blended into one."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
+
+
+class AltitudeSprings(HingeSprings):
+    """One spring a hinge on the blend of the seven candidates (three edge-edge, four point-face) of its tetrahedron.
+
+    Candidate c has the signed length h_c = 6V/M_c, with M_c = |a × b| of its face or its pair of edges. They blend
+    into
+
+        1/h² = ½ Σ 1/h_c², h = 6V / √(½ Σ M_c²) = 6V / √(Σ over the faces of M_f²)
+
+    (the squares of the three edge-edge M_c sum to those of the four faces). Its gradient is Σ ½ (M_c/M)³ ∇h_c: all
+    seven springs pull at once, the shortest most. So there is no choice to switch and nothing to remember; force and
+    energy are smooth until all four points are collinear, where the force is zero (thinner than 1e-12).
+
+    Args:
+        quads: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).
+        rest_length: signed rest lengths of the blend [m], shape (m,) or one number; 0 is flat.
+        stiffness: κ̂ [N/m], shape (m,) or one number.
+        damping: k_d [N s/m], shape (m,) or one number.
+        name: the force's name in a model.
+        weak: whether it may be evaluated less often than every step.
+
+    Raises:
+        ValueError: as `HingeSprings` does.
+    """
+
+    kind = "altitude"
+
+    def __init__(
+        self,
+        quads: ArrayLike,
+        rest_length: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        *,
+        name: str = "altitude",
+        weak: bool = False,
+    ) -> None:
+        super().__init__(quads, rest_length, stiffness, damping, name=name, weak=weak)

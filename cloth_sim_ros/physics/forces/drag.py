@@ -1,0 +1,31 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Linear air drag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cloth_sim_ros.engine.binding import finite
+from cloth_sim_ros.physics.forces.force import Force
+from cloth_sim_ros.physics.parts import Part, Uniform
+
+
+class Drag(Force):
+    """Air at rest slows each particle by the acceleration -rate v.
+
+    Args:
+        rate: drag rate [1/s], at least 0.
+
+    Raises:
+        ValueError: for a rate that is not finite or negative.
+    """
+
+    name = "drag"
+    damped = True
+
+    def __init__(self, rate: float) -> None:
+        self.rate = float(finite("drag rate", rate, (), least=0.0))
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        return (Uniform(drag=self.rate),)

@@ -1,0 +1,77 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a force is: what the engine is told of it, or, for a force of one's own, its formulas in numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.parts import Part
+
+Array = NDArray[np.float64]
+
+# Empty members below are meant (noqa: B027): a force without stiffness or damping adds none.
+
+
+class Force:
+    """One force of a model.
+
+    The engine's forces say in `parts` what they consist of. A force of one's own leaves that out and overrides
+    `add_force`, and `energy`, `add_stiffness` and so on where it has them: it costs its own time and no more. Its
+    stiffness and damping bound the step; a force that grows with positions or velocities and does not tell them may
+    become unstable.
+
+    Positions ``x`` [m], velocities ``v`` [m/s] and forces ``f`` [N] are component-major, shape (3, particle_count),
+    float64 and C-contiguous. Times ``t`` [s] are simulated time. Blocks have shape (6, particle_count): the entries xx,
+    yy, zz, xy, xz, yz of one symmetric 3x3 matrix a particle.
+    """
+
+    #: Short name, unique within a model.
+    name: str = "force"
+    #: True where the force may be evaluated less often than every step (multirate).
+    weak: bool = False
+    #: True where the force depends on velocities.
+    damped: bool = False
+    #: True where there are places next to which the force grows beyond all bounds.
+    boundless: ClassVar[bool] = False
+
+    def parts(self, particle_count: int) -> Sequence[Part] | None:
+        """Return what the engine is to do; None for a force in numpy.
+
+        Raises:
+            ValueError: if the force does not fit so many particles.
+        """
+        return None
+
+    def steady(self) -> bool:
+        """Whether the force at given positions and velocities stays what it is until the next event."""
+        return True
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        """Add the force [N] to ``f``."""
+        raise NotImplementedError(f"force '{self.name}' has neither parts nor add_force")
+
+    def energy(self, t: float, x: Array) -> float:
+        """Return the potential energy [J] whose negative gradient is the elastic part of the force."""
+        return 0.0
+
+    def dissipation(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that damping takes out of the motion [W]."""
+        return 0.0
+
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        """Return the power [W] that the force puts into the motion beside what its energy loses."""
+        return 0.0
+
+    def add_stiffness(self, x: Array, blocks: Array) -> None:  # noqa: B027
+        """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
+
+    def add_damping(self, x: Array, blocks: Array) -> None:  # noqa: B027
+        """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
+
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:  # noqa: B027
+        """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""

@@ -1,0 +1,106 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The springs of a regular sheet, by the direction in which they point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import FAMILIES, finite
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.parts import GridFamily, Gridded, Part
+
+#: Ends of a family's springs relative to the row and column that own it: (row, column) of each.
+ENDS = {
+    "right": ((0, 0), (0, 1)),
+    "down": ((0, 0), (1, 0)),
+    "diagonal": ((0, 0), (1, 1)),
+    "antidiagonal": ((0, 1), (1, 0)),
+    "right2": ((0, 0), (0, 2)),
+    "down2": ((0, 0), (2, 0)),
+}
+
+
+class GridSprings(Force):
+    """Families of springs of a sheet of `rows` times `columns` particles, numbered row * columns + column.
+
+    The law is that of `PairSprings`; the engine takes all families of a sheet in one sweep over its rows.
+
+    Args:
+        rows: of particles.
+        columns: of particles.
+        families: springs by direction, each at most once.
+        name: the force's name in a model.
+
+    Raises:
+        ValueError: for a sheet without particles, an unknown or repeated family, or a property out of range.
+    """
+
+    def __init__(self, rows: int, columns: int, families: Sequence[GridFamily], *, name: str = "grid") -> None:
+        if rows < 1 or columns < 1:
+            raise ValueError(f"a sheet of {rows} x {columns} particles; it needs at least 1 x 1")
+        names = [family.name for family in families]
+        for family in families:
+            if family.name not in FAMILIES:
+                raise ValueError(f"no spring family '{family.name}'; there are {', '.join(FAMILIES)}")
+            if names.count(family.name) > 1:
+                raise ValueError(f"family '{family.name}' is given {names.count(family.name)} times; give it once")
+            if not (np.isfinite(family.rest_length) and family.rest_length > 0.0):
+                raise ValueError(
+                    f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0"
+                )
+            for what in ("stiffness", "damping", "border"):
+                finite(f"{what} of '{family.name}'", getattr(family, what), (), least=0.0)
+            if family.parity not in (None, 0, 1):
+                raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
+        self.rows, self.columns, self.name = rows, columns, name
+        self.families = tuple(sorted(families, key=lambda family: FAMILIES.index(family.name)))
+        self.weak = bool(families) and all(family.weak for family in families)
+        self.damped = any(family.damping > 0.0 for family in families)
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        if particle_count != self.rows * self.columns:
+            raise ValueError(
+                f"'{self.name}' is a sheet of {self.rows} x {self.columns} particles; the model has {particle_count}"
+            )
+        return (Gridded(rows=self.rows, columns=self.columns, families=self.families),)
+
+    @cached_property
+    def listed(self) -> PairSprings:
+        """The same springs as a list, made when it is first asked for."""
+        pairs, numbers = zip(*(self._of(family) for family in self.families), strict=True)
+        every = np.concatenate(numbers)
+        return PairSprings(
+            np.concatenate(pairs), every[:, 0], every[:, 1], every[:, 2], name=self.name, weak=self.weak
+        )
+
+    @property
+    def pairs(self) -> NDArray[np.int64]:
+        """Particle indices of the springs' ends, shape (m, 2)."""
+        return self.listed.pairs
+
+    def _of(self, family: GridFamily) -> tuple[NDArray[np.int64], Array]:
+        """Pairs of a family, and rest length, k_s and k_d of each."""
+        (row0, column0), (row1, column1) = ENDS[family.name]
+        down, across = max(row0, row1), max(column0, column1)
+        rows, columns = np.arange(max(self.rows - down, 0)), np.arange(max(self.columns - across, 0))
+        row, column = (part.ravel() for part in np.meshgrid(rows, columns, indexing="ij"))
+        if family.parity is not None:
+            kept = (row + column) % 2 == family.parity
+            row, column = row[kept], column[kept]
+        pairs = np.stack(
+            [(row + row0) * self.columns + column + column0, (row + row1) * self.columns + column + column1], axis=1
+        )
+        edge = np.zeros(len(row), dtype=bool)
+        if down == 0:
+            edge |= (row == 0) | (row == self.rows - 1)
+        if across == 0:
+            edge |= (column == 0) | (column == self.columns - 1)
+        factor = np.where(edge, family.border, 1.0)
+        rest = np.full(len(row), family.rest_length)
+        return pairs.astype(np.int64), np.stack([rest, factor * family.stiffness, factor * family.damping], axis=1)

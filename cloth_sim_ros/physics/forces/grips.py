@@ -1,0 +1,88 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Grips: particles held by grippers with zero-length springs (S4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.parts import Part
+
+
+class Grips(Force):
+    """Zero-length springs between held particles and points fixed to moving grippers.
+
+    ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A gripper's path is a
+    row of PATH_NUMBERS numbers: its start time t0; position coefficients p0 to p3 of p0 + p1 s + p2 s^2 + p3 s^3 with s =
+    t - t0; the orientation q0 (x, y, z, w) at s = 0; rotation vector coefficients r1, r2, r3. The orientation is exp(r1 s
+    + r2 s^2 + r3 s^3) q0.
+
+    Args:
+        gripper_count: number of grippers.
+    """
+
+    name = "grips"
+    damped = True
+
+    def __init__(self, gripper_count: int) -> None:
+        self.gripper_count = gripper_count
+        paths = np.zeros((gripper_count, PATH_NUMBERS))
+        paths[:, 16] = 1.0
+        #: Count what is held anew, and new paths, so that a plan knows when to look.
+        self.changes = self.moves = 0
+        self.hold(
+            paths,
+            np.zeros(gripper_count + 1, dtype=np.int64),
+            np.empty(0, dtype=np.int64),
+            np.empty((0, 3)),
+            np.empty(0),
+            np.empty(0),
+        )
+
+    def hold(
+        self,
+        paths: Array,
+        starts: NDArray[np.int64],
+        particles: NDArray[np.int64],
+        offsets: Array,
+        stiffness: Array,
+        damping: Array,
+    ) -> None:
+        """Set what is held: gripper g holds ``particles[starts[g]:starts[g + 1]]``.
+
+        Args:
+            paths: of the grippers, shape (gripper_count, PATH_NUMBERS).
+            starts: shape (gripper_count + 1,), int64.
+            particles: held particles, shape (m,), int64.
+            offsets: points in their gripper's frame [m], shape (m, 3).
+            stiffness: k [N/m], shape (m,).
+            damping: k_d [N s/m], shape (m,).
+        """
+        self.paths, self.starts, self.particles, self.offsets = paths, starts, particles, offsets
+        self.stiffness, self.damping = stiffness, damping
+        self.changes += 1
+
+    def move(self, paths: Array) -> None:
+        """Set new paths, shape (gripper_count, PATH_NUMBERS), for what is held already."""
+        self.paths = paths
+        self.moves += 1
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        # What is held changes from frame to frame: the plan asks for it then.
+        return ()
+
+    def owners(self) -> NDArray[np.int64]:
+        """Gripper of each grip, shape (m,)."""
+        return np.repeat(np.arange(self.gripper_count), np.diff(self.starts))
+
+    def steady(self) -> bool:
+        """Whether no gripper that holds something moves or turns over its path."""
+        if not self.particles.size:
+            return True
+        paths = self.paths[np.diff(self.starts) > 0]
+        return not (paths[:, 4:13].any() or paths[:, 17:26].any())

@@ -1,0 +1,101 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What S8 and S9 share: springs on one signed length of the tetrahedron of two triangles with a common edge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.engine.binding import KINDS, check, doubles, finite, indices, library
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.parts import Listed, Part
+
+
+
+class HingeSprings(Force):
+    """Springs on the signed length h [m] of hinges: energy κ̂ (h - h0)²/2, damping force -k_d (∇h·v) ∇h.
+
+    `CrossedSprings` (S8) and `AltitudeSprings` (S9) say which length. Neither has forces that push or turn the whole.
+
+    Args:
+        hinges: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).
+        rest_length: signed rest lengths h0 [m], shape (m,) or one number; 0 is flat, positive where the wings rise to
+            the side of the normal.
+        stiffness: κ̂ [N/m], shape (m,) or one number, at least 0.
+        damping: k_d [N s/m], shape (m,) or one number, at least 0.
+        name: the force's name in a model.
+        weak: whether it may be evaluated less often than every step.
+
+    Raises:
+        ValueError: for a shape that does not fit, a particle that a hinge names twice, or a value that is not finite
+            or negative.
+    """
+
+    #: Which length: a key of `engine.binding.KINDS`.
+    kind: ClassVar[str]
+
+    def __init__(
+        self,
+        hinges: ArrayLike,
+        rest_length: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        *,
+        name: str,
+        weak: bool = False,
+    ) -> None:
+        self.name = name
+        self.weak = weak
+        self.hinges: NDArray[np.int64] = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
+        count = len(self.hinges)
+        ordered = np.sort(self.hinges, axis=1)
+        wrong = np.flatnonzero((ordered[:, :-1] == ordered[:, 1:]).any(axis=1))
+        if wrong.size:
+            raise ValueError(
+                f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; it needs four different particles"
+            )
+        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,))
+        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), least=0.0)
+        self.damping = finite(f"damping of '{name}'", damping, (count,), least=0.0)
+        self.damped = bool(np.any(self.damping))
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        hinges = indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
+        if not len(hinges):
+            return ()
+        numbers = np.stack([self.rest_length, self.stiffness, self.damping], axis=1)
+        return (Listed(kind=self.kind, particles=hinges, numbers=numbers, weak=self.weak),)
+
+    def lengths(self, x: Array) -> Array:
+        """Return the signed length h [m] of every hinge at positions x (3, n), NaN where undefined, shape (m,)."""
+        return signed_lengths(self.hinges, x, kind=self.kind)
+
+
+def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
+    """Return the signed lengths [m] of hinges (m, 4) at x (3, n), `crossed` (S8) or `altitude` (S9); NaN where
+    undefined.
+    """
+    return _lengths(hinges, x, kind)[0]
+
+
+def gradient_squares(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
+    """Return |dh/dx|^2 of the length's gradient with respect to each of the four particles, shape (m, 4)."""
+    return _lengths(hinges, x, kind)[1]
+
+
+def _lengths(hinges: ArrayLike, x: Array, kind: str) -> tuple[Array, Array]:
+    places = np.ascontiguousarray(x, dtype=np.float64)
+    count = places.shape[1]
+    quads = indices("hinges", hinges, 4, count)
+    lengths, squares = np.empty(len(quads)), np.empty((len(quads), 4))
+    address = doubles("x", places, (3, count))
+    check(
+        library().cloth_lengths(
+            KINDS[kind][0], len(quads), quads.ctypes.data, address, count, lengths.ctypes.data, squares.ctypes.data
+        )
+    )
+    return lengths, squares

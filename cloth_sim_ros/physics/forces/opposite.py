@@ -1,0 +1,50 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""S7: the lecture's bending spring, between the opposite vertices of two triangles with a common edge."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+
+
+class OppositeSprings(PairSprings):
+    """Bending springs (S7): pair springs between the wings of each hinge.
+
+    At a fold θ of two equal triangles they have the energy k L θ⁴/128 and the moment k L θ³/32 (L the distance of the
+    wings when flat), so they resist no small fold and have no bending modulus. With a rest angle that is not flat
+    they push neither way when the wings are coplanar. S8 and S9 cure both.
+
+    Args:
+        wings: opposite vertices, shape (m, 2); see `surface.opposite_pairs`.
+        rest_length: rest lengths [m], shape (m,) or one number, above 0.
+        stiffness: k_s [N], force per strain, shape (m,) or one number.
+        damping: k_d [N s/m], shape (m,) or one number.
+        name: the force's name in a model.
+        weak: whether it may be evaluated less often than every step.
+
+    Raises:
+        ValueError: for a rest length of 0, and as `PairSprings` does.
+    """
+
+    def __init__(
+        self,
+        wings: ArrayLike,
+        rest_length: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        *,
+        name: str = "opposite",
+        weak: bool = False,
+    ) -> None:
+        pairs = np.ascontiguousarray(wings, dtype=np.int64).reshape(-1, 2)
+        rest = np.broadcast_to(np.asarray(rest_length, dtype=np.float64), (len(pairs),))
+        wrong = np.flatnonzero(~(rest > 0.0))
+        if wrong.size:
+            raise ValueError(
+                f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is {rest[wrong[0]]}; "
+                "it must be above 0: a pair folded shut at rest has no such spring"
+            )
+        super().__init__(pairs, rest, stiffness, damping, name=name, weak=weak)

@@ -1,0 +1,81 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Springs between pairs of particles: S1, S2, S4 to S7 of the model, on any list of pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.parts import Listed, Part
+
+
+class PairSprings(Force):
+    """Damped springs by the lecture's law (S1), joints where the rest length is zero (S4).
+
+    F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s| on the far end, s its place seen from the near one; a joint's
+    is -k s - k_d ds/dt.
+
+    Args:
+        pairs: particle indices of the near and far ends, shape (m, 2).
+        rest_length: rest lengths l0 [m], shape (m,) or one number; zero makes a joint.
+        stiffness: k_s, force per unit strain [N], shape (m,) or one number; of a joint k [N/m].
+        damping: k_d [N s/m], shape (m,) or one number.
+        name: the force's name in a model.
+        weak: whether it may be evaluated less often than every step.
+
+    Raises:
+        ValueError: for a shape that does not fit, a spring from a particle to itself, or a negative or non-finite
+            value.
+    """
+
+    def __init__(
+        self,
+        pairs: ArrayLike,
+        rest_length: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        *,
+        name: str = "springs",
+        weak: bool = False,
+    ) -> None:
+        self.pairs: NDArray[np.int64] = indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
+        count = len(self.pairs)
+        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,), least=0.0)
+        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), least=0.0)
+        self.damping = finite(f"damping of '{name}'", damping, (count,), least=0.0)
+        loops = np.flatnonzero(self.pairs[:, 0] == self.pairs[:, 1])
+        if loops.size:
+            particle = self.pairs[loops[0], 0]
+            raise ValueError(f"spring {loops[0]} of '{name}' joins particle {particle} to itself; give two particles")
+        self.name = name
+        self.weak = weak
+        self.damped = bool(np.any(self.damping))
+
+    @property
+    def rigidity(self) -> Array:
+        """Force per length, k_s / l0 or a joint's k [N/m], shape (m,)."""
+        return self.stiffness / np.where(self.rest_length > 0.0, self.rest_length, 1.0)
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        pairs = indices(f"pairs of '{self.name}'", self.pairs, 2, particle_count)
+        joint = self.rest_length == 0.0
+        found: list[Part] = []
+        if not joint.all():
+            numbers = np.stack([self.stiffness, self.rigidity, self.damping], axis=1)[~joint]
+            found.append(Listed(kind="spring", particles=pairs[~joint], numbers=numbers, weak=self.weak))
+        if joint.any():
+            numbers = np.stack([self.stiffness, self.damping], axis=1)[joint]
+            found.append(Listed(kind="joint", particles=pairs[joint], numbers=numbers, weak=self.weak))
+        return found
+
+
+def lecture_damping(k_d0: ArrayLike, rigidity: ArrayLike, mass: ArrayLike) -> Array:
+    """Return k_d = k_d0 sqrt(m k) [N s/m] for the dimensionless k_d0, k = k_s / l0 [N/m] and mass [kg] (S1; S4 at l0 =
+    0).
+    """
+    return np.asarray(k_d0) * np.sqrt(np.asarray(mass, dtype=float) * np.asarray(rigidity, dtype=float))

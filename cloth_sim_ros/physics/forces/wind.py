@@ -1,0 +1,38 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Uniform wind: what linear drag relative to moving air adds to that in still air."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.engine.binding import finite
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.parts import Part, Uniform
+
+
+class Wind(Force):
+    """Drag relative to the air is the acceleration -rate (v - w): that of `Drag`, and the constant push rate w of this.
+
+    A constant force, and yet no potential energy: what it does on the cloth is the wind's work.
+
+    Args:
+        velocity: of the air [m/s], shape (3,).
+        rate: drag rate [1/s], at least 0.
+
+    Raises:
+        ValueError: for numbers that are not finite, or a negative rate.
+    """
+
+    name = "wind"
+
+    def __init__(self, velocity: ArrayLike, rate: float) -> None:
+        self.velocity: Array = finite("wind", velocity, (3,))
+        #: Push on every particle [m/s^2], shape (3,).
+        self.acceleration: Array = finite("push of the wind", float(finite("drag rate", rate, (), least=0.0)) * self.velocity, (3,))
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        x, y, z = self.acceleration.tolist()
+        return (Uniform(wind=(x, y, z)),)

@@ -1,0 +1,23 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The leapfrog's step limit."""
+
+from __future__ import annotations
+
+import math
+
+
+def leapfrog_limit(omega2: float, damping_rate: float) -> float:
+    """Return the largest stable step [s]: the positive root of ``h^2 w^2 / 4 + h c / 2 = 1``.
+
+    On x'' = -w^2 x - c x' a root of the characteristic polynomial reaches the unit circle at -1 alone, there.
+
+    Args:
+        omega2: squared highest angular frequency [1/s^2].
+        damping_rate: highest damping rate c / m [1/s].
+    """
+    if omega2 == 0.0 and damping_rate == 0.0:
+        return math.inf
+    # Written without cancellation.
+    half = 0.5 * damping_rate
+    return 2.0 / (half + math.sqrt(half * half + omega2))

@@ -1,0 +1,69 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a plan is made of: lists of elements, a grid's springs, what acts on every particle alike."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Listed:
+    """Springs, joints, hinges or panels on any particles."""
+
+    #: A key of `engine.binding.KINDS`.
+    kind: str
+    #: Particles of each element, shape (m, particles of the kind).
+    particles: NDArray[np.int64]
+    #: Numbers of each element, shape (m, numbers of the kind).
+    numbers: Array
+    #: For panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,).
+    common: Array | None = None
+    #: Whether they may be taken at every second step.
+    weak: bool = False
+
+
+@attrs.frozen(kw_only=True)
+class GridFamily:
+    """All springs of a grid that point the same way.
+
+    `name`: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.
+    `stiffness` k_s [N], force per strain; `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of the
+    threads that run along the sheet's border. `parity`: 0 or 1 keeps only springs in cells of which row + column is even
+    or odd, None keeps all. `weak`: may be taken at every second step.
+    """
+
+    name: str
+    stiffness: float
+    rest_length: float
+    damping: float = 0.0
+    border: float = 1.0
+    parity: int | None = None
+    weak: bool = False
+
+
+@attrs.frozen(kw_only=True)
+class Gridded:
+    """Springs of a sheet of rows x columns particles, numbered row * columns + column."""
+
+    rows: int
+    columns: int
+    families: tuple[GridFamily, ...]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Uniform:
+    """What acts on every particle alike: accelerations [m/s^2] by gravity and by wind, and a drag rate [1/s]."""
+
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drag: float = 0.0
+
+
+Part: TypeAlias = Listed | Gridded | Uniform

@@ -1,0 +1,524 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a model to numbers: `compile(model)` gives the plan that integrators, the node and the tests all use.
+
+A plan is a list of parts (a grid's springs, listed springs and hinges, panels, held particles, what acts on every particle
+alike, and forces in numpy), whose forces, bounds, energies and costs add up. Which parts there are follows from the model
+alone.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import weakref
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.band import fixed_sum
+from cloth_sim_ros.engine.binding import (
+    BOOKED_NUMBERS,
+    CALLBACK,
+    FAMILIES,
+    KINDS,
+    MOST_RUNS,
+    PATH_NUMBERS,
+    Frame,
+    check,
+    doubles,
+    finite,
+    indices,
+    library,
+)
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import Gridded, Listed, Part, Uniform
+
+#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that what
+#: is chosen by them is the same on any machine.
+MOVE = 2.0
+ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
+GRID_SPRING = 1.3
+#: The same of a force in numpy [ns a particle].
+NUMPY_FORCE = 100.0
+#: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched one's.
+_STIFFER = 1.08
+#: Particles of a sheet from which a second thread gains more than meeting it costs. No bit depends on it.
+WORTH_A_THREAD = 3000
+
+
+class Run(NamedTuple):
+    """One run of the leapfrog over a stretch of time."""
+
+    x: Array
+    v: Array
+    #: What was noted for each gripper, shape (grippers, BOOKED_NUMBERS), and powers' integrals [J], shape (2,).
+    grips: Array
+    powers: Array
+
+
+class Told(NamedTuple):
+    """What a frame's call tells of the result."""
+
+    #: Largest change of a particle's velocity [m/s]; infinite where a number is none.
+    activity: float
+    #: Bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] there.
+    omega2: float
+    damping: float
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number of the result is one."""
+        return self.activity < float("inf")
+
+
+def compile(model: Model) -> Plan:  # noqa: A001 - the word of docs/design.md
+    """Return the plan of a model: the only way from a model to numbers.
+
+    Raises:
+        ValueError: if a force does not fit the model.
+    """
+    return Plan(model)
+
+
+class Plan:
+    """Accelerations, runs, energies and bounds of a model, as the sums over its parts.
+
+    Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. Not safe for two calls
+    at once.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._library = library()
+        self._shape = (3, model.particle_count)
+        self._own: list[Force] = []
+        self._grips: Grips | None = None
+        self._seen = self._moved = -1
+        # The engine's request, made once: what a frame asks for is written into it.
+        self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
+        self._told = (ctypes.c_double * 3)()
+        self._frame = Frame(steps=ctypes.addressof(self._steps), weights=ctypes.addressof(self._weights))
+        self._frame_at = ctypes.byref(self._frame)
+        self._handle = self._make(model)
+        self._frame.rates = not self._own
+        self._callback: Any = None
+        self._trouble: BaseException | None = None
+        if self._own:
+            # Kept: ctypes does not.
+            self._callback = CALLBACK(_caller(weakref.ref(self)))
+            check(self._library.cloth_plan_callback(self._handle, self._callback))
+
+    def _make(self, model: Model) -> int:
+        count = model.particle_count
+        handle = self._library.cloth_plan_new(count, model.masses.ctypes.data, model.inverse_masses.ctypes.data)
+        if not handle:
+            check(2)
+        weakref.finalize(self, self._library.cloth_plan_free, handle)
+        gravity, wind, drag = np.zeros(3), np.zeros(3), 0.0
+        gridded: list[Gridded] = []
+        listed: list[Listed] = []
+        for force in model.forces:
+            if isinstance(force, Grips):
+                if self._grips is not None:
+                    raise ValueError(f"two forces hold particles, '{self._grips.name}' and '{force.name}'; make them one")
+                self._grips = force
+            parts = force.parts(count)
+            if parts is None:
+                self._own.append(force)
+                continue
+            for part in parts:
+                if isinstance(part, Gridded):
+                    gridded.append(part)
+                elif isinstance(part, Listed):
+                    listed.append(part)
+                else:
+                    gravity, wind, drag = gravity + part.gravity, wind + part.wind, drag + part.drag
+        check(self._library.cloth_plan_uniform(handle, gravity.ctypes.data, wind.ctypes.data, drag))
+        self._drag = drag
+        self._gridded = self._add_grid(handle, gridded)
+        for part in listed:
+            self._add_list(handle, part)
+        if listed and not gridded:
+            self._order(handle, count, listed)
+        self.step_cost = self._estimate(listed) / count
+        return int(handle)
+
+    def _add_grid(self, handle: int, gridded: Sequence[Gridded]) -> Gridded | None:
+        """All families of a sheet in one sweep."""
+        if not gridded:
+            return None
+        rows, columns = gridded[0].rows, gridded[0].columns
+        families = [family for part in gridded for family in part.families]
+        table = np.zeros((len(FAMILIES), 7))
+        table[:, 3], table[:, 6] = 1.0, -1.0
+        for part in gridded:
+            if (part.rows, part.columns) != (rows, columns):
+                raise ValueError(f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles")
+        for family in families:
+            row = table[FAMILIES.index(family.name)]
+            if row[0]:
+                raise ValueError(f"two forces have springs '{family.name}' of one sheet; make them one")
+            parity = -1 if family.parity is None else family.parity
+            row[:] = 1, family.weak, family.stiffness, family.rest_length, family.damping, family.border, parity
+        check(self._library.cloth_plan_grid(handle, rows, columns, table.ctypes.data))
+        return Gridded(rows=rows, columns=columns, families=tuple(families))
+
+    def _add_list(self, handle: int, part: Listed) -> None:
+        kind, width, numbers = KINDS[part.kind]
+        particles = np.ascontiguousarray(part.particles, dtype=np.int64)
+        values = np.ascontiguousarray(part.numbers, dtype=np.float64)
+        if particles.shape[1] != width or values.shape != (len(particles), numbers):
+            raise ValueError(f"a list of kind '{part.kind}' has shapes {particles.shape} and {values.shape}")
+        common = None if part.common is None else np.ascontiguousarray(part.common, dtype=np.float64)
+        check(
+            self._library.cloth_plan_list(
+                handle,
+                kind,
+                len(particles),
+                particles.ctypes.data,
+                values.ctypes.data,
+                None if common is None else common.ctypes.data,
+                int(part.weak),
+            )
+        )
+
+    def _order(self, handle: int, count: int, listed: Iterable[Listed]) -> None:
+        """Let neighbours lie close together inside runs; nobody outside sees that order."""
+        from cloth_sim_ros.physics.ordering import local_order
+
+        order = local_order(count, np.concatenate([_pairs(part.particles) for part in listed]))
+        if order is not None:
+            rank = np.empty(count, dtype=np.int64)
+            rank[order] = np.arange(count)
+            check(self._library.cloth_plan_order(handle, rank.ctypes.data))
+
+    def _estimate(self, listed: Iterable[Listed]) -> float:
+        """Estimated time of a step [ns]."""
+        count = self.model.particle_count
+        total = MOVE * count + NUMPY_FORCE * count * len(self._own)
+        if self._gridded is not None:
+            total += GRID_SPRING * count * len(self._gridded.families)
+        return total + sum(ELEMENT[part.kind] * len(part.particles) for part in listed)
+
+    # What follows is called in every frame.
+
+    def _sync(self) -> None:
+        """Tell the engine what grippers hold and how they move, where that changed."""
+        grips = self._grips
+        if grips is None or (grips.changes == self._seen and grips.moves == self._moved):
+            return
+        paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
+        if paths.shape != (grips.gripper_count, PATH_NUMBERS):
+            raise ValueError(f"paths have shape {paths.shape}; they must be {(grips.gripper_count, PATH_NUMBERS)}")
+        if grips.changes != self._seen:
+            self._hold(grips, paths)
+        else:
+            check(self._library.cloth_plan_paths(self._handle, paths.ctypes.data))
+        self._seen, self._moved = grips.changes, grips.moves
+
+    def _hold(self, grips: Grips, paths: Array) -> None:
+        particles = indices("held particles", grips.particles.reshape(-1, 1), 1, self.model.particle_count)
+        count = len(particles)
+        owners = np.ascontiguousarray(grips.owners(), dtype=np.int64)
+        if len(owners) != count:
+            raise ValueError(f"starts {grips.starts.tolist()} say that {len(owners)} particles are held, not {count}")
+        numbers = (
+            finite("offsets of grips", grips.offsets, (count, 3)),
+            finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
+            finite("damping of grips", grips.damping, (count,), least=0.0),
+        )
+        check(
+            self._library.cloth_plan_held(
+                self._handle,
+                grips.gripper_count,
+                paths.ctypes.data,
+                count,
+                particles.ctypes.data,
+                owners.ctypes.data,
+                *(array.ctypes.data for array in numbers),
+            )
+        )
+
+    @property
+    def gripper_count(self) -> int:
+        """Number of grippers of the model."""
+        return 0 if self._grips is None else self._grips.gripper_count
+
+    @property
+    def grips(self) -> Grips | None:
+        """The force by which grippers hold particles, where the model has one."""
+        return self._grips
+
+    @property
+    def drag(self) -> float:
+        """Rate of linear drag on every particle [1/s]."""
+        return self._drag
+
+    def runs(
+        self,
+        t: float,
+        duration: float,
+        start: tuple[Array, Array],
+        steps: Sequence[int],
+        *,
+        weights: Sequence[float] | None = None,
+        narrow: bool = False,
+        alternate: bool = False,
+        powers: bool = False,
+        threads: int | None = None,
+    ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
+        """Run a stretch of time several times, each from the start with its own number of equal steps.
+
+        Args:
+            t: time at the start [s].
+            duration: length of the stretch [s].
+            start: positions and velocities; they stay as they are.
+            steps: of each run, at least 1.
+            weights: of the runs in a combination that is wanted too; None where it is not.
+            narrow: whether the first run calculates in single precision.
+            alternate: whether it takes weak springs at every second step; its steps must be odd then.
+            powers: whether powers are noted.
+            threads: of a sheet; None chooses. No bit depends on it.
+
+        Returns:
+            The runs, and positions, velocities and what is told of their combination.
+
+        Raises:
+            Exception: what a force in numpy raised.
+        """
+        self._sync()
+        x0, v0 = start
+        count, n = len(steps), self.model.particle_count
+        if not 1 <= count <= MOST_RUNS or min(steps) < 1 or (alternate and steps[0] % 2 == 0):
+            raise ValueError(
+                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of at least 1, the first odd where weak "
+                "springs alternate"
+            )
+        self._steps[:count] = steps
+        noted = BOOKED_NUMBERS * self.gripper_count
+        out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2))
+        frame = self._frame
+        frame.t, frame.duration, frame.runs = t, duration, count
+        frame.narrow, frame.alternate, frame.powers, frame.bands = narrow, alternate, powers, self._threads(threads)
+        frame.x0, frame.v0 = doubles("x", x0, self._shape), doubles("v", v0, self._shape)
+        frame.out, frame.notes = out.ctypes.data, notes.ctypes.data
+        frame.result = frame.told = None
+        result = out[0]
+        if weights is not None:
+            self._weights[:count] = weights
+            frame.told = ctypes.addressof(self._told)
+            if count > 1:
+                result = np.empty((2, 3, n))
+                frame.result = result.ctypes.data
+        self._checked(self._library.cloth_frame(self._handle, self._frame_at))
+        grips = notes[:, :noted].reshape(count, -1, BOOKED_NUMBERS)
+        runs = [Run(out[k, 0], out[k, 1], grips[k], notes[k, noted:]) for k in range(count)]
+        if weights is None:
+            return runs, None
+        rates = self.rates(result[0]) if self._own else (self._told[1], self._told[2])
+        return runs, (result[0], result[1], Told(self._told[0], *rates))
+
+    def _threads(self, wanted: int | None) -> int:
+        if self._gridded is None:
+            return 1
+        if wanted is not None:
+            return wanted
+        return min(2, _cores()) if self.model.particle_count >= WORTH_A_THREAD and self._gridded.rows >= 16 else 1
+
+    def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
+        """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""
+        self._sync()
+        addresses = (doubles("x", x, self._shape), doubles("v", v, self._shape), doubles("out", out, self._shape))
+        self._checked(self._library.cloth_accelerations(self._handle, t, *addresses))
+
+    def _checked(self, status: int) -> None:
+        if status == 3 and self._trouble is not None:
+            trouble, self._trouble = self._trouble, None
+            raise trouble
+        check(status)
+
+    def rates(self, x: Array) -> tuple[float, float]:
+        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
+        self._sync()
+        address, stiff, damped, blocks = doubles("x", x, self._shape), None, None, None
+        if self._own:
+            blocks = np.zeros((2, 6, self.model.particle_count))
+            for force in self._own:
+                force.add_stiffness(x, blocks[0])
+                force.add_damping(x, blocks[1])
+            stiff, damped = blocks[0].ctypes.data, blocks[1].ctypes.data
+        out = np.empty(2)
+        check(self._library.cloth_rates(self._handle, address, stiff, damped, out.ctypes.data))
+        return float(out[0]), float(out[1])
+
+    def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
+        """Return kinetic and potential energy [J] at time t; without velocities the kinetic one is 0."""
+        self._sync()
+        out = np.empty(2)
+        speed = None if v is None else doubles("v", v, self._shape)
+        check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), speed, out.ctypes.data))
+        return float(out[0]), sum((force.energy(t, x) for force in self._own), float(out[1]))
+
+    def energy(self, t: float, x: Array, v: Array) -> float:
+        """Return kinetic plus potential energy [J]."""
+        kinetic, potential = self.energies(t, x, v)
+        return kinetic + potential
+
+    def powers(self, t: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return the powers that damping takes and that moving air gives [W]; the joints of grippers aside."""
+        out = np.empty(2)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        check(self._library.cloth_powers(self._handle, *addresses, out.ctypes.data))
+        lost = sum((force.dissipation(t, x, v) for force in self._own), float(out[0]))
+        return lost, sum((force.supply(t, x, v) for force in self._own), float(out[1]))
+
+    def grip_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+        """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
+        (grippers, BOOKED_NUMBERS).
+        """
+        self._sync()
+        out = np.zeros((self.gripper_count, BOOKED_NUMBERS))
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        check(self._library.cloth_grip_rates(self._handle, t, *addresses, weight, out.ctypes.data))
+        return out
+
+    def dissipation(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that damping takes out of the motion [W], that of grippers' joints included."""
+        return sum(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that moving air puts into the motion [W]."""
+        return self.powers(t, x, v)[1]
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        """Add the forces [N] on free particles to ``f`` (3, n)."""
+        out = np.empty(self._shape)
+        self.accelerations(t, x, v, out)
+        f += out * self.model.masses
+
+    def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
+        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum over particles of u_i' B_i u_i."""
+        self._sync()
+        shape = (6, self.model.particle_count)
+        addresses = doubles("stiff", stiff, shape), doubles("damped", damped, shape)
+        check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
+        damped[:3] += self._drag * self.model.masses
+        if self._grips is not None:
+            # Several grippers may hold one particle: plain indexing would not add up.
+            for axis in range(3):
+                np.add.at(stiff[axis], self._grips.particles, self._grips.stiffness)
+                np.add.at(damped[axis], self._grips.particles, self._grips.damping)
+        for force in self._own:
+            force.add_stiffness(x, stiff)
+            force.add_damping(x, damped)
+
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
+        """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
+        self._sync()
+        given = {"x": x, "v": v, "dx": dx, "dv": dv, "out": out}
+        addresses = [doubles(name, array, self._shape) for name, array in given.items()]
+        check(self._library.cloth_product(self._handle, *addresses))
+        for force in self._own:
+            force.add_jacobian_product(t, x, v, dx, dv, out)
+
+    def pair_blocks(self, number: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
+        """Return blocks B (count, 6) of the plan's list of springs or joints of a number, see `StageMatrix`."""
+        out = np.empty((count, 6))
+        address = doubles("x", x, self._shape)
+        check(self._library.cloth_pair_blocks(self._handle, number, address, stiffness, damping, out.ctypes.data))
+        return out
+
+    def steady(self) -> bool:
+        """Whether all forces at given positions and velocities stay what they are until the next event."""
+        return all(force.steady() for force in self.model.forces)
+
+    def narrows(self) -> bool:
+        """Whether single precision would make a difference to runs."""
+        return not self._own
+
+    @cached_property
+    def alternate_share(self) -> float:
+        """Share of the step limit up to which weak springs of a sheet may be taken at every second step; 0 where they may
+        not: see alternation.hpp.
+        """
+        # Of hinges nothing is known.
+        weak = any(force.weak and not isinstance(force, GridSprings) for force in self.model.forces)
+        if self._gridded is None or weak:
+            return 0.0
+        out, masses = ctypes.c_double(), np.sort(self.model.masses)
+        check(self._library.cloth_alternation(self._handle, float(masses[len(masses) // 2]), ctypes.addressof(out)))
+        return float(out.value)
+
+    def alternate_stiffest(self) -> float:
+        """Return the bound of the squared frequency [1/s^2] up to which that holds, held as the sheet is held now."""
+        assert self._gridded is not None
+        lengths = {family.name: family.rest_length for family in self._gridded.families}
+        rows, columns = np.divmod(np.arange(self.model.particle_count), self._gridded.columns)
+        flat = np.stack([lengths["right"] * columns, lengths["down"] * rows, np.zeros(len(rows))])
+        return _STIFFER * self.rates(flat)[0]
+
+    def call_own(self, t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
+        """Evaluate the forces in numpy for the engine; 0 if all went well."""
+        try:
+            places, speeds, forces = (np.ctypeslib.as_array(array, self._shape) for array in (x, v, f))
+            for force in self._own:
+                force.add_force(t, places, speeds, forces)
+                if powers:
+                    powers[0] += force.dissipation(t, places, speeds)
+                    powers[1] += force.supply(t, places, speeds)
+        except BaseException as trouble:  # noqa: BLE001 - it is raised again on the other side of the engine
+            self._trouble = trouble
+            return 1
+        return 0
+
+
+def largest_distance(x: Array, y: Array) -> float:
+    """Return the largest distance between particles of two arrays (3, n) [m]; infinite if any entry is not finite."""
+    out = ctypes.c_double()
+    addresses = doubles("x", x, x.shape), doubles("y", y, x.shape)
+    check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
+    return float(out.value)
+
+
+def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
+    """Return the weighted sum of arrays of one shape."""
+    out = np.empty_like(arrays[0])
+    places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
+    factors = np.array(weights, dtype=np.float64)
+    check(
+        library().cloth_combine(len(arrays), ctypes.addressof(places), factors.ctypes.data, out.size, out.ctypes.data)
+    )
+    return out
+
+
+def weighted_dot(masses: Array, a: Array, b: Array) -> float:
+    """Return the sum over particles of m a . b, shapes (n,) and (3, n), in the order of the particles."""
+    out, shape = ctypes.c_double(), (3, len(masses))
+    addresses = doubles("masses", masses, masses.shape), doubles("a", a, shape), doubles("b", b, shape)
+    check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))
+    return float(out.value)
+
+
+def _caller(plan: weakref.ref[Plan]) -> Any:
+    def call(t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
+        alive = plan()
+        return 1 if alive is None else alive.call_own(t, x, v, f, powers)
+
+    return call
+
+
+def _pairs(groups: NDArray[np.int64]) -> NDArray[np.int64]:
+    """All pairs of particles within each row."""
+    width = groups.shape[1]
+    return np.concatenate([groups[:, [i, j]] for i in range(width) for j in range(i + 1, width)])
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0))

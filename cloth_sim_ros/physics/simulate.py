@@ -1,0 +1,84 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A model's motion from now until later, in one call."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.state import State
+
+#: Longest stretch that is advanced at once [s]: a frame of a node at 60 Hz.
+STRETCH = 1.0 / 60.0
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Motion:
+    """What `simulate` returns."""
+
+    #: Times that were asked for [s], shape (k,).
+    times: Array
+    #: Positions [m] and velocities [m/s] then, shape (k, particle_count, 3).
+    positions: Array
+    velocities: Array
+    #: What the integrator did over each stretch.
+    advances: Sequence[Advance]
+
+
+def simulate(
+    model: Model | Plan,
+    state: State,
+    until: float,
+    *,
+    save_at: ArrayLike | None = None,
+    tolerance: float | None = 1e-4,
+    integrator: Integrator | None = None,
+) -> Motion:
+    """Let a model move from time 0 until a later one; the state moves with it.
+
+    Args:
+        model: masses, forces and anchors; or a plan that was compiled of them before.
+        state: where it starts; it stands at the end when this returns.
+        until: time to end at [s].
+        save_at: times to keep positions and velocities of [s], ascending, from 0 to `until`; the end alone where left out.
+        tolerance: largest particle position error [m]; see docs/time_stepping.md. None takes steps by stability alone.
+        integrator: how to step; chosen by stiffness and tolerance where left out.
+
+    Raises:
+        ValueError: for times that do not ascend or lie outside, or a state of another number of particles.
+        UnstableError: if the motion does not stay finite.
+    """
+    from cloth_sim_ros.physics.automatic import make_integrator
+
+    plan = model if isinstance(model, Plan) else compile(model)
+    if state.particle_count != plan.model.particle_count:
+        raise ValueError(f"the state has {state.particle_count} particles, the model {plan.model.particle_count}")
+    if not (math.isfinite(until) and until > 0.0):
+        raise ValueError(f"until is {until} s; it must be finite and above 0")
+    times = np.array([until] if save_at is None else save_at, dtype=np.float64).reshape(-1)
+    if not np.isfinite(times).all() or (np.diff(times) < 0.0).any() or times.min() < 0.0 or times.max() > until:
+        raise ValueError(f"save_at is {times.tolist()} s; its times must ascend from 0 to until, {until} s")
+    steps = integrator or make_integrator("auto", tolerance=tolerance)
+    positions, velocities, advances = [], [], list[Advance]()
+    now = 0.0
+    for end in [*times.tolist(), until]:
+        count = max(1, math.ceil((end - now) / STRETCH - 1e-9)) if end > now else 0
+        for k in range(count):
+            begin = now + k * (end - now) / count
+            advances.append(steps.advance(plan, state, begin, (end - now) / count))
+        now = max(now, end)
+        positions.append(state.positions)
+        velocities.append(state.velocities)
+    kept = len(times)
+    return Motion(
+        times=times, positions=np.array(positions[:kept]), velocities=np.array(velocities[:kept]), advances=advances
+    )

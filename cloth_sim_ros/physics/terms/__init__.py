@@ -1,2 +1,0 @@
-# Copyright 2026 the cloth_sim_ros authors
-# SPDX-License-Identifier: Apache-2.0
