@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
+from support.alone import alone, product
 
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.material import grid_threads
@@ -27,11 +28,12 @@ def moduli(sheet, springs):
     """The 3x3 matrix C of energy density = e' C e / 2 for strains e = (xx, yy, 2 xy), by second differences."""
     rest = sheet.positions().T
     area = sheet.height * sheet.width
+    plan = alone(*springs, count=rest.shape[1])
 
     def energy(strain):
         xx, yy, xy = strain
         deformed = np.eye(3) + np.array([[xx, xy / 2, 0], [xy / 2, yy, 0], [0, 0, 0]])
-        return sum(term.energy(0.0, deformed @ rest) for term in springs) / area
+        return plan.energies(0.0, np.ascontiguousarray(deformed @ rest), None)[1] / area
 
     h = 1e-4
     c = np.zeros((3, 3))
@@ -104,7 +106,8 @@ def test_edge_springs_alone_let_a_square_shear_flat_and_diagonals_do_not():
             sheared = rest.copy()
             sheared[:, 0] = rest[:, 0] + rest[:, 1] * np.sin(angle)
             sheared[:, 1] = rest[:, 1] * np.cos(angle)
-            structural, shear = (term.energy(0.0, np.ascontiguousarray(sheared.T)) for term in springs)
+            places = np.ascontiguousarray(sheared.T)
+            structural, shear = (alone(each, count=4).energies(0.0, places, None)[1] for each in springs)
             assert structural < 1e-25 * Y
             assert shear > 0.01 * G * angle**2
         assert np.ptp(sheared[:, 0]) == pytest.approx(2.0, rel=1e-5), "a line of twice the edge"
@@ -112,7 +115,7 @@ def test_edge_springs_alone_let_a_square_shear_flat_and_diagonals_do_not():
 
 def test_without_a_shear_modulus_there_are_no_shear_springs():
     _, _, springs = sheet_and_springs("both", shear=0.0)
-    assert [term.name for term in springs] == ["structural"]
+    assert [force.name for force in springs] == ["structural"]
 
 
 def test_moduli_that_no_network_has_are_refused():
@@ -121,17 +124,15 @@ def test_moduli_that_no_network_has_are_refused():
 
 
 def stiffness_matrix(sheet, springs):
-    """In-plane stiffness of the rest shape, from the terms' own Jacobian products, (2n, 2n), particle-major."""
+    """In-plane stiffness of the rest shape, from the springs' own Jacobian products, (2n, 2n), particle-major."""
     x = np.ascontiguousarray(sheet.positions().T)
     n, zero = x.shape[1], np.zeros_like(x)
-    columns = []
+    plan, columns = alone(*springs, count=n), []
     for p in range(n):
         for i in range(2):
-            push, out = np.zeros_like(x), np.zeros_like(x)
+            push = np.zeros_like(x)
             push[i, p] = 1.0
-            for term in springs:
-                term.add_jacobian_product(0.0, x, zero, push, zero, out)
-            columns.append(-out[:2].T.ravel())
+            columns.append(-product(plan, x, zero, push, zero)[:2].T.ravel())
     return sparse.csc_array(np.array(columns).T)
 
 

@@ -34,9 +34,9 @@ def scene(text=JOINT, **values):
 def test_a_springs_file_is_a_scene_with_masses_springs_joints_and_velocities():
     system = scene()
     model = system.model()
-    assert [term.name for term in model.terms] == ["springs"]
+    assert [force.name for force in model.forces] == ["springs"]
     assert model.masses == pytest.approx([0.2, 0.2, 0.2])
-    spring = model.terms[0]
+    spring = model.forces[0]
     assert spring.rest_length == pytest.approx([0.0, 1.0])
     assert spring.stiffness == pytest.approx([50.0, 20.0])
     assert spring.damping == pytest.approx([0.4 * np.sqrt(0.2 * 50.0), 0.0])
@@ -92,7 +92,7 @@ def test_the_content_is_kept_when_the_file_is_gone(tmp_path):
         (("[1, 2]]", "[1, 1]]"), "joins particle 1 to itself"),
         (("[1, 2]]", "[1, 1.5]]"), "row 1 of table 'springs'"),
         (("[0, 2, 0]]", "[0, .nan, 0]]"), "row 2 of table 'velocities'"),
-        (("rest_lengths: [0, 1]", "rest_lengths: [0, -1]"), "rest_length of spring 1 is -1.0"),
+        (("rest_lengths: [0, 1]", "rest_lengths: [0, -1]"), r"rest_length of 'springs'[1] is -1.0"),
         (("k_d0: [0.4, 0]", "k_d0: 1\nk_d: 1"), "give one of them"),
         (("springs: [[0, 1], [1, 2]]", ""), "table 'springs' is missing"),
         (("positions:", "positions: ["), "no YAML"),

@@ -13,17 +13,24 @@ import math
 from typing import Literal
 
 import attrs
-import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.bending_calibration import spring_constants
-from cloth_sim_ros.physics.hinge_shape import HingeShape
-from cloth_sim_ros.physics.kernels.pairs import add_pair_forces, pair_energy
-from cloth_sim_ros.physics.kernels.tetrahedron import JIT, dot, length_and_gradient, load
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, signed_lengths
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.hinge_shape import HingeShape
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import compile
 
 #: The five edges of the triangles, then the bending spring.
 EDGES = np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])
+
+#: Steps between looks at whether they rest.
+LOOK = 50
 
 #: Rest triangles: edge, heights and feet of the two wings [m].
 RESTS: dict[str, tuple[float, float, float, float, float]] = {
@@ -49,7 +56,7 @@ class Recovery:
     longest: int
     """Steps that the slowest of them took."""
     latest_energy_rise: float
-    """Largest rise of the total energy in a step within the last tenth of any motion, over the energy scale k7 L²."""
+    """Largest rise of the total energy from one look to the next in the last tenth of any motion, over k7 L²."""
 
 
 def starts(kind: Start, rest: Array, count: int, rng: np.random.Generator) -> Array:
@@ -117,10 +124,14 @@ def recover(
     h0 = float(shape.length(model)[0])
     # an explicit step of a quarter of the shortest period's stable one: particles hang on up to four stiff springs
     step = 0.25 / math.sqrt(edge_stiffness + ratio_second + 1.0)
-    steps, final, rise = _run(
-        x, lengths, stiffness, k_d, h0, ratio_second, damping * math.sqrt(ratio_second), model == "crossed", step, limit
+    steps, rise = _come_to_rest(
+        x,
+        _Tetrahedra(lengths, stiffness, k_d, h0, ratio_second, damping * math.sqrt(ratio_second), model, len(x)),
+        step,
+        limit,
     )
     found = np.linalg.norm(x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]], axis=2)
+    final = signed_lengths(_quads(len(x)), _componentwise(x), kind=model)
     near = 1e-3 * float(lengths.max())
     right = (np.abs(found - lengths).max(axis=1) < near) & (np.abs(final - h0) < near)
     return Recovery(
@@ -131,50 +142,78 @@ def recover(
     )
 
 
-@numba.njit(**JIT)
-def _run(x, lengths, stiffness, damping, h0, second, second_damping, crossed, step, limit):  # type: ignore[no-untyped-def]
-    """Semi-implicit Euler, one tetrahedron at a time; returns steps taken, final h, latest energy rise."""
-    count = x.shape[0]
-    steps = np.zeros(count, np.int64)
-    final = np.zeros(count)
-    rise = np.zeros(count)
-    p = np.empty((3, 4))
-    v = np.empty((3, 4))
-    f = np.empty((3, 4))
-    energies = np.empty(limit)
-    for n in range(count):
-        v[:] = 0.0
-        quiet = 0
-        taken = limit
-        for i in range(limit):
-            for k in range(4):
-                for j in range(3):
-                    p[j, k] = x[n, k, j]
-            f[:] = 0.0
-            add_pair_forces(EDGES, lengths, stiffness, damping, p, v, f)
-            defined, h, _, g, _, _ = length_and_gradient((load(p, 0), load(p, 1), load(p, 2), load(p, 3)), crossed)
-            final[n] = h
-            rate = 0.0
-            for k in range(4):
-                rate += dot(g[k], load(v, k))
-            tension = -second * (h - h0) - second_damping * rate
-            kinetic = 0.0
-            force = 0.0
-            for k in range(4):
-                for j in range(3):
-                    total = f[j, k] + tension * g[k][j]
-                    kinetic += 0.5 * v[j, k] * (v[j, k] + step * total)
-                    v[j, k] += step * total
-                    x[n, k, j] += step * v[j, k]
-                    force += total * total
-            energies[i] = kinetic + pair_energy(EDGES, lengths, stiffness, p)
-            if defined:
-                energies[i] += 0.5 * second * (h - h0) ** 2
-            quiet = quiet + 1 if force < 1e-14 and kinetic < 1e-14 else 0
-            if quiet > 200:
-                taken = i + 1
-                break
-        steps[n] = taken
-        for i in range(taken - taken // 10, taken):
-            rise[n] = max(rise[n], energies[i] - energies[i - 1])
-    return steps, final, rise
+class _Tetrahedra:
+    """Many tetrahedra of unit masses that do not touch each other, in one model."""
+
+    def __init__(
+        self,
+        lengths: Array,
+        stiffness: Array,
+        damping: Array,
+        h0: float,
+        second: float,
+        second_damping: float,
+        kind: Literal["crossed", "altitude"],
+        count: int,
+    ) -> None:
+        self.lengths, self.stiffness, self.h0, self.second, self.kind = lengths, stiffness, h0, second, kind
+        self.quads = _quads(count)
+        pairs = self.quads[:, EDGES].reshape(-1, 2)
+        edges = PairSprings(
+            pairs, np.tile(lengths, count), np.tile(stiffness * lengths, count), np.tile(damping, count)
+        )
+        hinges: HingeSprings
+        if kind == "crossed":
+            hinges = CrossedSprings(self.quads[:, :2], self.quads[:, 2:], h0, second, second_damping)
+        else:
+            hinges = AltitudeSprings(self.quads, h0, second, second_damping)
+        self.plan = compile(Model(np.ones(4 * count), [edges, hinges]))
+
+    def energies(self, x: Array, v: Array) -> Array:
+        """Kinetic plus potential energy of each [J]; the hinge's counts where its length is defined."""
+        p = x.T.reshape(-1, 4, 3)
+        stretch = np.linalg.norm(p[:, EDGES[:, 1]] - p[:, EDGES[:, 0]], axis=2) - self.lengths
+        h = signed_lengths(self.quads, x, kind=self.kind)
+        hinge = np.where(np.isnan(h), 0.0, 0.5 * self.second * (h - self.h0) ** 2)
+        energy: Array = _kinetic_energies(v) + 0.5 * (self.stiffness * stretch**2).sum(axis=1) + hinge
+        return energy
+
+
+def _kinetic_energies(v: Array) -> Array:
+    """Of each tetrahedron of unit masses [J]."""
+    energy: Array = 0.5 * (v * v).sum(axis=0).reshape(-1, 4).sum(axis=1)
+    return energy
+
+
+def _quads(count: int) -> NDArray[np.int64]:
+    return np.arange(4 * count).reshape(-1, 4)
+
+
+def _componentwise(x: Array) -> Array:
+    return np.ascontiguousarray(x.reshape(-1, 3).T)
+
+
+def _come_to_rest(starts: Array, many: _Tetrahedra, step: float, limit: int) -> tuple[Array, Array]:
+    """Let all move until they rest, by the leapfrog; returns the steps of each and its latest rise of energy [J].
+
+    They are looked at every `LOOK` steps: at rest is what was so at four looks in a row.
+    """
+    x, count = _componentwise(starts), len(starts)
+    v, forces = np.zeros_like(x), np.zeros_like(x)
+    quiet, taken = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    history = [many.energies(x, v)]
+    for look in range(1, limit // LOOK + 1):
+        (run,), _ = many.plan.runs(0.0, LOOK * step, (x, v), [LOOK])
+        x, v = run.x, run.v
+        many.plan.accelerations(0.0, x, v, forces)
+        history.append(many.energies(x, v))
+        still = (2.0 * _kinetic_energies(forces) < 1e-14) & (_kinetic_energies(v) < 1e-14)
+        quiet = np.where(still, quiet + 1, 0)
+        taken[(quiet == 4) & (taken == 0)] = look
+        if taken.all():
+            break
+    taken[taken == 0] = len(history) - 1
+    starts[:] = x.T.reshape(-1, 4, 3)
+    rises = np.diff(np.array(history), axis=0)
+    rise = np.array([rises[last - last // 10 : last, k].max(initial=0.0) for k, last in enumerate(taken.tolist())])
+    return LOOK * taken, rise

@@ -17,9 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.bending_calibration import bending_terms, grid_hinge_constants
-from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
 from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -117,20 +120,20 @@ def hanging_strip(
     pairs = np.concatenate((edges, grid_diagonals(rows, columns, "right")))
     lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
     constants = grid_hinge_constants(hinges, columns=columns, spacing=(cell, cell), bending_modulus=1.0)
-    terms: list[Term] = [PairSprings(pairs, lengths, stretch)]
-    terms += bending_terms(model, hinges, rest, hinge_constants=constants, existing=pairs)
+    forces: list[Force] = [PairSprings(pairs, lengths, stretch * lengths), Gravity((0.0, 0.0, -1.0))]
+    forces += bending_terms(model, hinges, rest, hinge_constants=constants, existing=pairs)
     free = np.flatnonzero(column > 1)
     start = rest.copy()
     curve = exact.at(along[column[free]])
     start[free, 0], start[free, 2] = curve[:, 0], -curve[:, 1]
-    x = _equilibrium(terms, start, masses, column, 2)
+    x = _equilibrium(Model(masses, forces), start, column, 2)
     mean = np.array([x[column == k].mean(axis=0) for k in range(2, columns)])
     centre = rest[:, 1].mean()
     return Strip(arc=along[2:], curve=mean[:, [0, 2]] * (1.0, -1.0), aside=float(np.abs(mean[:, 1] - centre).max()))
 
 
-def _equilibrium(terms: list[Term], start: Array, masses: Array, column: NDArray[np.int64], clamped: int) -> Array:
-    """Positions (n, 3) at rest under gravity -1 along z, by Newton's method from `start`, shifted until energy falls.
+def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped: int) -> Array:
+    """Positions (n, 3) at rest under a weight of 1 m/s^2, by Newton's method from `start`, shifted until energy falls.
 
     Particles of the first `clamped` columns stay. Forces reach two columns far, so that pushing every fifth at once
     tells the Hessian's entries apart.
@@ -138,22 +141,20 @@ def _equilibrium(terms: list[Term], start: Array, masses: Array, column: NDArray
     from scipy.sparse import csc_array, identity
     from scipy.sparse.linalg import splu
 
-    x = np.ascontiguousarray(start.T)
+    plan, x = compile(model), np.ascontiguousarray(start.T)
     still = np.zeros_like(x)
     free = np.flatnonzero(column >= clamped)
     number = np.full(column.size, -1)
     number[free] = np.arange(free.size)
     size = 3 * free.size
-    weight = float(masses.sum())
+    weight = model.mass
 
     def energy() -> float:
-        return sum(term.energy(0.0, x) for term in terms) + float(masses @ x[2])
+        return plan.energies(0.0, x, None)[1]
 
     def force() -> Array:
         f = np.zeros_like(x)
-        for term in terms:
-            term.add_force(0.0, x, still, f)
-        f[2] -= masses
+        plan.add_force(0.0, x, still, f)
         return f[:, free].ravel()
 
     def hessian() -> csc_array:
@@ -165,8 +166,7 @@ def _equilibrium(terms: list[Term], start: Array, masses: Array, column: NDArray
             pushed = np.flatnonzero((column % 5 == phase) & (rank == place) & (number >= 0))
             push, out = np.zeros_like(x), np.zeros_like(x)
             push[axis, pushed] = 1.0
-            for term in terms:
-                term.add_jacobian_product(0.0, x, still, push, still, out)
+            plan.add_jacobian_product(0.0, x, still, push, still, out)
             for p in pushed:
                 near = free[np.abs(column[free] - column[p]) <= 2]
                 for component in range(3):

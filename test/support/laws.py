@@ -1,0 +1,251 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every law once more, in plain numpy and by other formulas than the engine's: what its results are compared with.
+
+Positions and velocities are (3, n), as the engine has them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm_frechet
+from scipy.spatial.transform import Rotation
+
+from cloth_sim_ros.physics.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.wind import Wind
+
+
+class Values(NamedTuple):
+    """What a force is worth in one state."""
+
+    force: np.ndarray
+    energy: float = 0.0
+    lost: float = 0.0
+    given: float = 0.0
+
+
+def pair_springs(x, v, pairs, rest, stiffness, damping):
+    """S1 where the rest length is above 0, S4 where it is 0: stiffness is k_s [N] and k [N/m]."""
+    f, energy, lost = np.zeros_like(x), 0.0, 0.0
+    for (a, b), l0, k, k_d in zip(pairs, rest, stiffness, damping, strict=True):
+        s, u = x[:, b] - x[:, a], v[:, b] - v[:, a]
+        length = np.linalg.norm(s)
+        if l0 == 0.0:
+            push = -k * s - k_d * u
+            energy += 0.5 * k * length**2
+            lost += k_d * (u @ u)
+        else:
+            d = s / length
+            push = -k * (length / l0 - 1.0) * d - k_d * (u @ d) * d
+            energy += 0.5 * k * l0 * (length / l0 - 1.0) ** 2
+            lost += k_d * (u @ d) ** 2
+        f[:, b] += push
+        f[:, a] -= push
+    return Values(f, energy, lost)
+
+
+#: How a family's springs lead from their first end: rows down and columns to the right.
+LEADS = {
+    "right": (0, 1),
+    "down": (1, 0),
+    "diagonal": (1, 1),
+    "antidiagonal": (1, -1),
+    "right2": (0, 2),
+    "down2": (2, 0),
+}
+
+
+def grid_springs(x, v, rows, columns, families):
+    """Springs of a sheet, counted off cell by cell."""
+    pairs, rest, stiffness, damping = [], [], [], []
+    for family in families:
+        down, right = LEADS[family.name]
+        for row in range(rows):
+            for column in range(columns):
+                to = row + down, column + right
+                if not (0 <= to[0] < rows and 0 <= to[1] < columns):
+                    continue
+                cell = min(row, to[0]) + min(column, to[1])
+                if family.parity is not None and cell % 2 != family.parity:
+                    continue
+                along_border = (down == 0 and row in (0, rows - 1)) or (right == 0 and column in (0, columns - 1))
+                share = family.border if along_border else 1.0
+                pairs.append((row * columns + column, to[0] * columns + to[1]))
+                rest.append(family.rest_length)
+                stiffness.append(share * family.stiffness)
+                damping.append(share * family.damping)
+    return pair_springs(x, v, pairs, rest, stiffness, damping)
+
+
+def _sign(order):
+    """1 for an even order of four things, -1 for an odd one."""
+    return round(np.linalg.det(np.eye(4)[list(order)]))
+
+
+def volume(p):
+    """6V of four points (4, 3): positive where the wings, 2 and 3, rise to the side of the normal."""
+    return np.dot(p[1] - p[0], np.cross(p[2] - p[0], p[3] - p[0]))
+
+
+def edge_edge(p, i, j, k, m):
+    """Signed distance of the lines i-j and k-m of four points (4, 3), its gradient (4, 3), and |a x b|.
+
+    Each end takes its share by the feet of the common normal, not clamped.
+    """
+    a, b = p[j] - p[i], p[m] - p[k]
+    cross = np.cross(b, a)
+    area = np.linalg.norm(cross)
+    n = _sign((i, j, k, m)) * cross / area
+    # p_i + s a + q n = p_k + t b
+    s, t, q = np.linalg.solve(np.stack((a, -b, n), axis=1), p[k] - p[i])
+    gradient = np.zeros((4, 3))
+    gradient[[i, j, k, m]] = np.outer([s - 1.0, -s, 1.0 - t, t], n)
+    return q, gradient, area
+
+
+def point_face(p, i, j, k, m):
+    """Signed height of point m over the face i, j, k, its gradient (4, 3), and |a x b| of the face."""
+    a, b = p[j] - p[i], p[k] - p[i]
+    cross = np.cross(a, b)
+    area = np.linalg.norm(cross)
+    n = _sign((i, j, k, m)) * cross / area
+    # The foot of the height, p_i + s a + t b.
+    s, t, q = np.linalg.solve(np.stack((a, b, n), axis=1), p[m] - p[i])
+    gradient = np.zeros((4, 3))
+    gradient[[i, j, k, m]] = np.outer([s + t - 1.0, -s, -t, 1.0], n)
+    return q, gradient, area
+
+
+def candidates(p):
+    """Lengths, gradients and areas of the seven candidates of four points (4, 3), S8's first."""
+    edges = [edge_edge(p, *order) for order in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2))]
+    return edges + [point_face(p, *order) for order in ((0, 1, 2, 3), (0, 1, 3, 2), (0, 2, 3, 1), (1, 2, 3, 0))]
+
+
+def crossed_length(p):
+    """S8: length and gradient of one hinge (4, 3)."""
+    h, gradient, _ = edge_edge(p, 0, 1, 2, 3)
+    return h, gradient
+
+
+def blended_length(p):
+    """S9: 1/h^2 = 1/2 sum of 1/h_c^2 over the candidates, and its gradient sum of 1/2 (M_c/M)^3 grad h_c."""
+    seven = candidates(p)
+    whole = np.sqrt(0.5 * sum(area**2 for _, _, area in seven))
+    gradient = sum(0.5 * (area / whole) ** 3 * slope for _, slope, area in seven)
+    return volume(p) / whole, gradient
+
+
+def hinge_springs(length, x, v, hinges, rest, stiffness, damping):
+    """S8 or S9: energy k (h - h0)^2 / 2, damping -k_d (grad h . v) grad h."""
+    f, energy, lost = np.zeros_like(x), 0.0, 0.0
+    for hinge, h0, k, k_d in zip(hinges, rest, stiffness, damping, strict=True):
+        h, gradient = length(x.T[hinge])
+        rate = np.sum(gradient * v.T[hinge])
+        f[:, hinge] -= ((k * (h - h0) + k_d * rate) * gradient).T
+        energy += 0.5 * k * (h - h0) ** 2
+        lost += k_d * rate**2
+    return Values(f, energy, lost)
+
+
+def air_panels(x, v, panels, normal, tangential, wind):
+    """F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners."""
+    f, lost, given = np.zeros_like(x), 0.0, 0.0
+    for panel in panels:
+        p = x.T[panel]
+        area_vector = 0.5 * (np.cross(p[1] - p[0], p[2] - p[0]) if len(p) == 3 else np.cross(p[2] - p[0], p[3] - p[1]))
+        area = np.linalg.norm(area_vector)
+        across = np.outer(area_vector, area_vector) / area**2
+        drag = area / len(p) * (normal * across + tangential * (np.eye(3) - across))
+        for corner in panel:
+            f[:, corner] -= drag @ (v[:, corner] - wind)
+            lost += v[:, corner] @ drag @ v[:, corner]
+            given += wind @ drag @ v[:, corner]
+    return Values(f, 0.0, lost, given)
+
+
+def pose(path, t):
+    """Place, velocity, rotation matrix and its rate of a gripper at a time [s]."""
+    s = t - path[0]
+    powers, slopes = s ** np.arange(4), np.array([0.0, 1.0, 2.0 * s, 3.0 * s**2])
+    places, turns = path[1:13].reshape(4, 3), np.concatenate([np.zeros((1, 3)), path[17:26].reshape(3, 3)])
+    turn, rate = (_cross_matrix(weights @ turns) for weights in (powers, slopes))
+    turned, turning = expm_frechet(turn, rate)
+    first = Rotation.from_quat(path[13:17]).as_matrix()
+    return powers @ places, slopes @ places, turned @ first, turning @ first
+
+
+def _cross_matrix(r):
+    return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+
+
+def grips(t, x, v, force):
+    """S4 to points of grippers; secondly, of each gripper, force, torque, power on the cloth and power lost."""
+    f, energy = np.zeros_like(x), 0.0
+    booked = np.zeros((force.gripper_count, 8))
+    for gripper, path in enumerate(force.paths):
+        place, velocity, rotation, turning = pose(path, t)
+        for grip in range(force.starts[gripper], force.starts[gripper + 1]):
+            particle, k, k_d = force.particles[grip], force.stiffness[grip], force.damping[grip]
+            arm, speed = rotation @ force.offsets[grip], velocity + turning @ force.offsets[grip]
+            s, u = x[:, particle] - place - arm, v[:, particle] - speed
+            push = -k * s - k_d * u
+            f[:, particle] += push
+            energy += 0.5 * k * (s @ s)
+            booked[gripper] += [*-push, *np.cross(arm, -push), push @ speed, k_d * (u @ u)]
+    return Values(f, energy, float(booked[:, 7].sum())), booked
+
+
+def values(force, t, x, v, masses):
+    """What one of the engine's forces is worth, by the laws above."""
+    if isinstance(force, Grips):
+        return grips(t, x, v, force)[0]
+    if isinstance(force, GridSprings):
+        return grid_springs(x, v, force.rows, force.columns, force.families)
+    if isinstance(force, PairSprings):
+        return pair_springs(x, v, force.pairs, force.rest_length, force.stiffness, force.damping)
+    if isinstance(force, (CrossedSprings, AltitudeSprings)):
+        length = crossed_length if isinstance(force, CrossedSprings) else blended_length
+        return hinge_springs(length, x, v, force.hinges, force.rest_length, force.stiffness, force.damping)
+    if isinstance(force, AirPanels):
+        return air_panels(x, v, force.panels, force.normal, force.tangential, force.wind)
+    if isinstance(force, Gravity):
+        weight = np.outer(force.acceleration, masses)
+        return Values(weight, -float(np.sum(weight * x)))
+    if isinstance(force, Drag):
+        return Values(-force.rate * masses * v, 0.0, force.rate * float(np.sum(masses * v * v)))
+    if isinstance(force, Wind):
+        push = np.outer(force.acceleration, masses)
+        return Values(push, 0.0, 0.0, float(np.sum(push * v)))
+    raise TypeError(f"no law is written down for {type(force).__name__}")
+
+
+def total(model, t, x, v):
+    """The sum over a model's forces; anchored particles feel them too."""
+    each = [values(force, t, x, v, model.masses) for force in model.forces]
+    return Values(sum(e.force for e in each), *(sum(e[k] for e in each) for k in (1, 2, 3)))
+
+
+def leapfrog(model, t, duration, x, v, steps):
+    """Positions and velocities after the steps of docs/time_stepping.md, forces by the laws above."""
+
+    def accelerations(now, places, speeds):
+        return total(model, now, places, speeds).force * model.inverse_masses
+
+    h = duration / steps
+    x, v = x.copy(), v * (model.inverse_masses > 0.0)
+    last = before = accelerations(t, x, v)
+    for k in range(steps):
+        x = x + 0.5 * h * v
+        a = accelerations(t + (k + 0.5) * h, x, v + 0.25 * h * (last + before))
+        v = v + h * a
+        x = x + 0.5 * h * v
+        last, before = a, last
+    return x, v
