@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from support.alone import alone
+from support.alone import force as force_of
 
 from cloth_sim_ros.bench.bending_patterns import grid_patch, plate_of, triangle_patch
 from cloth_sim_ros.bench.bending_recovery import RESTS, rest_shape
@@ -16,13 +18,18 @@ from cloth_sim_ros.physics.bending_calibration import (
     mesh_hinge_constants,
     spring_constants,
 )
+from cloth_sim_ros.physics.forces.hinge_springs import signed_lengths
+from cloth_sim_ros.physics.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.hinge_shape import HingeShape
 from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
-from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-from cloth_sim_ros.physics.forces.tetrahedron import signed_lengths
 
 PAIR = np.array([[0, 1, 2, 3]])
 KINDS = ("crossed", "altitude")
+
+
+def energy_of(forces, positions):
+    """Of particles (n, 3) [J]."""
+    return alone(*forces, count=len(positions)).energies(0.0, np.ascontiguousarray(positions.T), None)[1]
 
 
 def pair_shape(name="equilateral", angle=0.0):
@@ -34,10 +41,11 @@ def test_lengths_of_a_hinge_shape_are_those_of_its_particles(kind):
     x = np.random.default_rng(0).standard_normal((80, 3))
     hinges = np.arange(80).reshape(-1, 4)
     shape = HingeShape.of(hinges, x)
-    assert shape.length(kind) == pytest.approx(signed_lengths(hinges, x.T, crossed=kind == "crossed"), rel=1e-10)
+    assert shape.length(kind) == pytest.approx(signed_lengths(hinges, x.T, kind=kind), rel=1e-10)
     assert shape.wing_distance() == pytest.approx(np.linalg.norm(x[3::4] - x[2::4], axis=1), rel=1e-12)
     step = 1e-6
-    up, down = shape.at(shape.angle + step), shape.at(shape.angle - step)
+    angle = np.arctan2(shape.sine, shape.cosine)
+    up, down = shape.at(angle + step), shape.at(angle - step)
     assert shape.length_slope(kind) == pytest.approx((up.length(kind) - down.length(kind)) / (2 * step), abs=1e-8)
     slope = (up.wing_distance() - down.wing_distance()) / (2 * step)
     assert shape.wing_distance_slope() == pytest.approx(slope, abs=1e-8)
@@ -50,7 +58,8 @@ def test_lengths_of_a_hinge_shape_are_those_of_its_particles(kind):
 
 @pytest.mark.parametrize("angle", [-2.5, -0.3, 0.0, 1.0, 3.0])
 def test_the_fold_angle_is_signed(angle):
-    assert pair_shape("scalene", angle).angle == pytest.approx(angle)
+    shape = pair_shape("scalene", angle)
+    assert (shape.sine, shape.cosine) == (pytest.approx(math.sin(angle)), pytest.approx(math.cos(angle)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -58,12 +67,11 @@ def test_the_fold_angle_is_signed(angle):
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.1, -0.7])
 def test_a_fold_from_rest_costs_half_the_hinge_constant_times_its_square(kind, name, angle):
     rest = rest_shape(name, angle)
-    terms = bending_terms(kind, PAIR, rest, hinge_constants=[3.0])
+    forces = bending_terms(kind, PAIR, rest, hinge_constants=[3.0])
     step = 1e-4
 
     def energy(fold):
-        x = np.ascontiguousarray(rest_shape(name, fold).T)
-        return sum(term.energy(0.0, x) for term in terms)
+        return energy_of(forces, rest_shape(name, fold))
 
     # the mean of both sides has no cubic part, and two steps leave no quartic one
     single, double = (0.5 * (energy(angle + k * step) + energy(angle - k * step)) for k in (1, 2))
@@ -110,10 +118,10 @@ def test_hinge_constants_do_not_change_under_refinement():
 def test_opposite_springs_have_the_quartic_energy_and_the_cubic_moment_of_the_lectures_limit():
     # equal heights, feet together: E = k L θ⁴/128 and moment k L θ³/32, k the force per strain
     k_s, distance = 2.0, 2.0 * RESTS["checkerboard edge"][1]
-    term = OppositeSprings(PAIR[:, 2:], distance, k_s)
+    springs = OppositeSprings(PAIR[:, 2:], distance, k_s)
 
     def energy(angle):
-        return term.energy(0.0, np.ascontiguousarray(rest_shape("checkerboard edge", angle).T))
+        return energy_of([springs], rest_shape("checkerboard edge", angle))
 
     for angle in (0.02, 0.04):
         assert energy(angle) == pytest.approx(k_s * distance * angle**4 / 128, rel=angle**2)
@@ -125,11 +133,8 @@ def flattened(name="equilateral"):
     return np.ascontiguousarray(rest_shape(name, 0.0).T)
 
 
-def force(terms, x):
-    f = np.zeros_like(x)
-    for term in terms:
-        term.add_force(0.0, x, np.zeros_like(x), f)
-    return f
+def force(forces, x):
+    return force_of(alone(*forces, count=x.shape[1]), x)
 
 
 def test_opposite_springs_have_no_restoring_direction_when_coplanar_and_pull_to_the_mirror_image():
@@ -145,17 +150,14 @@ def test_opposite_springs_have_no_restoring_direction_when_coplanar_and_pull_to_
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_second_spring_lifts_the_wings_of_a_coplanar_pair_and_turns_the_mirror_image(kind):
-    terms = bending_terms(kind, PAIR, rest_shape("equilateral", math.radians(60)), hinge_constants=[1.0])
+    forces = bending_terms(kind, PAIR, rest_shape("equilateral", math.radians(60)), hinge_constants=[1.0])
     for x in (flattened(), np.ascontiguousarray(rest_shape("equilateral", math.radians(-60)).T)):
-        lift = force(terms, x)[2]
+        lift = force(forces, x)[2]
         assert (lift[2:] > 0.1).all()
         assert (lift[:2] < -0.1).all()
     flat = bending_terms(kind, PAIR, rest_shape("equilateral", 0.0), hinge_constants=[1.0])
     # near flat the moment is linear in the fold, where S7's is cubic
-    one, two = (
-        sum(term.energy(0.0, np.ascontiguousarray(rest_shape("equilateral", angle).T)) for term in flat)
-        for angle in (1e-3, 2e-3)
-    )
+    one, two = (energy_of(flat, rest_shape("equilateral", angle)) for angle in (1e-3, 2e-3))
     assert two / one == pytest.approx(4.0, rel=1e-4)
 
 
@@ -165,9 +167,9 @@ def test_opposite_springs_leave_out_pairs_that_are_springs_already():
     rest = np.stack((column, row, 0 * row), axis=1).astype(float)
     shear = grid_diagonals(rows, columns, "both")
     surface = Surface.from_triangles(grid_triangles(rows, columns, "both"))
-    (alone,) = bending_terms("opposite", surface.hinges, rest, spring_stiffness=1.0)
+    (every,) = bending_terms("opposite", surface.hinges, rest, spring_stiffness=1.0)
     (without,) = bending_terms("opposite", surface.hinges, rest, spring_stiffness=1.0, existing=shear)
-    assert len(alone.pairs) - len(without.pairs) == (rows - 1) * (columns - 1)
+    assert len(every.pairs) - len(without.pairs) == (rows - 1) * (columns - 1)
     assert not {tuple(p) for p in np.sort(shear, axis=1).tolist()} & {tuple(p) for p in without.pairs.tolist()}
 
 
@@ -187,7 +189,7 @@ def test_springs_of_one_pair_are_one_with_the_stiffness_of_all():
     opposite, _ = bending_terms("crossed", hinges, rest, hinge_constants=constants)
     assert len(np.unique(opposite.pairs, axis=0)) == len(opposite.pairs)
     _, k7 = spring_constants("crossed", HingeShape.of(hinges, rest), constants)
-    assert opposite.stiffness.sum() == pytest.approx(k7.sum())
+    assert opposite.rigidity.sum() == pytest.approx(k7.sum())
 
 
 def test_the_stiffness_that_opposite_springs_add_in_the_plane_is_what_their_energy_says():
@@ -202,10 +204,7 @@ def test_the_stiffness_that_opposite_springs_add_in_the_plane_is_what_their_ener
     for which, stretch in enumerate(
         [np.diag([1, 0, 0]), np.diag([0, 1, 0]), np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])]
     ):
-        energies = [
-            opposite.energy(0.0, np.ascontiguousarray((rest @ (np.eye(3) + sign * strain * stretch)).T))
-            for sign in (1, -1)
-        ]
+        energies = [energy_of([opposite], rest @ (np.eye(3) + sign * strain * stretch)) for sign in (1, -1)]
         assert np.mean(energies) == pytest.approx(0.5 * added[which] * strain**2 * area, rel=1e-4)
 
 
@@ -213,7 +212,7 @@ def test_the_stiffness_that_opposite_springs_add_in_the_plane_is_what_their_ener
 def test_critical_damping_of_two_equal_free_ends_is_root_two(kind):
     # a pair whose wings alone can move by its gradient: the decrement of the hinge's own mode tells k_d0
     rest, mass, k_d0 = rest_shape("checkerboard edge", 0.4), np.array([0.2, 0.3, 0.4, 0.5]), 0.7
-    _, term = bending_terms(kind, PAIR, rest, hinge_constants=[1.0], damping=k_d0, masses=mass)
+    _, springs = bending_terms(kind, PAIR, rest, hinge_constants=[1.0], damping=k_d0, masses=mass)
     x = np.ascontiguousarray(rest.T)
     step = 1e-6
     gradient = np.zeros_like(x)
@@ -221,9 +220,9 @@ def test_critical_damping_of_two_equal_free_ends_is_root_two(kind):
         up, down = x.copy(), x.copy()
         up[index] += step
         down[index] -= step
-        gradient[index] = (term.lengths(up)[0] - term.lengths(down)[0]) / (2 * step)
+        gradient[index] = (springs.lengths(up)[0] - springs.lengths(down)[0]) / (2 * step)
     reduced = 1.0 / np.sum(gradient**2 / mass)
-    ratio = term.damping[0] / (2.0 * math.sqrt(term.stiffness[0] * reduced))
+    ratio = springs.damping[0] / (2.0 * math.sqrt(springs.stiffness[0] * reduced))
     assert ratio * math.sqrt(2.0) == pytest.approx(k_d0, rel=1e-6)
 
 

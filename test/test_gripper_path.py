@@ -5,18 +5,21 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support import laws
+from support.alone import alone, force
 
-from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix, rotation_vector
-from cloth_sim_ros.physics.kernels.grips import pose_at
+from cloth_sim_ros.engine.binding import check, library
 from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix, rotation_vector
 
 T = 1 / 60
 
 
 def at(row, t):
-    position, velocity, rotation, spin = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3)
-    pose_at(row, t, position, velocity, rotation, spin)
-    return position, velocity, rotation, spin
+    """Place, velocity, rotation matrix and angular velocity, by the engine."""
+    out = np.empty(18)
+    check(library().cloth_pose(row.ctypes.data, t, out.ctypes.data))
+    return out[:3], out[3:6], out[6:15].reshape(3, 3), out[15:]
 
 
 def random_pose(rng):
@@ -44,6 +47,11 @@ def test_velocity_and_spin_are_the_derivatives_of_the_pose(seed):
         assert velocity == pytest.approx((p1 - p0) / (2 * h), rel=1e-5, abs=1e-4)
         assert spin == pytest.approx(Rotation.from_matrix(r1 @ r0.T).as_rotvec() / (2 * h), rel=1e-5, abs=1e-4)
         assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
+        # Angular velocity w: dR/dt R' = [w]x.
+        place, speed, turned, turning = laws.pose(row, t)
+        for found, expected in ((at(row, t)[0], place), (velocity, speed), (rotation, turned)):
+            assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        assert spin == pytest.approx((turning @ turned.T)[[2, 0, 1], [1, 2, 0]], rel=1e-10, abs=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -96,17 +104,45 @@ def test_a_quaternion_without_direction_is_refused(bad):
 def test_grip_work_is_what_springs_store_and_damping_loses(seed):
     """d(energy)/dt + dissipation = power of the gripper + power into the particle, the gripper moving and turning."""
     rng = np.random.default_rng(seed)
-    term = Grips(1)
-    term.paths[0] = path_row(0.0, T, random_pose(rng), rng.standard_normal(6), np.zeros(6), random_pose(rng))[0]
-    term.hold(np.array([0, 2]), np.array([1, 2]), rng.standard_normal((2, 3)), np.full(2, 40.0), np.full(2, 3.0))
+    held = Grips(1)
+    path = path_row(0.0, T, random_pose(rng), rng.standard_normal(6), np.zeros(6), random_pose(rng))[0]
+    offsets = rng.standard_normal((2, 3))
+    held.hold(path[None], np.array([0, 2]), np.array([1, 2]), offsets, np.full(2, 40.0), np.full(2, 3.0))
+    plan = alone(held, count=4)
     x, v, t, h = rng.standard_normal((3, 4)), rng.standard_normal((3, 4)), 0.4 * T, 1e-7
-    rate = (term.energy(t + h, x + h * v) - term.energy(t - h, x - h * v)) / (2 * h)
-    f = np.zeros_like(x)
-    term.add_force(t, x, v, f)
-    assert rate + term.dissipation(t, x, v) == pytest.approx(term.wrenches[0, 6] - np.sum(f * v), rel=1e-6)
+    energies = [plan.energies(t + step, x + step * v, None)[1] for step in (h, -h)]
+    rate = (energies[0] - energies[1]) / (2 * h)
+    f, booked = force(plan, x, v, t), plan.grip_rates(t, x, v)
+    assert rate + plan.dissipation(t, x, v) == pytest.approx(booked[0, 6] - np.sum(f * v), rel=1e-6)
     # Wrench: the reaction to the forces on the particles, its torque about the gripper's pose.
-    position, _, rotation, _ = at(term.paths[0], t)
-    points = (rotation @ term.offsets.T).T
-    assert term.wrenches[0, :3] == pytest.approx(-f.sum(axis=1))
-    assert term.wrenches[0, 3:6] == pytest.approx(np.cross(points, -f[:, [1, 2]].T).sum(axis=0))
-    assert position.shape == (3,)
+    points = offsets @ at(path, t)[2].T
+    assert booked[0, :3] == pytest.approx(-f.sum(axis=1))
+    assert booked[0, 3:6] == pytest.approx(np.cross(points, -f[:, [1, 2]].T).sum(axis=0))
+
+
+def test_grips_of_one_particle_add_up_and_particles_need_no_order():
+    rng = np.random.default_rng(9)
+    held = Grips(3)
+    poses = [random_pose(rng) for _ in range(6)]
+    paths = [path_row(0.0, T, poses[g], rng.standard_normal(6), np.zeros(6), poses[g + 3])[0] for g in range(3)]
+    particles, starts = np.array([5, 0, 3, 5, 1, 0, 5]), np.array([0, 2, 3, 7])
+    stiffness, damping = rng.uniform(10, 50, 7), rng.uniform(0.1, 2.0, 7)
+    held.hold(np.array(paths), starts, particles, rng.standard_normal((7, 3)), stiffness, damping)
+    x, v = rng.standard_normal((3, 6)), rng.standard_normal((3, 6))
+    plan, (expected, booked) = alone(held, count=6), laws.grips(0.3 * T, x, v, held)
+    assert force(plan, x, v, 0.3 * T) == pytest.approx(expected.force, rel=1e-11)
+    assert plan.grip_rates(0.3 * T, x, v) == pytest.approx(booked, rel=1e-10)
+    assert plan.grip_rates(0.3 * T, x, v, 0.5) == pytest.approx(0.5 * booked, rel=1e-10)
+
+
+def test_what_is_held_may_change_and_nothing_held_is_no_force():
+    held, x = Grips(1), np.random.default_rng(2).standard_normal((3, 3))
+    plan = alone(held, count=3)
+    assert not force(plan, x).any()
+    one = (held.paths, np.array([0, 1]), np.array([2]), np.zeros((1, 3)), np.array([7.0]), np.array([0.0]))
+    held.hold(*one)
+    assert force(plan, x)[:, 2] == pytest.approx(-7.0 * x[:, 2])
+    held.hold(
+        held.paths, np.zeros(2, dtype=np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty(0), np.empty(0)
+    )
+    assert not force(plan, x).any()

@@ -6,20 +6,21 @@ import attrs
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from support.alone import alone, force, product
 
 from cloth_sim_ros.physics.chain import Chain, SpringLaw, joint
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 
 LAW = SpringLaw(mass=0.3, rest_length=0.25, stiffness=40.0)
 
 
 def advance(model, state, duration, steps):
-    Leapfrog(duration / steps).advance(Dynamics(model), state, 0.0, duration)
+    Leapfrog(duration / steps).advance(compile(model), state, 0.0, duration)
     return state
 
 
@@ -70,13 +71,13 @@ def test_simple_spring_between_two_free_masses(k_d0):
 @pytest.mark.parametrize("k_d0", [0.0, 0.3, 2.0, 3.0])
 def test_zero_length_spring_is_linear_in_space_and_passes_through_zero(k_d0):
     stiffness, mass, duration = 50.0, 0.2, 1.1
-    term = joint((0, 1), stiffness=stiffness, k_d0=k_d0, mass=mass)
+    spring = joint((0, 1), stiffness=stiffness, k_d0=k_d0, mass=mass)
     start, speed = np.array([0.3, -0.1, 0.0]), np.array([0.0, 0.4, 1.0])
     damping = k_d0 * np.sqrt(mass * stiffness)
 
     def error(steps):
         state = State([[0, 0, 0], start], [[0, 0, 0], speed])
-        advance(Model([mass, mass], [term], anchors=[0]), state, duration, steps)
+        advance(Model([mass, mass], [spring], anchors=[0]), state, duration, steps)
         exact = [oscillator(stiffness, damping, mass, u, w, duration) for u, w in zip(start, speed, strict=True)]
         return np.abs(np.stack([state.x[:, 1], state.v[:, 1]], axis=1) - exact).max()
 
@@ -145,16 +146,15 @@ def test_every_mode_of_a_chain_has_the_discrete_dispersion_and_damping(anchored,
     n, k_d0 = 14, 0.05
     chain = Chain(law=attrs.evolve(LAW, k_d0=k_d0), particle_count=n, anchored=anchored, half_ends=half_ends)
     model, state = chain.model(), chain.state()
-    springs = model.term("springs")
-    free = np.setdiff1d(np.arange(n), chain.anchors)
+    plan, free = compile(model), np.setdiff1d(np.arange(n), chain.anchors)
     jacobians = []
     for part in (0, 1):
         columns = []
         for particle in free:
-            push, out, nothing = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n))
+            push, nothing = np.zeros((3, n)), np.zeros((3, n))
             push[0, particle] = 1.0
             moved = (push, nothing) if part == 0 else (nothing, push)
-            springs.add_jacobian_product(0.0, state.x, state.v, *moved, out)
+            out = product(plan, state.x, state.v, *moved)
             columns.append(out[0, free] * model.inverse_masses[free])
         jacobians.append(np.array(columns).T)
     generator = np.block([[np.zeros((free.size, free.size)), np.eye(free.size)], jacobians])
@@ -170,7 +170,7 @@ def test_every_mode_of_a_chain_has_the_discrete_dispersion_and_damping(anchored,
 
 def test_an_undamped_chain_is_stable_up_to_one_over_lambda():
     chain = Chain(law=LAW, particle_count=40, anchored="both")
-    omega2, damping = Dynamics(chain.model()).rates(chain.state().x)
+    omega2, damping = compile(chain.model()).rates(chain.state().x)
     limit = Leapfrog().step_limit(omega2, damping)
     assert limit == pytest.approx(LAW.stable_step, rel=1e-12)
 
@@ -184,7 +184,7 @@ def test_a_pulse_arrives_when_the_sound_speed_says():
     # Moving to the right only: u = g(x - c t), v = -c g'.
     state.v[0] = 2.0 * c * (x0 - 1.0) / width**2 * pulse
     state.v[0, [0, -1]] = 0.0
-    Leapfrog().advance(Dynamics(chain.model()), state, 0.0, 2.0 / c)
+    Leapfrog().advance(compile(chain.model()), state, 0.0, 2.0 / c)
     moved = state.x[0] - x0
     centre = np.sum(x0 * moved**2) / np.sum(moved**2)
     assert centre == pytest.approx(3.0, rel=1e-3)
@@ -207,9 +207,9 @@ def test_the_refinement_table_of_the_lecture():
     for stretched in (chain, chain.refined()):
         assert stretched.masses().sum() == pytest.approx(4 * law.mass, rel=1e-14), "total mass is exact"
         assert stretched.length == pytest.approx(4 * law.rest_length, rel=1e-15)
-        f, state = np.zeros((3, stretched.particle_count)), stretched.state()
+        state = stretched.state()
         state.x[0] *= 1.1
-        stretched.model().terms[0].add_force(0.0, state.x, state.v, f)
+        f = force(alone(*stretched.model().forces, count=stretched.particle_count), state.x)
         assert f[0, 0] == pytest.approx(0.1 * law.stiffness, rel=1e-12), "the force stays, so the acceleration doubles"
 
 
@@ -260,7 +260,7 @@ def test_a_hanging_chains_tip_is_exact_at_any_resolution(particle_count):
     state = chain.state()
     state.x[0, 1:] = np.cumsum(law.rest_length * (1.0 + below * g / k_s))
     a = np.zeros_like(state.x)
-    Dynamics(model).acceleration(0.0, state.x, state.v, a)
+    compile(model).accelerations(0.0, state.x, state.v, a)
     assert np.abs(a).max() < 1e-9 * springs, "the shape is in equilibrium by the product's own forces"
     assert state.x[0, -1] == pytest.approx(length * (1.0 + total * g / (2 * k_s)), rel=1e-13)
 
@@ -298,16 +298,16 @@ def test_a_chains_motion_is_exact_to_1e_10_by_a_high_order(anchored, k_d0):
         state, model = chain.state(), chain.model()
         rest = chain.positions()
         if joints:
-            springs = model.terms[0]
+            springs = model.forces[0]
             model = Model(
                 chain.masses(),
-                [PairSprings(springs.pairs, 0.0, springs.stiffness, springs.damping)],
+                [PairSprings(springs.pairs, 0.0, springs.rigidity, springs.damping)],
                 anchors=chain.anchors,
             )
             rest = np.zeros_like(rest)
             state = State(rest)
         state.x[0] += u
         state.v[0] = w
-        Extrapolated(columns=4, step=2e-4).advance(Dynamics(model), state, 0.0, 0.4)
+        Extrapolated(columns=4, step=2e-4).advance(compile(model), state, 0.0, 0.4)
         error = np.abs(state.x[0, free] - rest[free, 0] - exact[: free.size]).max()
         assert error < 1e-10 * np.abs(exact[: free.size]).max()
