@@ -7,24 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+from support.alone import alone, blocks, force, full, matrix, product
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
 from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.forces.wind import Wind
 
-N = 9
-MASSES = np.random.default_rng(4).uniform(0.1, 1.0, N)
 TRIANGLES = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [0, 4, 8]]
-CELLS = [[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]]
-WINDY = {
-    "wind": Wind(MASSES, (3.0, -1.0, 0.5), 0.7),
-    "panels": AirPanels(TRIANGLES, normal=2.0, tangential=0.3, wind=(3.0, -1.0, 0.5)),
-    "cells": AirPanels(CELLS, normal=2.0, tangential=0.3, wind=(3.0, -1.0, 0.5)),
-    "slippery panels": AirPanels(TRIANGLES, normal=2.0, tangential=0.0, wind=(3.0, -1.0, 0.5)),
-    "panels that only rub": AirPanels(TRIANGLES, normal=0.0, tangential=0.3, wind=(3.0, -1.0, 0.5)),
-}
-every_term = pytest.mark.parametrize("term", WINDY.values(), ids=WINDY.keys())
 #: Nothing but springs and what a test adds; free.
 BARE = {
     "cloth.resolution": (6, 7),
@@ -37,91 +26,43 @@ BARE = {
 }
 
 
-def state(seed):
-    rng = np.random.default_rng(seed)
-    return rng.standard_normal((3, N)), rng.standard_normal((3, N)), rng
-
-
-def force(term, x, v):
-    f = np.zeros_like(x)
-    term.add_force(0.0, x, v, f)
-    return f
-
-
-@every_term
-@pytest.mark.parametrize("seed", range(3))
-def test_power_is_what_the_wind_gives_less_what_is_lost(term, seed):
-    x, v, _ = state(seed)
-    power = float(np.sum(force(term, x, v) * v))
-    assert power == pytest.approx(term.supply(0.0, x, v) - term.dissipation(0.0, x, v), rel=1e-12)
-    assert term.supply(0.0, x, v) != 0.0
-    assert term.dissipation(0.0, x, v) >= 0.0
-    still = np.zeros_like(v)
-    assert term.supply(0.0, x, still) == term.dissipation(0.0, x, still) == 0.0
-
-
-@every_term
-@pytest.mark.parametrize("seed", range(3))
-def test_jacobian_product_is_the_derivative(term, seed):
-    x, v, rng = state(seed)
-    dx, dv = rng.standard_normal((3, N)), rng.standard_normal((3, N))
-    product, h = np.zeros_like(x), 1e-6
-    term.add_jacobian_product(0.0, x, v, dx, dv, product)
-    difference = (force(term, x + h * dx, v + h * dv) - force(term, x - h * dx, v - h * dv)) / (2 * h)
-    assert product == pytest.approx(difference, abs=1e-6 * max(1.0, np.abs(difference).max()))
-
-
-def matrix(term, x, v, part):
-    columns = []
-    for index in np.ndindex(3, N):
-        push, out, zero = np.zeros((3, N)), np.zeros((3, N)), np.zeros((3, N))
-        push[index] = 1.0
-        term.add_jacobian_product(0.0, x, v, *((push, zero) if part == "x" else (zero, push)), out)
-        columns.append(-out.ravel())
-    return np.array(columns).T
-
-
-def full(blocks):
-    whole = np.zeros((3, N, 3, N))
-    for (i, j), row in zip([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], blocks, strict=True):
-        for p in range(N):
-            whole[i, p, j, p] = whole[j, p, i, p] = row[p]
-    return whole.reshape(3 * N, 3 * N)
-
-
-@every_term
-@pytest.mark.parametrize("seed", range(3))
-def test_blocks_are_the_damping_and_bound_the_turning_at_rest(term, seed):
-    x, v, _ = state(seed)
-    stiff, damped = np.zeros((6, N)), np.zeros((6, N))
-    term.add_stiffness(x, stiff)
-    term.add_damping(x, damped)
-    assert full(damped) == pytest.approx(matrix(term, x, v, "v"), abs=1e-12)
-    turning = matrix(term, x, np.zeros_like(v), "x")
-    assert np.linalg.eigvalsh(full(stiff) - 0.5 * (turning + turning.T)).min() > -1e-12
-
-
 def test_the_push_on_a_flat_panel_is_coefficient_area_speed():
     square = np.array([[0.0, 2.0, 0.0, 2.0], [0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
-    term = AirPanels([[0, 1, 3], [0, 3, 2]], normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0))
-    total = force(term, square, np.zeros_like(square)).sum(axis=1)
+
+    def pushes(panels):
+        return force(alone(AirPanels(panels, normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0)), count=4), square)
+
+    total = pushes([[0, 1, 3], [0, 3, 2]]).sum(axis=1)
     assert total == pytest.approx([0.2 * 6.0 * 4.0, 0.0, -1.5 * 6.0 * 7.0])
-    cell = AirPanels([[0, 1, 3, 2]], normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0))
-    pushes = force(cell, square, np.zeros_like(square))
-    assert pushes == pytest.approx(np.tile(total[:, None] / 4.0, 4)), "the same at each of its corners"
+    cell = pushes([[0, 1, 3, 2]])
+    assert cell == pytest.approx(np.tile(total[:, None] / 4.0, 4)), "the same at each of its corners"
     # Turned over it is the same: neither side is its front.
-    over = AirPanels([[0, 3, 1], [0, 2, 3]], normal=1.5, tangential=0.2, wind=(4.0, 0.0, -7.0))
-    assert force(over, square, np.zeros_like(square)).sum(axis=1) == pytest.approx(total)
+    assert pushes([[0, 3, 1], [0, 2, 3]]).sum(axis=1) == pytest.approx(total)
 
 
-def test_a_triangle_without_area_feels_nothing():
-    line = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    term = AirPanels([[0, 1, 2]], normal=1.0, tangential=1.0, wind=(1.0, 2.0, 3.0))
-    out, blocks = np.zeros((3, 3)), np.zeros((6, 3))
-    term.add_jacobian_product(0.0, line, line, line, line, out)
-    term.add_damping(line, blocks)
-    for found in (force(term, line, line), out, blocks):
+@pytest.mark.parametrize(("normal", "tangential"), [(2.0, 0.3), (2.0, 0.0), (0.0, 0.3)])
+@pytest.mark.parametrize("corners", [3, 4])
+def test_blocks_are_the_damping_and_bound_the_turning_at_rest(normal, tangential, corners):
+    rng = np.random.default_rng(corners)
+    panels = rng.permuted(np.tile(np.arange(9), (6, 1)), axis=1)[:, :corners]
+    plan = alone(AirPanels(panels, normal=normal, tangential=tangential, wind=(3.0, -1.0, 0.5)), count=9)
+    for _ in range(5):
+        x, v = rng.standard_normal((3, 9)), rng.standard_normal((3, 9))
+        stiff, damped = (full(block) for block in blocks(plan, x))
+        assert damped == pytest.approx(matrix(plan, x, v, "v"), abs=1e-12)
+        turning = matrix(plan, x, 0.0 * v, "x")
+        assert np.linalg.eigvalsh(stiff - 0.5 * (turning + turning.T)).min() > -1e-12
+
+
+@pytest.mark.parametrize("corners", [3, 4])
+def test_a_panel_without_area_feels_nothing(corners):
+    line = np.zeros((3, corners))
+    line[0] = np.arange(corners)
+    panels = AirPanels([list(range(corners))], normal=1.0, tangential=1.0, wind=(1.0, 2.0, 3.0))
+    plan = alone(panels, count=corners)
+    for found in (force(plan, line, line), product(plan, line, line, line, line), blocks(plan, line)[1]):
         assert not found.any()
+    assert plan.powers(0.0, line, line) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -192,21 +133,6 @@ def test_what_the_wind_does_is_no_work_of_grippers_nor_energy_from_nowhere():
     assert cloth.energy_report.wind == 0.0
 
 
-def test_uniform_wind_stays_in_the_fused_plan_and_is_the_same():
-    values = {"cloth.resolution": (7, 9), "wind.velocity": (3.0, 2.0, 1.0), "air.drag": 0.5}
-    fused, plain = (Simulation(Scene.from_parameters(values)) for _ in range(2))
-    plain.dynamics.plan = plain.dynamics.forces = None
-    assert fused.dynamics.plan._loop is not None
-    for _ in range(10):
-        fused.advance()
-        plain.advance()
-    assert fused.positions == pytest.approx(plain.positions, abs=1e-10)
-    calm = Simulation(Scene.from_parameters(values | {"wind.velocity": (0.0, 0.0, 0.0)}))
-    for _ in range(10):
-        calm.advance()
-    assert np.abs(calm.positions - fused.positions).max() > 1e-3
-
-
 def test_implicit_and_explicit_steps_agree_in_the_wind():
     values = {"cloth.resolution": (8, 8), "tolerance": 1e-5, "wind.velocity": (4.0, 4.0, 0.0), "wind.normal_drag": 0.3}
     runs = [Simulation(Scene.from_parameters(values | {"integrator": name})) for name in ("extrapolated", "implicit")]
@@ -220,10 +146,10 @@ def test_heavy_drag_counts_in_the_step_limit():
     values = BARE | {"wind.normal_drag": 1000.0, "wind.velocity": (0.0, 0.0, 5.0), "integrator": "leapfrog"}
     values |= {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "tolerance": 0.0}
     cloth = Simulation(Scene.from_parameters(values))
-    _, rate = cloth.dynamics.rates(cloth.state.x)
+    _, rate = cloth.plan.rates(cloth.state.x)
     # A third of each triangle's drag at its corners, as the masses are: everywhere normal_drag / density.
     assert rate >= 1000.0 / 0.2
-    _, calm = Simulation(Scene.from_parameters(values | {"wind.normal_drag": 0.0})).dynamics.rates(cloth.state.x)
+    _, calm = Simulation(Scene.from_parameters(values | {"wind.normal_drag": 0.0})).plan.rates(cloth.state.x)
     assert rate < 2.0 * 1000.0 / 0.2 + calm
     for _ in range(20):
         cloth.advance()
@@ -234,7 +160,7 @@ def test_heavy_drag_counts_in_the_step_limit():
 def test_a_grid_sheet_feels_the_air_evenly():
     cloth = Simulation(Scene.from_parameters(BARE | {"wind.normal_drag": 2.0, "wind.velocity": (0.0, 0.0, 5.0)}))
     acceleration = np.zeros_like(cloth.state.x)
-    cloth.dynamics.acceleration(0.0, cloth.state.x, cloth.state.v, acceleration)
+    cloth.plan.accelerations(0.0, cloth.state.x, cloth.state.v, acceleration)
     # normal_drag wind / density, at corners and edges as within.
     assert acceleration[2] == pytest.approx(2.0 * 5.0 / 0.2, rel=1e-12)
 
@@ -243,7 +169,7 @@ def test_a_scene_without_wind_has_none_of_it():
     code = (
         "import sys; from cloth_sim_ros import Scene, Simulation;"
         "cloth = Simulation(Scene.from_parameters({'cloth.resolution': (4, 4)})); cloth.advance();"
-        "print(*(term.name for term in cloth.model.terms), 'cloth_sim_ros.physics.forces.air_panels' in sys.modules)"
+        "print(*(force.name for force in cloth.model.forces), 'cloth_sim_ros.physics.forces.air_panels' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["structural", "shear", "bend", "gravity", "drag", "grips", "False"]
