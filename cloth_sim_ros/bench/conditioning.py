@@ -11,7 +11,7 @@ import numpy as np
 from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
-from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
+from cloth_sim_ros.physics.plan import largest_distance
 
 #: Largest kick of a particle's position [m].
 KICK = 1e-9
@@ -35,18 +35,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def amplification(scene: Problem, *, seed: int) -> list[float]:
     """Return the growth of a random kick of `KICK` at the end of each frame."""
     runs = [scene.build(), scene.build()]
-    dynamics, kicked = runs[1]
+    plan, kicked = runs[1]
     kick = np.random.default_rng(seed).normal(size=kicked.x.shape)
     # A closed-form scene is a line: it is kicked along itself.
     kick[1:] *= 0.0 if scene.exact is not None else 1.0
     kick /= np.sqrt((kick * kick).sum(axis=0).max())
-    kicked.x += KICK * kick * (dynamics.model.inverse_masses > 0.0)
+    kicked.x += KICK * kick * (plan.model.inverse_masses > 0.0)
     integrators = [Extrapolated(columns=3), Extrapolated(columns=3)]
     growth = []
     for frame in range(scene.frames):
         for integrator, (equations, state) in zip(integrators, runs, strict=True):
             integrator.advance(equations, state, frame * PERIOD, PERIOD)
-        growth.append(float(largest_distance(runs[0][1].x, kicked.x)) / KICK)
+        growth.append(largest_distance(runs[0][1].x, kicked.x) / KICK)
     return growth
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.bench.raw_sheet import FusedSprings
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model import Model
 
 
 class SparseJacobian:
@@ -21,18 +21,15 @@ class SparseJacobian:
         ValueError: if the model has other springs than a raw sheet's.
     """
 
-    def __init__(self, dynamics: Dynamics) -> None:
-        model = dynamics.model
-        sheets = [term for term in model.terms if isinstance(term, FusedSprings)]
+    def __init__(self, model: Model) -> None:
+        sheets = [force for force in model.forces if isinstance(force, GridSprings)]
         if len(sheets) != 1:
             raise ValueError("the sparse Jacobian is written for raw sheets only")
-        springs = sheets[0].parts
-        self._pairs = np.concatenate([term.pairs for term in springs])
-        self._rest = np.concatenate([term.rest_length for term in springs])
-        self._stiffness = np.concatenate([term.stiffness for term in springs])
-        self._damping = np.concatenate([term.damping for term in springs])
+        springs = sheets[0].listed
+        self._pairs, self._rest, self._damping = springs.pairs, springs.rest_length, springs.damping
+        self._rigidity = springs.rigidity
         self._inverse = model.inverse_masses
-        self._drag = sum(term.rate for term in model.terms if isinstance(term, Drag))
+        self._drag = sum(force.rate for force in model.forces if isinstance(force, Drag))
         self._count = model.particle_count
 
     def __call__(self, t: float, y: Array) -> Any:
@@ -47,8 +44,8 @@ class SparseJacobian:
         length = np.sqrt(square)
         su = np.sum(s * u, axis=0)
         # F on b = -g s with g = k (1 - l0/L) + c su / L^2; dg = p . ds + q . du.
-        g = self._stiffness * (1.0 - self._rest / length) + self._damping * su / square
-        p = (self._stiffness * self._rest / (length * square) - 2.0 * self._damping * su / square**2) * s
+        g = self._rigidity * (1.0 - self._rest / length) + self._damping * su / square
+        p = (self._rigidity * self._rest / (length * square) - 2.0 * self._damping * su / square**2) * s
         p += self._damping / square * u
         q = self._damping / square * s
         blocks = []

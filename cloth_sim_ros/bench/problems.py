@@ -11,18 +11,17 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.kernels.grips import PATH_COLUMNS
-from cloth_sim_ros.physics.mesh_plan import MeshPlan
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.mesh_sheet import MeshSheet
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.surface import Surface
 
 PERIOD = 1.0 / 60.0
 
@@ -33,7 +32,7 @@ class Problem:
 
     name: str
     #: Makes the equations of motion and the start.
-    build: Callable[[], tuple[Dynamics, State]]
+    build: Callable[[], tuple[Plan, State]]
     #: Frames of `PERIOD` to the horizon.
     frames: int
     description: str
@@ -50,9 +49,9 @@ def curtain(resolution: int) -> Problem:
     """Scene C: one whole edge pinned, dropped from flat, k_d0 0.2, drag 1/s."""
     frames = {16: 60, 32: 60, 64: 30, 128: 18}[resolution]
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         sheet = RawSheet(resolution=resolution, drag=1.0)
-        return sheet.dynamics(sheet.index[0]), State(sheet.flat(hung=False))
+        return sheet.plan(sheet.index[0]), State(sheet.flat(hung=False))
 
     return Problem(
         name=f"curtain{resolution}",
@@ -66,12 +65,12 @@ def hung(resolution: int, stiffness: float = 1.0) -> Problem:
     """Scene H: hung by one edge, pushed out of plane, linearly from the top to 0.5 m/s, k_d0 0.2."""
     frames = 60 if stiffness < 1000.0 else 30
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         sheet = RawSheet(resolution=resolution, stiffness=stiffness)
         positions = sheet.flat(hung=True)
         velocities = np.zeros_like(positions)
         velocities[:, 1] = -0.5 * positions[:, 2]
-        return sheet.dynamics(sheet.index[0]), State(positions, velocities)
+        return sheet.plan(sheet.index[0]), State(positions, velocities)
 
     return Problem(
         name=f"hung{resolution}" + (f"x{stiffness:g}" if stiffness != 1.0 else ""),
@@ -84,9 +83,9 @@ def hung(resolution: int, stiffness: float = 1.0) -> Problem:
 def corner_drop(resolution: int) -> Problem:
     """Scene A: two adjacent corners pinned, dropped from flat, k_d0 0.05; chaotic after 0.5 s."""
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         sheet = RawSheet(resolution=resolution, k_d0=0.05)
-        return sheet.dynamics(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
+        return sheet.plan(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
 
     return Problem(
         name=f"corners{resolution}",
@@ -105,13 +104,13 @@ def chain() -> Problem:
     bump = 0.2 * rest * np.exp(-0.5 * ((np.arange(count + 2) - 8.0) / 2.0) ** 2)
     bump[[0, -1]] = 0.0
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         pairs = np.stack([np.arange(count + 1), np.arange(1, count + 2)], axis=1)
-        springs = PairSprings(pairs, rest, stiffness, damping)
+        springs = PairSprings(pairs, rest, stiffness * rest, damping)
         positions = np.zeros((count + 2, 3))
         positions[:, 0] = places + bump
         model = Model(np.full(count + 2, mass), [springs], anchors=[0, count + 1])
-        return _planned(model), State(positions)
+        return compile(model), State(positions)
 
     def exact(t: float) -> Array:
         # Modes sin(j pi i / (n + 1)) with w = 2 sqrt(k/m) sin(j pi / (2 (n + 1))) and damping ratio k_d0 w / w_max.
@@ -139,7 +138,7 @@ def chain() -> Problem:
 def drumhead() -> Problem:
     """A stretched sheet with its border pinned, struck smoothly: large tension, small damping."""
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         sheet = RawSheet(resolution=16, k_d0=0.1, rest=0.9, gravity=(0.0, 0.0, 0.0), drag=0.5)
         index = sheet.index
         border = np.unique(np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]]))
@@ -148,7 +147,7 @@ def drumhead() -> Problem:
         away = (positions[:, 0] - 0.4) ** 2 + (positions[:, 1] + 0.45) ** 2
         velocities[:, 2] = 2.0 * np.exp(-away / 0.05)
         velocities[border] = 0.0
-        return sheet.dynamics(border), State(positions, velocities)
+        return sheet.plan(border), State(positions, velocities)
 
     return Problem(
         name="drumhead", build=build, frames=60, description="16 x 16 under 10 % strain, border pinned, struck softly"
@@ -159,20 +158,21 @@ def carried(resolution: int = 16) -> Problem:
     """A hung sheet whose lower corner a gripper carries 0.2 m out along a smooth path."""
     frames = 60
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         sheet = RawSheet(resolution=resolution, drag=1.0)
         grips = Grips(1)
         corner = sheet.index[-1, -2:].ravel()
         positions = sheet.flat(hung=True)
         place, away, duration = positions[corner[-1]], np.array([0.03, 0.2, -0.02]), frames * PERIOD
-        row = np.zeros(PATH_COLUMNS)
+        row = np.zeros(PATH_NUMBERS)
         row[1:4], row[16] = place, 1.0
         row[7:10], row[10:13] = 3.0 * away / duration**2, -2.0 * away / duration**3
-        grips.paths[0] = row
         k = np.full(corner.size, 300.0)
         damping = np.asarray(lecture_damping(0.5, k, sheet.mass))
-        grips.hold(np.array([0, corner.size]), corner.astype(np.int64), positions[corner] - place, k, damping)
-        return sheet.dynamics(sheet.index[0], [grips]), State(positions)
+        grips.hold(
+            row[None], np.array([0, corner.size]), corner.astype(np.int64), positions[corner] - place, k, damping
+        )
+        return sheet.plan(sheet.index[0], [grips]), State(positions)
 
     return Problem(
         name=f"carried{resolution}",
@@ -185,27 +185,20 @@ def carried(resolution: int = 16) -> Problem:
 def mesh() -> Problem:
     """An irregular triangle mesh hung by its upper edge and pushed out of plane."""
 
-    def build() -> tuple[Dynamics, State]:
+    def build() -> tuple[Plan, State]:
         sheet = irregular_sheet()
         positions = sheet.positions()
         masses = sheet.masses(0.2)
         springs = sheet.springs(stretch_modulus=1000.0, k_d0=0.2, density=0.2)
-        terms = [springs, Gravity(masses, (0.0, 0.0, -9.81)), Drag(masses, 1.0)]
+        forces = [springs, Gravity(), Drag(1.0)]
         velocities = np.zeros_like(positions)
         velocities[:, 1] = -0.5 * positions[:, 2]
         top = np.flatnonzero(positions[:, 2] > -1e-9)
-        return _planned(Model(masses, terms, anchors=top)), State(positions, velocities)
+        return compile(Model(masses, forces, anchors=top)), State(positions, velocities)
 
     return Problem(
         name="mesh", build=build, frames=30, description="irregular mesh of 150 particles, hung by an edge and pushed"
     )
-
-
-def _planned(model: Model) -> Dynamics:
-    """Listed springs as they are shipped: with their fused plan."""
-    dynamics = Dynamics(model)
-    dynamics.plan = MeshPlan(dynamics)
-    return dynamics
 
 
 def irregular_sheet() -> MeshSheet:

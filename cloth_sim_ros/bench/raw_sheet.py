@@ -8,18 +8,18 @@ from collections.abc import Iterable
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.grid_plan import GridPlan
-from cloth_sim_ros.physics.kernels.grid_forces import GridForces
-from cloth_sim_ros.physics.kernels.grid_springs import GridFamily, GridSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import Plan, compile
 
+#: Name of the force that the springs are.
+SHEET = "sheet"
 GRAVITY = (0.0, 0.0, -9.81)
 _SHIFTS = {
     "right": ((0, 0), (0, 1)),
@@ -69,35 +69,43 @@ class RawSheet:
         for name, reach, modulus in kinds:
             rest, k_s = self.rest * reach * h, self.stiffness * modulus * h
             damping = float(lecture_damping(self.k_d0, k_s / rest, self.mass))
-            families.append(GridFamily(name, k_s, rest, damping, weak=name not in ("right", "down")))
+            families.append(
+                GridFamily(
+                    name=name,
+                    stiffness=k_s,
+                    rest_length=rest,
+                    damping=damping,
+                    weak=name not in ("right", "down"),
+                )
+            )
         return families
 
+    def sheet(self) -> GridSprings:
+        """All springs, as one force of the sheet."""
+        return GridSprings(self.resolution, self.resolution, self.families(), name=SHEET)
+
     def springs(self) -> list[PairSprings]:
-        """One term a direction."""
-        index, terms = self.index, []
+        """The same springs listed, one force a direction."""
+        index, forces = self.index, []
         for family in self.families():
             (r0, c0), (r1, c1) = _SHIFTS[family.name]
             rows, columns = self.resolution - max(r0, r1), self.resolution - max(c0, c1)
             near, far = index[r0 : r0 + rows, c0 : c0 + columns], index[r1 : r1 + rows, c1 : c1 + columns]
             pairs = np.stack([near.ravel(), far.ravel()], axis=1)
-            k = family.stiffness / family.rest_length
-            terms.append(PairSprings(pairs, family.rest_length, k, family.damping, name=family.name, weak=family.weak))
-        return terms
+            numbers = family.rest_length, family.stiffness, family.damping
+            forces.append(PairSprings(pairs, *numbers, name=family.name, weak=family.weak))
+        return forces
 
-    def model(self, anchors: Iterable[int], extra: Iterable[Term] = ()) -> Model:
-        """The sheet with one compiled pass over all its springs."""
+    def model(self, anchors: Iterable[int], extra: Iterable[Force] = (), *, listed: bool = False) -> Model:
+        """The sheet, its springs in one sweep over its rows or, for comparison, listed."""
+        springs: list[Force] = [*self.springs()] if listed else [self.sheet()]
+        air: list[Force] = [Drag(self.drag)] if self.drag else []
         masses = np.full(self.resolution**2, self.mass)
-        terms: list[Term] = [FusedSprings(self), Gravity(masses, self.gravity)]
-        if self.drag:
-            terms.append(Drag(masses, self.drag))
-        return Model(masses, [*terms, *extra], anchors=anchors)
+        return Model(masses, [*springs, Gravity(self.gravity), *air, *extra], anchors=anchors)
 
-    def dynamics(self, anchors: Iterable[int], extra: Iterable[Term] = ()) -> Dynamics:
-        """The sheet as it is shipped: with the fused plan."""
-        dynamics = Dynamics(self.model(anchors, extra))
-        springs = GridSprings(self.resolution, self.resolution, self.families())
-        GridPlan(dynamics, springs, frozenset({FusedSprings.name}))
-        return dynamics
+    def plan(self, anchors: Iterable[int], extra: Iterable[Force] = (), *, listed: bool = False) -> Plan:
+        """Its equations of motion."""
+        return compile(self.model(anchors, extra, listed=listed))
 
     def flat(self, *, hung: bool) -> Array:
         """Positions [m], shape (particle_count, 3): flat in x-y, or hung in x-z; row 0 at y = 0 or z = 0."""
@@ -106,42 +114,3 @@ class RawSheet:
         grid[..., 0] = along
         grid[..., 2 if hung else 1] = -along[:, None]
         return grid.reshape(-1, 3)
-
-
-class FusedSprings(Term):
-    """All springs of a raw sheet in one vectorised pass; what is not the force comes from the pair terms."""
-
-    name = "sheet"
-    damped = True
-
-    def __init__(self, sheet: RawSheet) -> None:
-        #: The springs by direction; their bounds are taken in one pass.
-        self.parts = sheet.springs()
-        self._forces = GridForces(GridSprings(sheet.resolution, sheet.resolution, sheet.families()))
-
-    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
-        self._forces.add(x, v, f)
-
-    def energy(self, t: float, x: Array) -> float:
-        return sum(term.energy(t, x) for term in self.parts)
-
-    def dissipation(self, t: float, x: Array, v: Array) -> float:
-        return sum(term.dissipation(t, x, v) for term in self.parts)
-
-    def add_stiffness(self, x: Array, blocks: Array) -> None:
-        for term in self.parts:
-            term.add_stiffness(x, blocks)
-
-    def add_damping(self, x: Array, blocks: Array) -> None:
-        for term in self.parts:
-            term.add_damping(x, blocks)
-
-    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
-        for term in self.parts:
-            term.add_jacobian_product(t, x, v, dx, dv, out)
-
-    def coupled_pairs(self) -> NDArray[np.int64]:
-        return np.concatenate([term.pairs for term in self.parts])
-
-    def pair_blocks(self, x: Array, stiffness_weight: float, damping_weight: float) -> Array:
-        return np.concatenate([term.pair_blocks(x, stiffness_weight, damping_weight) for term in self.parts])

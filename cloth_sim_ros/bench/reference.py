@@ -8,18 +8,13 @@ import contextlib
 import importlib.util
 
 import attrs
-import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from cloth_sim_ros.bench.problems import PERIOD, Problem
-from cloth_sim_ros.bench.raw_sheet import FusedSprings
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
-from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.plan import Plan, largest_distance
+from cloth_sim_ros.physics.state import State
 
 #: Relative and absolute tolerance of the reference, and of the run that it is checked against.
 TOLERANCE, CHECK = 1e-12, 1e-11
@@ -38,16 +33,15 @@ class Reference:
 
     def deviation(self, frame: int, x: Array) -> float:
         """Largest distance of a particle (3, n) from its place at the end of frame 1, 2, ... [m]."""
-        return float(largest_distance(np.ascontiguousarray(x), self.positions[frame - 1]))
+        return largest_distance(np.ascontiguousarray(x), self.positions[frame - 1])
 
 
 class RightSide:
     """The equations of motion as a first-order system y = (x, v), for the solvers of libraries."""
 
-    def __init__(self, dynamics: Dynamics) -> None:
-        self._dynamics = dynamics
-        self._half = 3 * dynamics.model.particle_count
-        self._sheet = _fused_only(dynamics)
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._half = 3 * plan.model.particle_count
         self.calls = 0
 
     def __call__(self, t: float, y: Array) -> Array:
@@ -59,15 +53,8 @@ class RightSide:
         """Set out to dy/dt."""
         self.calls += 1
         half = self._half
-        if self._sheet is not None:
-            springs, weight, rate = self._sheet
-            x, v, a = y[:half].reshape(3, -1), y[half:].reshape(3, -1), out[half:].reshape(3, -1)
-            out[half:] = 0.0
-            springs.add_force(t, x, v, a)
-            _finish(y[half:], out[:half], a, v, self._dynamics.model.inverse_masses, weight, rate)
-            return
         out[:half] = y[half:]
-        self._dynamics.acceleration(t, y[:half].reshape(3, -1), y[half:].reshape(3, -1), out[half:].reshape(3, -1))
+        self._plan.accelerations(t, y[:half].reshape(3, -1), y[half:].reshape(3, -1), out[half:].reshape(3, -1))
 
     def start(self, state: State) -> Array:
         """The state as y."""
@@ -76,32 +63,6 @@ class RightSide:
     def positions(self, y: Array) -> Array:
         """The positions (3, n) of y."""
         return y[: self._half].reshape(3, -1)
-
-
-def _fused_only(dynamics: Dynamics) -> tuple[FusedSprings, Array, float] | None:
-    """What a raw sheet without further terms needs for one compiled pass: rivals get the fastest that there is."""
-    springs: FusedSprings | None = None
-    gravity, rate = np.zeros(3), 0.0
-    for term in dynamics.model.terms:
-        if isinstance(term, FusedSprings):
-            springs = term
-        elif isinstance(term, Gravity):
-            gravity = term.acceleration
-        elif isinstance(term, Drag):
-            rate = term.rate
-        else:
-            return None
-    return None if springs is None else (springs, gravity, rate)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _finish(speeds, slopes, a, v, inverse_masses, gravity, rate):  # type: ignore[no-untyped-def]
-    for i in range(speeds.shape[0]):
-        slopes[i] = speeds[i]
-    for c in range(3):
-        for i in range(a.shape[1]):
-            moves = 1.0 if inverse_masses[i] > 0.0 else 0.0
-            a[c, i] = a[c, i] * inverse_masses[i] + moves * (gravity[c] - rate * v[c, i])
 
 
 def reference(problem: Problem, *, tolerance: float = TOLERANCE, check: float = CHECK) -> Reference:
@@ -118,7 +79,7 @@ def reference(problem: Problem, *, tolerance: float = TOLERANCE, check: float = 
     with _one_blas_thread():
         fine = _solve(problem, times, tolerance)
         rough = _solve(problem, times, check)
-    error = max(float(largest_distance(a, b)) for a, b in zip(fine, rough, strict=True))
+    error = max(largest_distance(a, b) for a, b in zip(fine, rough, strict=True))
     return Reference(times, fine, error)
 
 
@@ -133,8 +94,8 @@ def _one_blas_thread() -> contextlib.AbstractContextManager[object]:
 
 
 def _solve(problem: Problem, times: Array, tolerance: float) -> Array:
-    dynamics, state = problem.build()
-    right = RightSide(dynamics)
+    plan, state = problem.build()
+    right = RightSide(plan)
     y, t, positions = right.start(state), 0.0, []
     for end in times:
         # Frame by frame: dense output would be less accurate than the steps.

@@ -1,7 +1,7 @@
 /* Copyright 2026 the cloth_sim_ros authors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The bar for the compiled kernels: all spring forces of a regular sheet in vectors written by hand.
+ * The bar for the engine: all spring forces of a regular sheet in vectors written by hand.
  *
  * Six families (right, down, both diagonals, two apart along either axis), damping included, each spring once. Three components of position,
  * velocity and force in separate arrays of (rows + 2) x pitch numbers, pitch a multiple of the vector; the numbers beyond the sheet are there to be

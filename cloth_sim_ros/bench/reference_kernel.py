@@ -1,8 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bar for the compiled kernels: the same spring forces in hand-vectorised C, built in the run where a compiler
-exists.
-"""
+"""The bar for the engine: the same spring forces in hand-vectorised C, built in the run where a compiler exists."""
 
 from __future__ import annotations
 
@@ -17,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.kernels.grid_rows import FAMILIES
-from cloth_sim_ros.physics.kernels.grid_springs import Array, GridSprings, aligned_zeros, check_array, padded_columns
+from cloth_sim_ros.engine.binding import FAMILIES, doubles
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.grid_springs import ENDS, GridSprings
+from cloth_sim_ros.physics.parts import GridFamily
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-std=c11", "-fPIC")
-"""Flags of the compiler, those of the measurements that the kernels are held against."""
+"""Flags of the compiler, those of the measurements that the engine is held against."""
 
 _SOURCE = Path(__file__).with_name("reference_kernel.c")
 _BLOCK_BYTES = 64
@@ -57,22 +57,23 @@ class ReferenceKernel:
         self.springs = springs
         self._dtype = np.dtype(dtype)
         self._function = _build(compiler, self._dtype)
-        self._pitch = padded_columns(springs.columns, dtype)
-        self._size = (springs.rows + 2) * self._pitch + 2 * (_BLOCK_BYTES // self._dtype.itemsize)
-        self._x, self._v, self._f = (aligned_zeros(3 * self._size, dtype) for _ in range(3))
-        self._weights = aligned_zeros(len(FAMILIES) * springs.rows * self._pitch, dtype)
+        lanes = _BLOCK_BYTES // self._dtype.itemsize
+        self._pitch = -(-springs.columns // lanes) * lanes
+        self._size = (springs.rows + 2) * self._pitch + 2 * lanes
+        self._x, self._v, self._f = (_zeros(3 * self._size, dtype) for _ in range(3))
+        self._weights = _zeros(len(FAMILIES) * springs.rows * self._pitch, dtype)
         self._constants = np.zeros(3 * len(FAMILIES), dtype=dtype)
-        self._buffer = aligned_zeros(3 * self._pitch, dtype)
+        self._buffer = _zeros(3 * self._pitch, dtype)
         self._set_constants()
 
     def _set_constants(self) -> None:
         weights = self._weights.reshape(len(FAMILIES), self.springs.rows, self._pitch)
         for family in self.springs.families:
-            place = list(FAMILIES).index(family.name)
+            place = FAMILIES.index(family.name)
             for row in range(self.springs.rows):
                 # Here the antidiagonal belongs to its upper end, one column to the right.
                 shift = 1 if family.name == "antidiagonal" else 0
-                weights[place, row, : self.springs.columns] = np.roll(self.springs.weights(family, row), shift)
+                weights[place, row, : self.springs.columns] = np.roll(_weights(self.springs, family, row), shift)
             constants = family.stiffness, family.stiffness / family.rest_length, family.damping
             self._constants[3 * place : 3 * place + 3] = constants
 
@@ -80,7 +81,7 @@ class ReferenceKernel:
         """Copy in positions [m] and velocities [m/s], both (3, rows * columns) float64."""
         rows, columns = self.springs.rows, self.springs.columns
         for name, array, target in (("x", x, self._x), ("v", v, self._v)):
-            check_array(name, array, (3, rows * columns))
+            doubles(name, array, (3, rows * columns))
             for c in range(3):
                 padded = target[c * self._size : c * self._size + rows * self._pitch].reshape(rows, self._pitch)
                 padded[:, :columns] = array[c].reshape(rows, columns)
@@ -96,6 +97,33 @@ class ReferenceKernel:
         rows, columns = self.springs.rows, self.springs.columns
         padded: NDArray[Any] = self._f.reshape(3, self._size)[:, : rows * self._pitch].reshape(3, rows, self._pitch)
         return padded[:, :, :columns].reshape(3, -1).astype(np.float64)
+
+
+def _weights(springs: GridSprings, family: GridFamily, row: int) -> Array:
+    """Factors on k_s and k_d of the family's springs whose leftmost end is in each column, their upper end in `row`.
+
+    Zero where the sheet has no such spring. Shape (columns,).
+    """
+    first, second = ENDS[family.name]
+    down, right = max(first[0], second[0]), max(first[1], second[1])
+    weights = np.zeros(springs.columns)
+    if row + down < springs.rows:
+        weights[: max(springs.columns - right, 0)] = 1.0
+    if family.parity is not None:
+        weights[(row + np.arange(springs.columns)) % 2 != family.parity] = 0.0
+    if down == 0 and row in (0, springs.rows - 1):
+        weights *= family.border
+    if right == 0:
+        weights[[0, -1]] *= family.border
+    return weights
+
+
+def _zeros(size: int, dtype: Any) -> NDArray[Any]:
+    """A flat array of zeros that starts on a block, with a block of zeros to spare behind its end."""
+    kind = np.dtype(dtype)
+    raw = np.zeros(size * kind.itemsize + 2 * _BLOCK_BYTES, dtype=np.uint8)
+    start = -raw.ctypes.data % _BLOCK_BYTES
+    return raw[start : start + size * kind.itemsize].view(kind)
 
 
 def _build(compiler: str, dtype: np.dtype[Any]) -> Any:
