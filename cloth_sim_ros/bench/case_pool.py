@@ -33,13 +33,13 @@ class Done(Generic[C, R]):
 class _Worker(Generic[C, R]):
     """One process, and the case that it is at."""
 
-    def __init__(self, run: Callable[[C], R], warm_up: C) -> None:
+    def __init__(self, run: Callable[[C], R]) -> None:
         self.connection, theirs = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(theirs, run, warm_up), daemon=True)
+        self.process = _CONTEXT.Process(target=_serve, args=(theirs, run), daemon=True)
         self.process.start()
         theirs.close()
         self.case: C | None = None
-        #: When its case ends at the latest; None while it warms up, which is not timed.
+        #: When its case ends at the latest; None while the process starts, which is not timed.
         self.deadline: float | None = None
         self.started = 0.0
 
@@ -54,20 +54,17 @@ class _Worker(Generic[C, R]):
         self.process.join()
 
 
-def run_cases(
-    run: Callable[[C], R], cases: Sequence[C], *, warm_up: C, workers: int, limit: float
-) -> Iterator[Done[C, R]]:
+def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit: float) -> Iterator[Done[C, R]]:
     """Yield what became of each case, in the order in which they end.
 
     Args:
         run: runs one case; must be importable by name, as the cases and results must be picklable.
         cases: what to run.
-        warm_up: a case that every process runs first, untimed: it loads or compiles what the others need.
         workers: number of processes.
         limit: wall time of one case [s].
     """
     waiting = list(reversed(cases))
-    pool: list[_Worker[C, R]] = [_Worker(run, warm_up) for _ in range(min(workers, len(cases)))]
+    pool: list[_Worker[C, R]] = [_Worker(run) for _ in range(min(workers, len(cases)))]
     try:
         while pool:
             ends = [worker.deadline for worker in pool if worker.deadline is not None]
@@ -87,7 +84,7 @@ def run_cases(
                     worker.end()
                     pool.remove(worker)
                     if waiting:
-                        pool.append(_Worker(run, warm_up))
+                        pool.append(_Worker(run))
                 elif waiting:
                     worker.give(waiting.pop(), limit)
                 else:
@@ -99,7 +96,7 @@ def run_cases(
 
 
 def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:
-    """What a process has to say; None that it is warm."""
+    """What a process has to say; None that it is ready."""
     case, seconds = worker.case, time.monotonic() - worker.started
     try:
         result = worker.connection.recv()
@@ -110,9 +107,8 @@ def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:
     return None if case is None else Done(case, result, seconds)
 
 
-def _serve(connection: Connection, run: Callable[[C], R], warm_up: C) -> None:
+def _serve(connection: Connection, run: Callable[[C], R]) -> None:
     """Body of a process."""
-    run(warm_up)
     connection.send(None)
     while True:
         try:

@@ -17,9 +17,10 @@ import numpy as np
 
 from cloth_sim_ros.bench import peer_environment
 from cloth_sim_ros.bench.problems import PERIOD, Problem
-from cloth_sim_ros.bench.raw_sheet import FusedSprings
+from cloth_sim_ros.bench.raw_sheet import SHEET
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 
 #: Beyond the time limit of its frames a process may take so long to start, compile and build its sheet [s].
 _STARTING = 180.0
@@ -82,19 +83,21 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
     [1/s]; of the springs `pairs` (m, 2), `rest_lengths` [m], `stiffness` [N/m], `damping` [N s/m]; of those along the
     threads, by which stretch is judged, `edges` and `edge_lengths`; `triangles` (t, 3), a checkerboard.
     """
-    dynamics, state = problem.build()
-    model = dynamics.model
-    springs = model.term(FusedSprings.name)
-    assert isinstance(springs, FusedSprings)
+    plan, state = problem.build()
+    model = plan.model
+    sheet = model.force(SHEET)
+    assert isinstance(sheet, GridSprings)
     side = math.isqrt(model.particle_count)
     index = np.arange(side * side).reshape(side, side)
     gravity, drag = np.zeros(3), 0.0
-    for term in model.terms:
-        if isinstance(term, Gravity):
-            gravity = term.acceleration
-        elif isinstance(term, Drag):
-            drag = term.rate
-    along = [part for part in springs.parts if part.name in ("right", "down")]
+    for force in model.forces:
+        if isinstance(force, Gravity):
+            gravity = force.acceleration
+        elif isinstance(force, Drag):
+            drag = force.rate
+    springs = sheet.listed
+    threads = [family for family in sheet.families if family.name in ("right", "down")]
+    along = GridSprings(sheet.rows, sheet.columns, threads).listed
     return {
         "positions": state.positions,
         "masses": model.masses,
@@ -103,12 +106,12 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
         "columns": side,
         "gravity": gravity,
         "drag": drag,
-        "pairs": np.concatenate([part.pairs for part in springs.parts]),
-        "rest_lengths": np.concatenate([part.rest_length for part in springs.parts]),
-        "stiffness": np.concatenate([part.stiffness for part in springs.parts]),
-        "damping": np.concatenate([part.damping for part in springs.parts]),
-        "edges": np.concatenate([part.pairs for part in along]),
-        "edge_lengths": np.concatenate([part.rest_length for part in along]),
+        "pairs": springs.pairs,
+        "rest_lengths": springs.rest_length,
+        "stiffness": springs.rigidity,
+        "damping": springs.damping,
+        "edges": along.pairs,
+        "edge_lengths": along.rest_length,
         "triangles": _checkerboard(index),
     }
 

@@ -163,7 +163,7 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
 
 
 def _score(problem: Problem, resolution: int) -> Field:
-    """Choose our tolerance by the error that it brings; what is compiled on the way is then there."""
+    """Choose our tolerance by the error that it brings."""
     known = speed_curtain.trusted(problem)
     for tolerance in TOLERANCES:
         error = known.deviation(problem.frames, speed_curtain.run(problem, tolerance=tolerance).positions)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The solvers of libraries on the same compiled right-hand side, and ours as shipped, behind one call."""
+"""The solvers of libraries on our own right-hand side, and ours as shipped, behind one call."""
 
 from __future__ import annotations
 
@@ -74,11 +74,11 @@ def our_solvers(tolerances: tuple[float, ...]) -> list[Solver]:
 
 def _ours(name: str, tolerance: float) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
-        dynamics, state = problem.build()
+        plan, state = problem.build()
         integrator = make_integrator(name, tolerance=tolerance)
         evaluations, begin = 0, time.perf_counter()
         for frame in range(problem.frames):
-            evaluations += integrator.advance(dynamics, state, frame * PERIOD, PERIOD).evaluations
+            evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
         return Run(state.x, time.perf_counter() - begin, evaluations)
 
     return Solver(f"ours, {name}", f"tolerance {tolerance:g}", "ours", solve, tolerance)
@@ -86,13 +86,13 @@ def _ours(name: str, tolerance: float) -> Solver:
 
 def _plain(share: float) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
-        dynamics, state = problem.build()
+        plan, state = problem.build()
         integrator = make_integrator("leapfrog")
-        step = share * integrator.step_limit(*dynamics.rates(state.x))
+        step = share * integrator.step_limit(*plan.rates(state.x))
         fixed = make_integrator("leapfrog", step=step)
         evaluations, begin = 0, time.perf_counter()
         for frame in range(problem.frames):
-            evaluations += fixed.advance(dynamics, state, frame * PERIOD, PERIOD).evaluations
+            evaluations += fixed.advance(plan, state, frame * PERIOD, PERIOD).evaluations
         return Run(state.x, time.perf_counter() - begin, evaluations)
 
     return Solver("plain leapfrog", f"{share:g} of the limit", "beside", solve)
@@ -100,9 +100,9 @@ def _plain(share: float) -> Solver:
 
 def _scipy(method: str, tolerance: float) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
-        dynamics, state = problem.build()
-        right = _Limited(RightSide(dynamics), limit)
-        options = {"jac": SparseJacobian(dynamics)} if method in ("BDF", "Radau") else {}
+        plan, state = problem.build()
+        right = _Limited(RightSide(plan), limit)
+        options = {"jac": SparseJacobian(plan.model)} if method in ("BDF", "Radau") else {}
         begin = time.perf_counter()
         solved = solve_ivp(
             right,
@@ -123,8 +123,8 @@ def _cvode(method: str, linear: str | None, tolerance: float) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
         from sksundae.cvode import CVODE
 
-        dynamics, state = problem.build()
-        right = RightSide(dynamics)
+        plan, state = problem.build()
+        right = RightSide(plan)
         options = {"linsolver": linear} if linear else {"linsolver": "gmres"}
         solver = CVODE(right.fill, method=method, rtol=tolerance, atol=tolerance, max_num_steps=10**7, **options)
         begin = time.perf_counter()

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.physics.surface import grid_triangles
-from cloth_sim_ros.physics.forces.deferred_springs import DeferredSprings
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -70,9 +69,9 @@ def _scene(kind: str, resolution: int) -> Scene:
         values["cloth.resolution"] = [2, 2]
         files[_MESH] = _ply(resolution)
     trial = Scene.from_parameters(values, files=files)
-    dynamics = trial.dynamics()
+    plan = trial.plan()
     x = np.ascontiguousarray(trial.initial_positions().T)
-    limit = trial.build_integrator().step_limit(*dynamics.rates(x))
+    limit = trial.build_integrator().step_limit(*plan.rates(x))
     return Scene.from_parameters({**values, "rate": 1.0 / (0.9 * STEPS * limit)}, files=files)
 
 
@@ -131,15 +130,13 @@ def _needed(simulation: Simulation) -> dict[str, int]:
     """Bytes of the state, of one set of forces, and of the scene's own tables.
 
     The tables: masses and their inverses, the state that a reset returns to, and of a mesh its file, its vertices and
-    triangles and its springs' pairs, rest lengths, stiffness and damping, as a list has them, whatever they are kept
-    as. A grid has no lists.
+    triangles and its springs' pairs, rest lengths, stiffness and damping. A grid has no lists.
     """
     state = sum(array.nbytes for array in simulation.state.arrays().values())
     model, scene = simulation.model, simulation.scene
     tables = model.masses.nbytes + model.inverse_masses.nbytes + state
-    for term in model.terms:
-        lists = term.made() if scene.cloth.mesh and isinstance(term, DeferredSprings) else term
-        tables += sum(value.nbytes for value in vars(lists).values() if isinstance(value, np.ndarray))
+    for force in model.forces:
+        tables += sum(value.nbytes for value in vars(force).values() if isinstance(value, np.ndarray))
     if scene.cloth.mesh:
         sheet = scene.sheet
         tables += sheet.triangles().nbytes + sheet.positions().nbytes + len(scene.files[_MESH])

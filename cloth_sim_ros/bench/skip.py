@@ -33,7 +33,7 @@ MARKERS = {
     "mesh files": ("cloth_sim_ros.mesh_file", "trimesh"),
     "raw springs": ("cloth_sim_ros.springs_file",),
     "bending springs across hinges": ("cloth_sim_ros.physics.bending_calibration",),
-    "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.kernels.band"),
+    "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.integrators.implicit_run"),
     "energy balance": ("cloth_sim_ros.energy_watch", "cloth_sim_ros.physics.energy_balance"),
     "recording": ("cloth_sim_ros.session", "mcap", "rosbags"),
     "ROS": ("rclpy", "sensor_msgs"),
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> Report:
 
 def _hand(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "scene", "frame ms", "to the loop by hand", "that loop to itself", "to its steps alone", "more us"]
-    table = Table("A simulation's frame against a loop made by hand from the kernels that it needs", columns)
+    table = Table("A simulation's frame against a loop made by hand of the engine's calls that it needs", columns)
     scenes = {"springs alone": BARE, "springs, damping, drag, gravity": FORCES}
     for resolution in options.sizes:
         makers: dict[str, Callable[[], Callable[[], Any]]] = {}
@@ -171,7 +171,7 @@ def _features(options: argparse.Namespace, report: Report) -> None:
 
 def _counts(options: argparse.Namespace, report: Report) -> None:
     resolution = options.sizes[0]
-    columns = ["feature", "is", "compiled calls a frame", "bytes a particle that a frame needs", "bytes it keeps"]
+    columns = ["feature", "is", "calls of the engine a frame", "bytes a particle that a frame needs", "bytes it keeps"]
     table = Table(f"Counts, N = {resolution}", columns)
     for variant in variants():
         simulation = Running(variant, resolution).simulation

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Proof that what a scene does not use is not run: compiled calls, memory and modules, counted."""
+"""Proof that what a scene does not use is not run: calls of the engine, memory and modules, counted."""
 
 from __future__ import annotations
 
@@ -14,60 +14,35 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from numba.core.dispatcher import Dispatcher
-
-from cloth_sim_ros.physics.kernels.prepared import Prepared
+from cloth_sim_ros.engine import binding
 from cloth_sim_ros.simulation import Simulation
-
-
-class _Counted:
-    """Stands for a compiled function and counts its calls."""
-
-    def __init__(self, name: str, function: Callable[..., Any], calls: Counter[str]) -> None:
-        self._name, self._function, self._calls = name, function, calls
-
-    def __call__(self, *arguments: Any) -> Any:
-        self._calls[self._name] += 1
-        return self._function(*arguments)
-
-
-class _CountedEntries:
-    """Stands for the entries of a compiled function, which are one after another asked for by number."""
-
-    def __init__(self, prepared: Prepared, calls: Counter[str]) -> None:
-        self._prepared, self._calls = prepared, calls
-        self.entries, self.number = self, prepared.number
-
-    def __getitem__(self, number: int) -> _Counted:
-        return _Counted(self._prepared.function.py_func.__name__, self._prepared.entries[number], self._calls)
 
 
 @contextlib.contextmanager
 def counted_calls() -> Iterator[Counter[str]]:
-    """Count the calls from Python into compiled functions of the package, by name, while the context lasts.
-
-    What is called must have been compiled before: compiled code can't be made that refers to a counter.
-    """
+    """Count the calls from Python into the engine, by name, while the context lasts."""
     calls: Counter[str] = Counter()
-    replaced: list[tuple[dict[str, Any], str, Dispatcher | Prepared]] = []
-    for name, module in list(sys.modules.items()):
-        if name.startswith("cloth_sim_ros."):
-            for what, value in list(vars(module).items()):
-                if isinstance(value, Dispatcher):
-                    replaced.append((vars(module), what, value))
-                    vars(module)[what] = _Counted(value.py_func.__name__, value, calls)
-                elif isinstance(value, Prepared):
-                    replaced.append((vars(module), what, value))
-                    vars(module)[what] = _CountedEntries(value, calls)
+    engine = binding.library()
+    functions = {name: value for name, value in vars(engine).items() if name.startswith("cloth_")}
+
+    def counted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            calls[name.removeprefix("cloth_")] += 1
+            return function(*arguments)
+
+        return call
+
+    for name, function in functions.items():
+        setattr(engine, name, counted(name, function))
     try:
         yield calls
     finally:
-        for namespace, what, value in replaced:
-            namespace[what] = value
+        for name, function in functions.items():
+            setattr(engine, name, function)
 
 
 def calls_of_a_frame(simulation: Simulation, *, frames: int = 1) -> dict[str, int]:
-    """Return the compiled calls of the next frames together, by name, after one that is not counted."""
+    """Return the calls of the engine of the next frames together, by name, after one that is not counted."""
     simulation.advance()
     with counted_calls() as calls:
         for _ in range(frames):

@@ -59,11 +59,11 @@ def trusted(problem: Problem) -> Reference:
 
 def run(problem: Problem, *, tolerance: float) -> Run:
     """Move a scene frame by frame, as a simulation does, with the integrator and the step chosen for it."""
-    dynamics, state = problem.build()
+    plan, state = problem.build()
     integrator = make_integrator("auto", tolerance=tolerance)
     evaluations, reason, begin = 0, "", time.perf_counter()
     for frame in range(problem.frames):
-        done = integrator.advance(dynamics, state, frame * PERIOD, PERIOD)
+        done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
         evaluations, reason = evaluations + done.evaluations, done.reason
     return Run(time.perf_counter() - begin, state.x, evaluations, reason)
 

@@ -1,12 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time of the grid kernels: per spring against the C kernel, and on two threads against one.
+"""Time of the engine on a grid: per spring against a C kernel, and on two threads against one.
 
 Scene: the square sheet of `raw_sheet`, six damped families, gravity and drag.
 """
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,18 +17,16 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.bench.problems import PERIOD
-from cloth_sim_ros.bench.raw_sheet import GRAVITY, RawSheet
+from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference_kernel import ReferenceKernel
 from cloth_sim_ros.bench.speed_turns import Turns, take_turns
-from cloth_sim_ros.physics.integrators.march import leapfrog_limit
-from cloth_sim_ros.physics.kernels.grid_forces import GridForces
-from cloth_sim_ros.physics.kernels.grid_leapfrog import GridLeapfrog
-from cloth_sim_ros.physics.kernels.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.plan import Plan
 
 #: So short [s] that nothing moves, however many steps are timed.
 _STILL = 1e-9
-#: So that copying the state in and out, once a call, hardly counts.
+#: Steps more of the long one of two runs whose difference is a step's time, at least.
 _FEWEST_STEPS = 40
 #: Particles times steps in one turn of a candidate: a few milliseconds.
 _UPDATES_A_TURN = 1_000_000
@@ -39,15 +38,16 @@ _SHARE = 0.9
 class KernelTime:
     """Nanoseconds per spring, medians.
 
-    `c`: one evaluation of the C kernel, forces alone; None without a C compiler. `forces`: one of `GridForces`,
-    copying the state included. `ratio`: forces to C, the median over rounds. `step`: a whole step of `GridLeapfrog`;
-    `alternate`: with shear and bend springs at every second step.
+    `c`: one evaluation of the C kernel, forces alone; None without a C compiler. `step`: a whole step of the engine,
+    what a run costs beside its steps left out. `ratio`: step to C, the median over rounds. `accelerations`: one
+    evaluation asked for by itself, copying the state included; None in single precision, in which there is none.
+    `alternate`: a step with shear and bend springs at every second one.
     """
 
     resolution: int
     precision: str
     c: float | None
-    forces: float
+    accelerations: float | None
     ratio: float | None
     step: float
     alternate: float
@@ -71,43 +71,57 @@ class ThreadGain:
 
 
 def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> KernelTime:
-    """Time the kernels on one core, on a sheet of `resolution` x `resolution` particles, for about `seconds`."""
+    """Time the engine on one core, on a sheet of `resolution` x `resolution` particles, for about `seconds`."""
     sheet = RawSheet(resolution=resolution, drag=1.0)
-    springs = _springs(sheet)
-    x, v = _start(sheet)
-    f = np.zeros_like(x)
-    steps = max(_UPDATES_A_TURN // resolution**2, _FEWEST_STEPS) | 1
-    forces = GridForces(springs, dtype=dtype)
+    plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = 2 * (max(_UPDATES_A_TURN // resolution**2, _FEWEST_STEPS) // 2)
+    few = 21
+    out = np.empty_like(x)
 
     def evaluate() -> None:
         for _ in range(steps):
-            forces.add(x, v, f)
+            plan.accelerations(0.0, x, v, out)
 
-    def stepper(*, alternate: bool) -> Callable[[], None]:
-        loop = _loop(sheet, springs, dtype)
-        position, velocity = x.copy(), v.copy()
-        return lambda: loop.advance(position, velocity, steps, _STILL, alternate=alternate)
+    def runner(count: int, *, alternate: bool = False) -> Callable[[], None]:
+        def run() -> None:
+            plan.runs(0.0, count * _STILL, (x, v), [count], narrow=single, alternate=alternate, threads=1)
 
-    candidates = {
-        "forces": evaluate,
-        "step": stepper(alternate=False),
-        "alternate": stepper(alternate=True),
+        return run
+
+    candidates: dict[str, Callable[[], None]] = {
+        "few": runner(few),
+        "many": runner(few + steps),
+        "few, alternate": runner(few, alternate=True),
+        "many, alternate": runner(few + steps, alternate=True),
     }
+    if not single:
+        candidates["accelerations"] = evaluate
     if compiler is not None:
-        kernel = ReferenceKernel(springs, dtype, compiler=compiler)
+        kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
         kernel.set_state(x, v)
         candidates["c"] = lambda: kernel.evaluate(steps)
     turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
-    unit = 1e9 / (steps * springs.spring_count())
+    unit = 1e9 / (steps * len(sheet.sheet().pairs))
+    whole, alternate = _differences(turns, ""), _differences(turns, ", alternate")
+    ratio = None
+    if compiler is not None:
+        ratio = statistics.median(mine / theirs for mine, theirs in zip(whole, turns.seconds["c"], strict=True))
     return KernelTime(
         resolution=resolution,
         precision=np.dtype(dtype).name,
         c=unit * turns.median("c") if compiler else None,
-        forces=unit * turns.median("forces"),
-        ratio=turns.ratio("forces", "c") if compiler else None,
-        step=unit * turns.median("step"),
-        alternate=unit * turns.median("alternate"),
+        accelerations=None if single else unit * turns.median("accelerations"),
+        ratio=ratio,
+        step=unit * statistics.median(whole),
+        alternate=unit * statistics.median(alternate),
     )
+
+
+def _differences(turns: Turns, which: str) -> list[float]:
+    """What the steps more of the long run took, round by round [s]."""
+    pairs = zip(turns.seconds[f"many{which}"], turns.seconds[f"few{which}"], strict=True)
+    return [many - few for many, few in pairs]
 
 
 def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
@@ -116,34 +130,30 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
     Each call includes what it costs to start the second thread.
     """
     sheet = RawSheet(resolution=resolution, drag=1.0)
-    springs = _springs(sheet)
-    longest = _SHARE * leapfrog_limit(*sheet.dynamics(sheet.index[0]).rates(_start(sheet)[0]))
-    steps = int(np.ceil(PERIOD / longest))
+    plan, start = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.rates(start[0])))))
     # As many frames a turn as make some milliseconds.
     frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
-    loops = {count: _loop(sheet, springs, dtype, threads=count) for count in (1, 2)}
+
+    def repeat(which: Plan, threads: int) -> None:
+        # Frames of hardly any length: they do all that others do.
+        for _ in range(frames):
+            which.runs(0.0, steps * _STILL, start, [steps], narrow=single, threads=threads)
 
     ends = []
-    for loop in loops.values():
-        position, velocity = _start(sheet)
-        for _ in range(3):
-            loop.advance(position, velocity, steps, PERIOD / steps)
-        ends.append((position.tobytes(), velocity.tobytes()))
-    start = _start(sheet)
-    others = [(_loop(sheet, springs, dtype, threads=1), _start(sheet)) for _ in loops]
+    for threads in (1, 2):
+        (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], narrow=single, threads=threads)
+        ends.append((run.x.tobytes(), run.v.tobytes()))
+    others = [sheet.plan(sheet.index[0]) for _ in range(2)]
     with ThreadPoolExecutor(len(others)) as pool:
 
         def apart() -> None:
-            for done in [pool.submit(_repeat, *other, steps, frames) for other in others]:
+            for done in [pool.submit(repeat, other, 1) for other in others]:
                 done.result()
 
         turns: Turns = take_turns(
-            {
-                "1": lambda: _repeat(loops[1], start, steps, frames),
-                "2": lambda: _repeat(loops[2], start, steps, frames),
-                "apart": apart,
-            },
-            seconds=seconds,
+            {"1": lambda: repeat(plan, 1), "2": lambda: repeat(plan, 2), "apart": apart}, seconds=seconds
         )
     return ThreadGain(
         resolution=resolution,
@@ -157,24 +167,6 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
     )
 
 
-def _repeat(loop: GridLeapfrog, start: tuple[Array, Array], steps: int, frames: int) -> None:
-    """Frames of no length: they do all that others do, and go on from the same place."""
-    for _ in range(frames):
-        loop.advance(*start, steps, _STILL)
-
-
-def _springs(sheet: RawSheet) -> GridSprings:
-    return GridSprings(sheet.resolution, sheet.resolution, sheet.families())
-
-
 def _start(sheet: RawSheet) -> tuple[Array, Array]:
     x = np.ascontiguousarray(sheet.flat(hung=False).T)
     return x, np.zeros_like(x)
-
-
-def _loop(sheet: RawSheet, springs: GridSprings, dtype: Any, **options: Any) -> GridLeapfrog:
-    inverse = np.full(sheet.resolution**2, 1.0 / sheet.mass)
-    inverse[sheet.index[0]] = 0.0
-    loop = GridLeapfrog(springs, inverse, gravity=GRAVITY, drag=sheet.drag, dtype=dtype, **options)
-    loop.compile()
-    return loop

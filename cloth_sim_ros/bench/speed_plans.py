@@ -1,9 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much faster whole leapfrog runs are by a fused plan than by terms: meshes, hinges, and grippers that turn."""
+"""What a step costs with other forces than a grid's springs: meshes, hinges, grippers, air, a force in numpy."""
 
 from __future__ import annotations
 
+import statistics
 import time
 from collections.abc import Callable
 
@@ -12,15 +13,13 @@ import numpy as np
 
 from cloth_sim_ros.bench.speed_turns import take_turns
 from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.physics.dynamics import Dynamics
-from cloth_sim_ros.physics.integrators.march import leapfrog, leapfrog_by_terms
-from cloth_sim_ros.physics.mesh_plan import MeshPlan
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -33,38 +32,29 @@ _FEWEST_STEPS = 20
 
 @attrs.frozen(kw_only=True)
 class PlanTime:
-    """Nanoseconds per particle and step, medians; the ratio by terms to by plan is that of fair rounds."""
+    """Nanoseconds per particle and step: the median, and what the plan says by which integrators are chosen."""
 
     particles: int
-    terms: float
-    plan: float
-    #: As `plan`, particles taken in the order in which they are given; None where that is not asked for.
-    as_given: float | None
-    ratio: float
-    ratio_as_given: float | None
+    step: float
+    estimate: float
 
 
 def mesh_time(particles: int, *, seconds: float) -> PlanTime:
     """Time an irregular mesh, damped, in air, with about so many vertices in random order."""
     sheet = shuffled_sheet(particles)
-    masses = sheet.masses(0.2)
     springs = sheet.springs(stretch_modulus=1000.0, k_d0=0.2, density=0.2)
-    model = Model(masses, [springs, Gravity(masses, (0.0, 0.0, -9.81)), Drag(masses, 0.5)], anchors=[0])
-    dynamics = Dynamics(model)
-    dynamics.plan = MeshPlan(dynamics)
-    given = Dynamics(model)
-    given.plan = MeshPlan(given, reorder=False)
+    model = Model(sheet.masses(0.2), [springs, Gravity(), Drag(0.5)], anchors=[0])
     x = np.ascontiguousarray(sheet.positions().T)
-    return _time(dynamics, 0.0, x, np.zeros_like(x), given=given, seconds=seconds)
+    return _time(compile(model), 0.0, x, np.zeros_like(x), seconds=seconds)
 
 
 def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
     """Time a square grid with a bending model of hinges."""
     values: dict[str, object] = {"cloth.resolution": [resolution, resolution], "bending.model": bending}
-    if bending != "opposite":
+    if bending in ("crossed", "altitude"):
         values["material.bending_modulus"] = 1e-5
     simulation = Simulation(Scene.from_parameters(values))
-    return _time(simulation.dynamics, 0.0, simulation.state.x, simulation.state.v, seconds=seconds)
+    return _time(simulation.plan, 0.0, simulation.state.x, simulation.state.v, seconds=seconds)
 
 
 def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
@@ -77,7 +67,7 @@ def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
     angle = 0.05 if turning else 0.0
     simulation.advance([Target(name, corner + 0.005, (0.0, 0.0, float(np.sin(angle)), float(np.cos(angle))))])
     begin = simulation.time - simulation.scene.period
-    return _time(simulation.dynamics, begin, simulation.state.x, simulation.state.v, seconds=seconds)
+    return _time(simulation.plan, begin, simulation.state.x, simulation.state.v, seconds=seconds)
 
 
 def shuffled_sheet(particles: int) -> MeshSheet:
@@ -94,33 +84,40 @@ def shuffled_sheet(particles: int) -> MeshSheet:
     return MeshSheet(rest=rest, surface=Surface.from_triangles(Delaunay(plane).simplices.astype(np.int64)))
 
 
-def _time(
-    dynamics: Dynamics, t: float, x: Array, v: Array, *, given: Dynamics | None = None, seconds: float
-) -> PlanTime:
+class _Swirl(Force):
+    """What a user may write: a force of a few lines of numpy."""
+
+    name = "swirl"
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        f[0] -= 1e-6 * x[1]
+        f[1] += 1e-6 * x[0]
+
+
+def force_times(resolution: int, *, seconds: float) -> list[tuple[str, PlanTime]]:
+    """Time a square grid with air on its surface, and with a force in numpy."""
+    scene = Scene.from_parameters({"cloth.resolution": [resolution, resolution], "wind.normal_drag": 1.0})
+    windy, x = scene.plan(), np.ascontiguousarray(scene.initial_positions().T)
+    plain = scene.changed({"wind.normal_drag": 0.0}).plan().model
+    own = compile(Model(plain.masses, [*plain.forces, _Swirl()], anchors=plain.anchors))
+    v = np.zeros_like(x)
+    return [
+        (what, _time(plan, 0.0, x, v, seconds=seconds))
+        for what, plan in (("air on its surface", windy), ("a force in numpy", own))
+    ]
+
+
+def _time(plan: Plan, t: float, x: Array, v: Array, *, seconds: float) -> PlanTime:
     count = x.shape[1]
-    steps = max(_UPDATES_A_TURN // count, _FEWEST_STEPS)
+    steps, few = max(_UPDATES_A_TURN // count, _FEWEST_STEPS), 1
 
-    def turn(equations: Dynamics, *, terms: bool) -> Callable[[], None]:
-        position, velocity = x.copy(), v.copy()
-        if terms:
-            return lambda: leapfrog_by_terms(equations, t, position, velocity, _STILL, steps, None, 1.0)
-
+    def runner(number: int) -> Callable[[], None]:
         def run() -> None:
-            leapfrog(equations, t, position, velocity, _STILL, steps)
+            plan.runs(t, number * _STILL, (x, v), [number], threads=1)
 
         return run
 
-    candidates = {"terms": turn(dynamics, terms=True), "plan": turn(dynamics, terms=False)}
-    if given is not None:
-        candidates["given"] = turn(given, terms=False)
-    # A plan's second thread would hide in the processor time of one: those sheets are smaller than it takes.
-    turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
-    unit = 1e9 / (steps * count)
-    return PlanTime(
-        particles=count,
-        terms=unit * turns.median("terms"),
-        plan=unit * turns.median("plan"),
-        as_given=unit * turns.median("given") if given is not None else None,
-        ratio=turns.ratio("terms", "plan"),
-        ratio_as_given=turns.ratio("given", "plan") if given is not None else None,
-    )
+    turns = take_turns({"few": runner(few), "many": runner(few + steps)}, seconds=seconds, clock=time.thread_time)
+    pairs = zip(turns.seconds["many"], turns.seconds["few"], strict=True)
+    step = 1e9 / (steps * count) * statistics.median(many - one for many, one in pairs)
+    return PlanTime(particles=count, step=step, estimate=plan.step_cost)

@@ -72,11 +72,11 @@ def stiff_speeds(problem: Problem, known: Reference, *, seconds: float) -> list[
 
 def _run(problem: Problem, name: str, tolerance: float | None) -> tuple[list[float], tuple[str, ...], Array]:
     """Wall times of the frames [s], the integrators that ran, and where the particles end."""
-    dynamics, state = problem.build()
+    plan, state = problem.build()
     integrator = make_integrator(name, tolerance=tolerance)
     spent, names = [], dict[str, None]()
     for frame in range(problem.frames):
         begin = time.perf_counter()
-        names[integrator.advance(dynamics, state, frame * PERIOD, PERIOD).integrator] = None
+        names[integrator.advance(plan, state, frame * PERIOD, PERIOD).integrator] = None
         spent.append(time.perf_counter() - begin)
     return spent, tuple(names), state.x

@@ -35,7 +35,7 @@ def take_turns(
 ) -> Turns:
     """Time candidates round by round for about so many seconds, and `FEWEST_TURNS` rounds at least.
 
-    A round before these, in which they compile and warm up, is not counted.
+    A round before these, in which they warm up, is not counted.
 
     Args:
         candidates: what is timed, by name.

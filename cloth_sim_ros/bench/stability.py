@@ -14,16 +14,12 @@ import attrs
 
 from cloth_sim_ros.bench.case_pool import Done, run_cases
 from cloth_sim_ros.bench.report import Report, Table
-from cloth_sim_ros.bench.stability_cases import SHEETS, Case, Verdict, every_case, run_case
+from cloth_sim_ros.bench.stability_cases import Case, Verdict, every_case, run_case
 from cloth_sim_ros.bench.stability_limits import PEER_CASES, PeerCase, limits, run_peer_case
 
 #: Energy that a case may gain over what was put in, relative to the energy turned over.
 LARGEST_GAIN = 0.01
 PARTS = ("scan", "limits", "peers")
-#: What every process runs first, untimed: both ways of stepping, a grip.
-_WARM_UP = Case("grid", "release", 1.0, 0.1, 60.0, "auto")
-#: What one process runs first: it compiles what is not compiled yet, without a limit that counts.
-_COMPILING = [Case(sheet, "release", 1.0, damping, 60.0, "auto") for sheet in SHEETS for damping in (0.0, 0.5)]
 #: Slowest cases that are told.
 _SLOWEST = 10
 
@@ -64,9 +60,7 @@ def _scan(cases: list[Case], options: argparse.Namespace) -> list[Done[Case, Ver
     known = _read(options.resume) if options.resume else {}
     dones = [known[case] for case in cases if case in known]
     left = [case for case in cases if case not in known]
-    if left:
-        list(run_cases(run_case, _COMPILING, warm_up=_WARM_UP, workers=1, limit=3600.0))
-    found = run_cases(run_case, left, warm_up=_WARM_UP, workers=options.workers, limit=options.limit)
+    found = run_cases(run_case, left, workers=options.workers, limit=options.limit)
     for done in tqdm(found, total=len(left), unit="case", smoothing=0.02, mininterval=1.0):
         dones.append(done)
         if options.resume:
@@ -149,7 +143,7 @@ def _peers(report: Report, workers: int) -> Table:
         ["moduli x", "step s", "by", "largest stretch", "error at 0.5 s, m"],
     )
     rows: dict[PeerCase, list[Any]] = {}
-    for done in run_cases(run_peer_case, PEER_CASES, warm_up=PEER_CASES[3], workers=workers, limit=600.0):
+    for done in run_cases(run_peer_case, PEER_CASES, workers=workers, limit=600.0):
         case = done.case
         name, worst, error, trouble = done.result or ("", float("inf"), float("inf"), done.trouble)
         rows[case] = [case.stiffness, case.step, name, worst, error]

@@ -15,12 +15,13 @@ from cloth_sim_ros.bench.attacks import ATTACKS, Moment
 from cloth_sim_ros.bench.problems import irregular_sheet
 from cloth_sim_ros.bench.stability_limits import stretch_of
 from cloth_sim_ros.events import Event, SetParameters
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.energy_guard import own_energy
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import all_finite
+from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.forces.grips import WrenchObserver
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
@@ -133,7 +134,7 @@ class WatchedSimulation(Simulation):
     @property
     def work(self) -> float:
         """Work done on the cloth by the grippers [J], what the grips store and lose included."""
-        return self._wrenches.work if isinstance(self._wrenches, WrenchObserver) else 0.0
+        return self._book.work if self._book is not None else 0.0
 
     def work_of_parameters(self, events: list[Event]) -> float:
         """Energy that a change of parameters is about to put in [J]: the same places, other springs."""
@@ -142,8 +143,8 @@ class WatchedSimulation(Simulation):
         }
         if not values:
             return 0.0
-        dynamics = self.scene.changed(values).dynamics()
-        return dynamics.energy(self.time, self.state.x, self.state.v) - self.energy()
+        plan = self.scene.changed(values).plan()
+        return plan.energy(self.time, self.state.x, self.state.v) - self.energy()
 
 
 class EnergyAccount:
@@ -156,7 +157,7 @@ class EnergyAccount:
         self._least = self._least_own = self._start
         self._put_in = 0.0
         # Below the tolerance motion is not resolved: what the weight does over that distance is the least that counts.
-        self._turned = 9.81 * float(simulation.model.masses.sum()) * TOLERANCE
+        self._turned = 9.81 * simulation.model.mass * TOLERANCE
         #: See `Verdict.gain`.
         self.gain = 0.0
 
@@ -170,7 +171,7 @@ class EnergyAccount:
         run = self._simulation
         energy = own = run.energy()
         if step is not None:
-            own = own_energy(run.dynamics, run.time, run.state.x, run.state.v, step)
+            own = own_energy(run.plan, run.time, run.state.x, run.state.v, step)
         energy, own = energy - self._put_in, own - self._put_in
         kinetic = _kinetic(self._simulation)
         self._turned += abs(kinetic - self._kinetic) + abs(work)
@@ -190,7 +191,7 @@ def run_case(case: Case) -> Verdict:
     simulation = WatchedSimulation(built, start)
     rest = built.initial_positions()
     corner = rest[np.argmax(rest[:, 0] - rest[:, 2])]
-    springs = [term for term in simulation.model.terms if hasattr(term, "rest_length") and hasattr(term, "pairs")]
+    springs = _springs(simulation.model)
     account = EnergyAccount(simulation)
     strain, flagged, rejected = 0.0, 0, 0
     names: dict[str, None] = {}
@@ -208,18 +209,24 @@ def run_case(case: Case) -> Verdict:
             flagged, rejected = flagged + done.flagged, rejected + done.rejected
         own = done is not None and done.error is None and done.integrator == "leapfrog"
         account.close(put_in + simulation.work, done.step if done is not None and own else None)
-        stretches = (stretch_of(term.pairs, term.rest_length, simulation.state.x) for term in springs)
+        stretches = (stretch_of(each.pairs, each.rest_length, simulation.state.x) for each in springs)
         strain = max(strain, *(stretch - 1.0 for stretch in stretches))
-    finite = not trouble and bool(all_finite(simulation.state.x, simulation.state.v))
+    finite = not trouble and bool(np.isfinite(simulation.state.x).all() and np.isfinite(simulation.state.v).all())
     return Verdict(tuple(names), finite, strain, account.gain, flagged, rejected, trouble)
 
 
 def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
     """A fixed step: part of the limit at the start."""
-    step = FIXED_SHARE * Leapfrog().step_limit(*built.dynamics().rates(start.x))
+    step = FIXED_SHARE * Leapfrog().step_limit(*built.plan().rates(start.x))
     if DURATION / step <= _MOST_STEPS:
         return {"integrator": "leapfrog", "step": step}
     return {"integrator": "implicit", "step": 0.5 / case.rate}
+
+
+def _springs(model: Model) -> list[PairSprings]:
+    """The springs of a model between two particles."""
+    forces = [force.listed if isinstance(force, GridSprings) else force for force in model.forces]
+    return [force for force in forces if isinstance(force, PairSprings)]
 
 
 def _kinetic(simulation: WatchedSimulation) -> float:

@@ -12,19 +12,16 @@ import numpy as np
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.report import Table
-from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.march import leapfrog
-from cloth_sim_ros.physics.kernels.leapfrog import largest_distance
-from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
+from cloth_sim_ros.physics.plan import Plan, largest_distance
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.forces.force import Array
 
-#: How far the limits found may be from those predicted.
-LARGEST_DEVIATION = 0.1
+#: How far the limits found may be beyond the bounds; below them they may not be.
+LARGEST_EXCESS = 0.25
 STRETCHES, DAMPINGS = (1.0, 1.2, 1.5, 2.0, 3.0), (0.0, 0.2, 1.0)
 #: Steps over which a kick must not grow, and the kick [m].
 _STEPS, _KICK = 1500, 1e-9
@@ -35,45 +32,40 @@ HORIZON = 0.5
 
 
 def limits() -> tuple[Table, list[str]]:
-    """Limits of fixed steps about stretched states, and which of them are not as predicted."""
+    """Limits of fixed steps about stretched states, and which of them are not as bounded."""
     table = Table(
         "Step limit of the leapfrog about stretched states",
-        ["stretch", "k_d0", "bound s", "predicted s", "found s", "found / predicted"],
+        ["stretch", "k_d0", "bound s", "found s", "found / bound"],
     )
     failures = []
     for stretch, k_d0 in itertools.product(STRETCHES, DAMPINGS):
-        dynamics, x = stretched_sheet(stretch, k_d0)
-        bound = Leapfrog().step_limit(*dynamics.rates(x))
-        # What a fixed step is held against where it is above the bound.
-        predicted = sharp_step_limit(dynamics, 0.0, x, bound)
-        found = limit_found(dynamics, x, predicted)
-        table.rows.append([stretch, k_d0, bound, predicted, found, found / predicted])
-        if abs(found / predicted - 1.0) > LARGEST_DEVIATION:
-            failures.append(
-                f"limit at stretch {stretch}, k_d0 {k_d0}: found {found:.3g} s, predicted {predicted:.3g} s"
-            )
+        plan, x = stretched_sheet(stretch, k_d0)
+        bound = Leapfrog().step_limit(*plan.rates(x))
+        found = limit_found(plan, x, bound)
+        table.rows.append([stretch, k_d0, bound, found, found / bound])
+        if not 0.998 <= found / bound <= 1.0 + LARGEST_EXCESS:
+            failures.append(f"limit at stretch {stretch}, k_d0 {k_d0}: found {found:.3g} s, bound {bound:.3g} s")
     return table, failures
 
 
-def stretched_sheet(stretch: float, k_d0: float, resolution: int = 12) -> tuple[Dynamics, Array]:
+def stretched_sheet(stretch: float, k_d0: float, resolution: int = 12) -> tuple[Plan, Array]:
     """A sheet with its border pinned, every spring stretched so many times; its equations and its places."""
     sheet = RawSheet(resolution=resolution, k_d0=k_d0, rest=1.0 / stretch, gravity=(0.0, 0.0, 0.0))
     index = sheet.index
     border = np.unique(np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]]))
-    return Dynamics(sheet.model(border)), State(sheet.flat(hung=False)).x
+    return sheet.plan(border), State(sheet.flat(hung=False)).x
 
 
-def limit_found(dynamics: Dynamics, x: Array, predicted: float) -> float:
+def limit_found(plan: Plan, x: Array, bound: float) -> float:
     """Largest step [s] at which a kick does not grow, by bisection."""
-    low, high = 0.5 * predicted, 2.0 * predicted
-    kick = _KICK * np.random.default_rng(1).normal(size=x.shape) * (dynamics.model.inverse_masses > 0.0)
+    low, high = 0.5 * bound, 2.0 * bound
+    kick = _KICK * np.random.default_rng(1).normal(size=x.shape) * (plan.model.inverse_masses > 0.0)
     while high / low > 1.002:
         step = math.sqrt(low * high)
         ends = []
         for start in (x, x + kick):
-            moved, v = start.copy(), np.zeros_like(x)
-            leapfrog(dynamics, 0.0, moved, v, step, _STEPS)
-            ends.append(moved)
+            (run,), _ = plan.runs(0.0, _STEPS * step, (start, np.zeros_like(x)), [_STEPS])
+            ends.append(run.x)
         away = float(np.abs(ends[1] - ends[0]).max())
         if math.isfinite(away) and away < 100.0 * _KICK:
             low = step
@@ -102,18 +94,18 @@ def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
     distance of a particle from where the order 5 of the extrapolated leapfrog at its stability limit brings it.
     """
     sheet = RawSheet(resolution=16, stiffness=case.stiffness, k_d0=0.05)
-    dynamics, state = sheet.dynamics(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
-    fits = case.step <= 0.9 * Leapfrog().step_limit(*dynamics.rates(state.x))
+    plan, state = sheet.plan(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
+    fits = case.step <= 0.9 * Leapfrog().step_limit(*plan.rates(state.x))
     integrator = Leapfrog(case.step) if fits else Implicit(case.step)
     exact, reference = state.copy(), Extrapolated(columns=4)
     worst, error = 1.0, 0.0
     try:
         for frame in range(120):
-            integrator.advance(dynamics, state, frame / 60, 1 / 60)
+            integrator.advance(plan, state, frame / 60, 1 / 60)
             worst = max(worst, *(stretch_of(term.pairs, term.rest_length, state.x) for term in sheet.springs()[:2]))
             if frame < HORIZON * 60:
-                reference.advance(dynamics, exact, frame / 60, 1 / 60)
-                error = float(largest_distance(state.x, exact.x))
+                reference.advance(plan, exact, frame / 60, 1 / 60)
+                error = largest_distance(state.x, exact.x)
     except (UnstableError, ValueError) as problem:
         return integrator.name, worst, error, str(problem)
     return integrator.name, worst, error, "" if worst <= WHOLE else f"stretched {worst:.3g} times"

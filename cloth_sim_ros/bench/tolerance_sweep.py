@@ -54,15 +54,16 @@ class Outcome:
 
 def measure(scene: Problem, known: Reference, integrator: str, tolerance: float, *, energy: bool) -> Outcome:
     """Run a scene at a tolerance and compare every frame with the reference."""
-    dynamics, state = scene.build()
+    plan, state = scene.build()
     stepper = make_integrator(integrator, tolerance=tolerance)
-    balance = EnergyBalance(dynamics, state) if energy else None
+    balance = EnergyBalance(plan, state) if energy else None
+    book = balance.book if balance is not None else None
     error = estimate = residual = 0.0
     evaluations = rejected = flagged = 0
     binds: Counter[str] = Counter()
     integrators: Counter[str] = Counter()
     for frame in range(scene.frames):
-        done = stepper.advance(dynamics, state, frame * PERIOD, PERIOD, balance)
+        done = stepper.advance(plan, state, frame * PERIOD, PERIOD, book)
         error = max(error, known.deviation(frame + 1, state.x))
         estimate += done.error or 0.0
         evaluations += done.evaluations

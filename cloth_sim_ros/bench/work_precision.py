@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Wall time against error on one scene: ours as shipped, the solvers of libraries on the same compiled forces."""
+"""Wall time against error on one scene: ours as shipped, the solvers of libraries on the same forces."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> Report:
     given_up, first = [], {}
     for solver in solvers:
         try:
-            # The first run compiles and warms up; it is not counted.
+            # The first run warms up; it is not counted.
             first[solver] = solver.solve(scene, options.limit)
         except TooSlow:
             given_up.append(f"{solver.name} {solver.setting}: not done after {options.limit:g} s")
