@@ -1,14 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs that start from arrays which stay as they are, and what of them a large sheet does not keep."""
+"""Combinations of runs: their weights, and that it matters to no bit how and when the runs are made."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.physics.dynamics import Economy
-from cloth_sim_ros.physics.integrators import columns
-from cloth_sim_ros.physics.integrators.march import leapfrog
+from cloth_sim_ros.physics.integrators.columns import Columns, step_counts, weights
+from cloth_sim_ros.physics.integrators.economy import Economy
 from cloth_sim_ros.physics.surface import grid_triangles
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
@@ -38,67 +38,73 @@ def started(values):
     return simulation
 
 
+def columns(simulation, **options):
+    return Columns(simulation.plan, simulation.state, 0.0, 1 / 60, step_counts(60, 4), **options)
+
+
+@pytest.mark.parametrize("first", [1, 2, 7, 40, 1001])
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 5])
+def test_the_weights_keep_a_constant_and_cancel_each_power_of_the_step(first, number):
+    counts = step_counts(first, number)
+    assert len(set(counts)) == number and sorted(counts) == list(counts)
+    found = weights(counts)
+    size = sum(abs(weight) for weight in found)
+    assert sum(found) == pytest.approx(1.0, abs=1e-15 * size)
+    for power in range(2, number + 1):
+        terms = [weight * (first / count) ** power for weight, count in zip(found, counts, strict=True)]
+        assert sum(terms) == pytest.approx(0.0, abs=1e-15 * size)
+
+
 @every_scene
-@pytest.mark.parametrize("how", ["double", "single", "by terms"])
-def test_a_run_from_other_arrays_gives_the_bits_of_one_in_place_and_leaves_them(values, how):
+def test_runs_made_together_or_as_they_are_asked_for_are_the_same(values):
     simulation = started(values)
-    dynamics, x, v = simulation.dynamics, simulation.state.x, simulation.state.v
-    economy = Economy(narrow=how == "single")
-    if how == "by terms":
-        dynamics.plan = None
-    before = x.copy(), v.copy()
-    here = x.copy(), v.copy()
-    leapfrog(dynamics, 0.0, *here, 1e-4, 9, economy=economy)
-    there = np.full_like(x, np.nan), np.full_like(v, np.nan)
-    leapfrog(dynamics, 0.0, *there, 1e-4, 9, economy=economy, start=(x, v))
-    alone = np.full_like(x, np.nan)
-    leapfrog(dynamics, 0.0, alone, None, 1e-4, 9, economy=economy, start=(x, v))
-    assert np.array_equal(x, before[0])
-    assert np.array_equal(v, before[1])
-    assert np.array_equal(here[0], there[0])
-    assert np.array_equal(here[1], there[1])
-    assert np.array_equal(here[0], alone)
-    assert np.abs(here[0] - x).max() > 1e-5
+    together, by_and_by = columns(simulation), columns(simulation)
+    found = together.combine(4)
+    for number in (1, 2, 3, 4):
+        by_and_by.combine(number)
+    assert np.array_equal(found, by_and_by.combine(4))
+    assert together.told(4) == by_and_by.told(4)
+    assert together.told(2) == by_and_by.told(2)
+    assert [together.difference(k) for k in (1, 2, 3)] == [by_and_by.difference(k) for k in (1, 2, 3)]
+    assert together.evaluations == by_and_by.evaluations == sum(step_counts(60, 4)) + 4
 
 
 @every_scene
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-8], ids=["coarse", "fine"])
-def test_what_a_large_sheet_does_not_keep_changes_no_bit(values, tolerance, monkeypatch):
-    """Several runs are combined, and some that judged are part of the result after all."""
-    digests, combined = [], 0
-    for large in (10**9, 1):
-        monkeypatch.setattr(columns, "LARGE", large)
-        simulation = started({**values, "tolerance": tolerance, "integrator": "extrapolated"})
-        for frame in range(4):
-            events = [Target("gripper", simulation.positions[-1]), Grasp("gripper", True)] if frame == 2 else []
-            done = simulation.advance(events)
-            combined = max(combined, done.advance.reason.count(" runs"))
-        digests.append(simulation.state.digest())
-    assert digests[0] == digests[1]
-    assert combined, "several runs were combined"
+def test_the_start_stays_as_it_is(values):
+    simulation = started(values)
+    before = simulation.state.x.copy(), simulation.state.v.copy()
+    columns(simulation).combine(3)
+    assert np.array_equal(simulation.state.x, before[0])
+    assert np.array_equal(simulation.state.v, before[1])
 
 
-def test_a_large_sheet_compares_combinations_stretch_by_stretch(monkeypatch):
-    simulation = started(SCENES["grid"])
-    counts = columns.step_counts(40, 4)
-    found = []
-    for large, stretch in ((10**9, 4096), (1, 50), (1, 4096)):
-        monkeypatch.setattr(columns, "LARGE", large)
-        monkeypatch.setattr(columns, "_STRETCH", stretch)
-        runs = columns.Columns(simulation.dynamics, simulation.state, 0.0, 1 / 60, counts, taken=4)
-        found.append([runs.difference(k) for k in (1, 2, 3)])
-        found.append([float(np.abs(part).sum()) for part in runs.combine(4)])
-    assert found[0] == found[2] == found[4]
-    assert found[1] == found[3] == found[5]
+@every_scene
+def test_what_is_told_is_so(values):
+    simulation = started(values)
+    runs = columns(simulation)
+    told, (x, v) = runs.told(2), runs.combine(2)
+    assert told.finite
+    assert told.activity == pytest.approx(np.linalg.norm(v - simulation.state.v, axis=0).max(), rel=1e-14)
+    assert (told.omega2, told.damping) == simulation.plan.rates(x)
+    assert runs.difference(1) == pytest.approx(np.linalg.norm(x - runs.combine(1)[0], axis=0).max(), rel=1e-12)
 
 
-def test_a_large_sheets_runs_serve_one_result(monkeypatch):
-    simulation = started(SCENES["grid"])
-    counts = columns.step_counts(40, 4)
-    for large, often in ((10**9, True), (1, False)):
-        monkeypatch.setattr(columns, "LARGE", large)
-        runs = columns.Columns(simulation.dynamics, simulation.state, 0.0, 1 / 60, counts, taken=2)
-        assert runs.finite(2)
-        assert [runs.serves(k) for k in (1, 2, 3)] == [often, True, often]
-        runs.combine(2)
-        assert runs.serves(2) is often
+@every_scene
+@pytest.mark.parametrize("number", [1, 3])
+def test_a_motion_that_is_not_finite_is_told(values, number):
+    simulation = started(values)
+    simulation.state.v[1, 20] = 1e200
+    assert not columns(simulation).told(number).finite
+
+
+@every_scene
+def test_single_precision_is_the_first_runs_alone(values):
+    simulation = started(values)
+    narrow, wide = columns(simulation, economy=Economy(narrow=True)), columns(simulation)
+    away = np.abs(narrow.combine(1)[0] - wide.combine(1)[0]).max()
+    assert 0.0 < away < 1e-5
+    # The check by the steps of the second is in single precision too: it says what steps do, not what rounding does.
+    counts = step_counts(60, 2)
+    (second,), _ = simulation.plan.runs(0.0, 1 / 60, (simulation.state.x, simulation.state.v), [counts[1]])
+    between = np.linalg.norm(second.x - wide.combine(1)[0], axis=0).max()
+    assert narrow.check() == pytest.approx(between, abs=4.0 * away)

@@ -12,17 +12,17 @@ from scipy.integrate import solve_ivp
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference import RightSide
-from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import Integrator
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 DURATION = 0.04
 
 
-def soft_sheet() -> tuple[Dynamics, State]:
+def soft_sheet() -> tuple[Plan, State]:
     """6 x 6, 15 % stretched, swung and sheared: neither direction nor length of any spring is constant."""
     sheet = RawSheet(resolution=6, stiffness=0.1, k_d0=0.3, drag=1.0)
     positions = 1.15 * sheet.flat(hung=True)
@@ -30,13 +30,13 @@ def soft_sheet() -> tuple[Dynamics, State]:
     velocities[:, 1] = np.sin(2.0 * positions[:, 2])
     velocities[:, 0] = 0.5 * positions[:, 2] ** 2
     velocities[sheet.index[0]] = 0.0
-    return Dynamics(sheet.model(sheet.index[0])), State(positions, velocities)
+    return sheet.plan(sheet.index[0]), State(positions, velocities)
 
 
 @pytest.fixture(scope="module")
 def exact() -> np.ndarray:
-    dynamics, state = soft_sheet()
-    right = RightSide(dynamics)
+    plan, state = soft_sheet()
+    right = RightSide(plan)
     end = solve_ivp(right, (0.0, DURATION), right.start(state), method="DOP853", rtol=3e-14, atol=1e-15)
     return right.positions(end.y[:, -1])
 
@@ -44,8 +44,8 @@ def exact() -> np.ndarray:
 def measured_order(make: Callable[[float], Integrator], counts: list[int], exact: np.ndarray) -> float:
     errors = []
     for count in counts:
-        dynamics, state = soft_sheet()
-        make(DURATION / count).advance(dynamics, state, 0.0, DURATION)
+        plan, state = soft_sheet()
+        make(DURATION / count).advance(plan, state, 0.0, DURATION)
         errors.append(float(np.abs(state.x - exact).max()))
     assert min(errors) > 1e-12, f"rounding would be fitted: {errors}"
     return float(-np.polyfit(np.log(counts), np.log(errors), 1)[0])

@@ -7,42 +7,41 @@ from __future__ import annotations
 import numpy as np
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
-from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.integrators.base import restart
 from cloth_sim_ros.physics.integrators.control import NARROW_SHARE, SHARE_PER_SECOND, Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 PERIOD = 1 / 60
 
 
-def build() -> tuple[Dynamics, State]:
+def build() -> tuple[Plan, State]:
     sheet = RawSheet(resolution=20)
-    return sheet.dynamics(sheet.index[0]), State(sheet.flat(hung=False))
+    return sheet.plan(sheet.index[0]), State(sheet.flat(hung=False))
 
 
-def precisions(dynamics: Dynamics) -> list[bool]:
+def precisions(plan: Plan) -> list[bool]:
     """The precision of each run from now on: True for single."""
     seen: list[bool] = []
-    plan = dynamics.plan
-    assert plan is not None
-    run = plan.leapfrog
+    run = plan.runs
 
-    def watched(*arguments, economy, **others):  # type: ignore[no-untyped-def]
-        seen.append(economy.narrow)
-        run(*arguments, economy=economy, **others)
+    def watched(t, duration, start, steps, *, narrow=False, **others):  # type: ignore[no-untyped-def]
+        # Of several runs the first alone may be in single precision.
+        seen.extend([narrow, *(False for _ in steps[1:])])
+        return run(t, duration, start, steps, narrow=narrow, **others)
 
-    plan.leapfrog = watched  # type: ignore[method-assign]
+    plan.runs = watched  # type: ignore[method-assign]
     return seen
 
 
 def frames(tolerance: float, count: int) -> tuple[list[list[bool]], State]:
     """The precision of the runs of each frame, and the end."""
-    dynamics, state = build()
-    seen, each = precisions(dynamics), []
+    plan, state = build()
+    seen, each = precisions(plan), []
     for frame in range(count):
         seen.clear()
-        Extrapolated(tolerance=tolerance).advance(dynamics, state, frame * PERIOD, PERIOD)
+        Extrapolated(tolerance=tolerance).advance(plan, state, frame * PERIOD, PERIOD)
         each.append(list(seen))
     return each, state
 
@@ -70,11 +69,11 @@ def test_it_stays_well_within_the_tolerance() -> None:
 
 
 def test_an_event_asks_anew() -> None:
-    dynamics, state = build()
+    plan, state = build()
     for frame in range(3):
-        Extrapolated(tolerance=1e-2).advance(dynamics, state, frame * PERIOD, PERIOD)
+        Extrapolated(tolerance=1e-2).advance(plan, state, frame * PERIOD, PERIOD)
     assert Memory.of(state).rounding > 0.0
     restart(state)
-    seen = precisions(dynamics)
-    Extrapolated(tolerance=1e-2).advance(dynamics, state, 3 * PERIOD, PERIOD)
+    seen = precisions(plan)
+    Extrapolated(tolerance=1e-2).advance(plan, state, 3 * PERIOD, PERIOD)
     assert seen[0] is False

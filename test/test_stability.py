@@ -15,10 +15,9 @@ from cloth_sim_ros.bench import main as bench
 from cloth_sim_ros.bench.case_pool import run_cases
 from cloth_sim_ros.bench.stability import LARGEST_GAIN
 from cloth_sim_ros.bench.stability_cases import Case, every_case, run_case
-from cloth_sim_ros.bench.stability_limits import LARGEST_DEVIATION, limit_found, stretched_sheet
+from cloth_sim_ros.bench.stability_limits import LARGEST_EXCESS, limit_found, stretched_sheet
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.sharp_limit import sharp_step_limit
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
@@ -67,22 +66,22 @@ def test_what_is_attacked_stays_finite_and_makes_no_energy(case: Case, integrato
 
 
 @pytest.mark.parametrize(("stretch", "k_d0"), [(1.0, 0.0), (2.0, 0.2), (3.0, 1.0)])
-def test_the_limit_found_about_a_stretched_state_is_the_one_predicted(stretch: float, k_d0: float) -> None:
-    dynamics, x = stretched_sheet(stretch, k_d0, resolution=8)
-    bound = Leapfrog().step_limit(*dynamics.rates(x))
-    predicted = sharp_step_limit(dynamics, 0.0, x, bound)
-    assert limit_found(dynamics, x, predicted) == pytest.approx(predicted, rel=LARGEST_DEVIATION)
+def test_the_limit_found_about_a_stretched_state_is_hardly_beyond_its_bound(stretch: float, k_d0: float) -> None:
+    plan, x = stretched_sheet(stretch, k_d0, resolution=8)
+    bound = Leapfrog().step_limit(*plan.rates(x))
+    # Found by bisection to 0.2 %.
+    assert 0.998 * bound <= limit_found(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
 
 
 def test_an_implicit_step_without_a_solution_comes_to_rest_where_forces_balance() -> None:
     """Coincident particles of a sheet too stiff for its steps: it must neither freeze there nor gain energy."""
-    dynamics, x = stretched_sheet(1.0, 0.5, resolution=8)
+    plan, x = stretched_sheet(1.0, 0.5, resolution=8)
     state = State(x.T.copy())
     state.x = state.x.copy()
     state.x[:, 27] = state.x[:, 36]
-    before = dynamics.energy(0.0, state.x, state.v)
-    Implicit(tolerance=1e-6).advance(dynamics, state, 0.0, 0.5)
-    assert dynamics.energy(0.0, state.x, state.v) < 0.05 * before
+    before = plan.energy(0.0, state.x, state.v)
+    Implicit(tolerance=1e-6).advance(plan, state, 0.0, 0.5)
+    assert plan.energy(0.0, state.x, state.v) < 0.05 * before
     assert np.isfinite(state.x).all()
 
 
@@ -105,7 +104,7 @@ def _square(case: int) -> int:
 
 
 def test_a_case_that_takes_too_long_or_ends_its_process_is_told_and_the_others_go_on() -> None:
-    dones = {done.case: done for done in run_cases(_square, [1, 2, 3, 4, 5], warm_up=0, workers=2, limit=1.0)}
+    dones = {done.case: done for done in run_cases(_square, [1, 2, 3, 4, 5], workers=2, limit=1.0)}
     assert {case: done.result for case, done in dones.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
     assert dones[3].trouble == "its process ended"
     assert dones[4].trouble == "took longer than 1 s"
