@@ -113,16 +113,19 @@ class Columns:
         return largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0])
 
     def check(self) -> float:
-        """Return the largest distance [m] of a particle in the first run, which saves on something, from the same in a
-        run by the steps of the second that saves on nothing but precision: the first one's error.
+        """Return the error of the first run [m], which saves on something, by a run by the steps of the second that
+        saves on nothing but precision: what leaving springs out lost, and what its steps did.
         """
         self._make(1)
-        steps = self.counts[1]
+        counts = self.counts[:2]
         runs, _ = self._plan.runs(
-            self._t, self._duration, (self._start.x, self._start.v), [steps], narrow=self.economy.narrow
+            self._t, self._duration, (self._start.x, self._start.v), counts[1:], narrow=self.economy.narrow
         )
-        self.evaluations += steps + 1
-        return largest_distance(runs[0].x, self._runs[0].x)
+        self.evaluations += counts[1] + 1
+        away = largest_distance(runs[0].x, self._runs[0].x)
+        # Steps alone: the combination of both is w of the way from the one to the other, and beyond. What leaving out
+        # springs lost is the way itself.
+        return away if self.economy.alternate else weights(counts)[1] * away
 
     def work_of_grippers(self, columns: int) -> float:
         """Return the work [J] that grippers did over T_K, K = columns."""
