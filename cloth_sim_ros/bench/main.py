@@ -22,6 +22,8 @@ COMMANDS = {
     "speed": ("speed", "ns per spring against C, simulated seconds per wall second, two threads against one"),
     "peers": ("peers", "other engines on the same sheet, installed on demand into an environment of their own"),
     "scale": ("scale", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
+    "engine": ("engine", "this tree against an older commit of itself, in turns, in one run"),
+    "adds": ("adds", "whether features cost together what they cost one by one, for every pair of them"),
     "skip": ("skip", "what a feature costs absent, idle and active; a loop made by hand; counts; start-up"),
 }
 

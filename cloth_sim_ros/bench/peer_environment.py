@@ -17,7 +17,7 @@ from pathlib import Path
 #: by which the ROS wheels know that they have set the libraries' path already.
 _LEADING_BACK = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
 #: What pip says when it gets no answer; it goes on to say that there is no such version, which misleads.
-_NO_NETWORK = (
+NO_NETWORK = (
     "NewConnectionError",
     "Name or service not known",
     "Temporary failure in name resolution",
@@ -70,7 +70,7 @@ def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Call
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EnvironmentUnusable(f"environment {folder}: {error}; name another folder by --environment") from error
-    with _alone(folder, say):
+    with alone(folder, say):
         if not python_of(folder).exists():
             _make(folder, say)
         present = _installed(folder)
@@ -90,7 +90,7 @@ def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Call
 
 
 @contextmanager
-def _alone(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
+def alone(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
     """Two at a time wait for each other."""
     with folder.with_name(folder.name + ".lock").open("w") as lock:
         try:
@@ -111,7 +111,7 @@ def _make(folder: Path, say: Callable[[str], None]) -> None:
         [sys.executable, "-m", "venv", str(folder)], env=clean_variables(), capture_output=True, text=True, check=False
     )
     if done.returncode:
-        raise EnvironmentUnusable(f"no environment can be made in {folder}: {_last_line(done.stderr + done.stdout)}")
+        raise EnvironmentUnusable(f"no environment can be made in {folder}: {last_line(done.stderr + done.stdout)}")
 
 
 def _installed(folder: Path) -> dict[str, str]:
@@ -128,7 +128,7 @@ def _installed(folder: Path) -> dict[str, str]:
             text=True,
             check=False,
         )
-        reason = _last_line(done.stderr) if done.returncode else ""
+        reason = last_line(done.stderr) if done.returncode else ""
     except OSError as error:
         reason = str(error)
     if reason:
@@ -145,14 +145,14 @@ def _install(folder: Path, wanted: tuple[str, ...]) -> str:
     if not done.returncode:
         return ""
     said = done.stderr + done.stdout
-    if any(text in said for text in _NO_NETWORK):
+    if any(text in said for text in NO_NETWORK):
         return _UNREACHABLE
     if "No matching distribution" in said:
         version = ".".join(str(part) for part in sys.version_info[:2])
         return f"there is no wheel of {' '.join(wanted)} for Python {version} on this machine"
-    return f"pip failed with {' '.join(wanted)}: {_last_line(said)}"
+    return f"pip failed with {' '.join(wanted)}: {last_line(said)}"
 
 
-def _last_line(text: str) -> str:
+def last_line(text: str) -> str:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1] if lines else "no word of why"
