@@ -205,7 +205,7 @@ def _simulation(values: dict[str, Any]) -> Any:
 def _frames(simulation: Any, events: list[list[Any]], *, share: bool = False) -> dict[str, Any]:
     """Advance a frame for each list of events; return times of frames [s], steps and evaluations."""
     times, steps, evaluations = [], 0, 0
-    timer = side().engine_timer() if share else None
+    timer = side().EngineTimer() if share else None
     for given in events:
         begin = time.perf_counter()
         done = simulation.advance(given)

@@ -66,7 +66,7 @@ def curtain(resolution: int, tolerance: float) -> tuple[Callable[[], Any], Calla
     return build, make_integrator("auto", tolerance=tolerance).advance
 
 
-class engine_timer:  # noqa: N801 - made by calling it, as a function would be
+class EngineTimer:
     """Adds up the time spent in the engine's functions, from when it is made until it is stopped."""
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The measured pieces of a tree from before the engine, by its names: compiled by numba, one fused plan a kind of sheet.
+"""The measured pieces of a tree from before the engine, by its names.
 
 Loaded by `engine_jobs` beside that tree's package, never beside this one's.
 """

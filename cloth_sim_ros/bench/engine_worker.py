@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the package of one tree, in a Python of its own: a script that loads whatever `cloth_sim_ros` is there.
 
-Reads requests from its input and answers each on its output, one line of JSON for each: `{"measure": JOB, ...}` with the
+Reads requests from its input and answers each on its output, one line of JSON each: `{"measure": JOB, ...}` with the
 job's options is answered by the job's figures, `seconds` first, or by `{"error": why}`. A job is made ready when it is
 first asked for, which is not timed; `{"forget": true}` frees all that were.
 """

@@ -121,8 +121,8 @@ def _install(tree: Path, environment: Path, say: Callable[[str], None]) -> None:
     said = done.stderr + done.stdout
     if any(text in said for text in NO_NETWORK):
         raise EnvironmentUnusable(
-            "the older tree needs packages that are not here, and the package index is out of reach; run it once with a "
-            "network, it is kept"
+            "the older tree needs packages that are not here, and the package index is out of reach; run it once with "
+            "a network, it is kept"
         )
     raise EnvironmentUnusable(f"pip can't install the older tree: {last_line(said)}")
 

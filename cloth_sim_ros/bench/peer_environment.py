@@ -154,5 +154,6 @@ def _install(folder: Path, wanted: tuple[str, ...]) -> str:
 
 
 def last_line(text: str) -> str:
+    """The last line of what a program said."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1] if lines else "no word of why"
