@@ -27,6 +27,8 @@ SECTIONS = {
     "stability": "stability",
     "speed": "speed",
     "skip": "skip",
+    "engine": "engine",
+    "adds": "adds",
     "scale": "scale",
     "peers": "peers",
 }
