@@ -135,7 +135,7 @@ def test_every_room_is_a_package(setup_arguments: dict[str, object]) -> None:
 def test_every_file_beside_the_code_is_declared(setup_arguments: dict[str, object]) -> None:
     patterns = [pattern for patterns in setup_arguments["package_data"].values() for pattern in patterns]  # type: ignore[attr-defined]
     for path in (ROOT / "cloth_sim_ros").rglob("*"):
-        if path.is_file() and path.suffix not in {".py", ".pyc", ".nbi", ".nbc", ".so"}:
+        if path.is_file() and path.suffix not in {".py", ".pyc", ".so"}:
             assert any(path.match(pattern) for pattern in patterns), f"{path} would not be installed"
 
 
@@ -177,7 +177,7 @@ def test_core_needs_neither_ros_nor_viewer_nor_tools(setup_arguments: dict[str, 
 
     extras: dict[str, object] = setup_arguments["extras_require"]  # type: ignore[assignment]
     assert names(setup_arguments["install_requires"]) <= {
-        "numpy", "scipy", "numba", "attrs", "pyyaml", "xxhash", "tqdm",
+        "numpy", "scipy", "attrs", "pyyaml", "xxhash", "tqdm",
     }  # fmt: skip
     for extra, requirements in extras.items():
         assert ("rerun-sdk" in names(requirements)) == (extra in {"replay", "demo", "dev"})
