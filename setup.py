@@ -86,7 +86,7 @@ EXTRAS["dev"] = [
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="0.2.0",
     description="A live mass-spring cloth in a ROS 2 graph: grasped through topics, recorded, replayed, re-run exactly",
     author="cloth_sim_ros authors",
     author_email="cloth_sim_ros@example.org",

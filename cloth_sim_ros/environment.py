@@ -1,45 +1,66 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the bits of a run depend on beside its scene and events: the versions and the machine, as text."""
+"""What a session was recorded with, as text: the arithmetic, which decides about its bits, and the machine."""
 
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import platform
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-_NAMES = {"version": "cloth_sim_ros", "source": "its code"}
-#: Packages, beside this one, whose version can change the last bit of a run.
-_PACKAGES = ("numpy", "scipy", "numba", "llvmlite")
+from cloth_sim_ros.engine import NUMERICS
+
+#: What bits depend on within one and the same arithmetic, and what a difference calls it.
+_CAUSES = {"source": "its code"}
+#: The arithmetic of sessions that tell none: they are older than the engine.
+_BEFORE_THE_ENGINE = 1
 
 
 def environment() -> dict[str, str]:
-    """Versions and machine of this process, under the names that they have in a session's metadata."""
+    """Versions and machine of this process, under the names that they have in a session's metadata.
+
+    Bits depend on `numerics` and `source` alone; the rest is for whoever reads it.
+    """
     from cloth_sim_ros import __version__
+    from cloth_sim_ros.engine.binding import engine_name
 
     return {
         "version": __version__,
+        "numerics": str(NUMERICS),
         "source": _source(),
+        "instructions": engine_name(),
         "python": platform.python_version(),
-        **{package: _version(package) for package in _PACKAGES},
+        "numpy": _numpy_version(),
         "machine": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
     }
 
 
 def differences(recorded: Mapping[str, str]) -> list[str]:
-    """What differs from the environment that a session's metadata tells of, as ``numba 0.67 -> 0.68``.
+    """What bits depend on and is not as a session's metadata tells, as ``its code 193821 -> 2c46fa``.
 
     What the recording does not tell is not compared.
     """
+    present = {"source": _source()}
     return [
-        f"{_NAMES.get(key, key)} {recorded[key]} -> {value}"
-        for key, value in environment().items()
-        if key in recorded and recorded[key] != value
+        f"{name} {recorded[key]} -> {present[key]}"
+        for key, name in _CAUSES.items()
+        if key in recorded and recorded[key] != present[key]
     ]
+
+
+def recorder_with_other_arithmetic(recorded: Mapping[str, str]) -> str:
+    """By what a session was recorded, as ``cloth_sim_ros 0.1.0 (numba 0.68.1)``, where that rounds otherwise than this.
+
+    Empty where its arithmetic is this package's.
+    """
+    if recorded.get("numerics", str(_BEFORE_THE_ENGINE)) == str(NUMERICS):
+        return ""
+    name = f"cloth_sim_ros {recorded['version']}" if "version" in recorded else "another version of cloth_sim_ros"
+    compiler = recorded.get("numba")
+    return f"{name} (numba {compiler})" if compiler else name
 
 
 @functools.cache
@@ -48,22 +69,22 @@ def _source() -> str:
     import xxhash
 
     root = Path(__file__).parent
+    patterns = ("*.py", "physics/**/*.py", "engine/*.py", "engine/*.hpp", "engine/*.cpp")
     hasher = xxhash.xxh3_64()
-    for path in sorted([*root.glob("*.py"), *root.glob("physics/**/*.py")]):
+    for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
         hasher.update(path.relative_to(root).as_posix().encode())
         hasher.update(path.read_bytes())
     return str(hasher.hexdigest())
 
 
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "absent"
+def _numpy_version() -> str:
+    import numpy as np
+
+    return np.__version__
 
 
 def _processor() -> str:
-    """The processor's name: compiled kernels use what it has."""
+    """The processor's name."""
     if sys.platform.startswith("linux"):
         try:
             lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()

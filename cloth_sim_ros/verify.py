@@ -16,8 +16,11 @@ from cloth_sim_ros.session.reader import SessionReader
 if TYPE_CHECKING:
     from cloth_sim_ros.verify_run import Verdict
 
-#: Exit statuses: all came out the same; something differs; something could not be read.
-SAME, DIFFERENT, UNREADABLE = 0, 1, 2
+#: Exit statuses: all came out the same; something differs; something could not be read; it was recorded with other
+#: arithmetic, and nothing differs that this does not explain.
+SAME, DIFFERENT, UNREADABLE, OTHER_ARITHMETIC = 0, 1, 2, 3
+#: Of several sessions the gravest status is the command's, the last of these.
+_GRAVITY = (SAME, OTHER_ARITHMETIC, DIFFERENT, UNREADABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,7 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
         description="Run recorded sessions again from their own snapshots and events, and compare every frame. "
-        "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read.",
+        "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read; "
+        "3: recorded with other arithmetic, and nothing differs that this does not explain.",
     )
     parser.add_argument(
         "session", nargs="+", type=Path, help="session.mcap, one or more; files of a split session together, in order"
@@ -41,13 +45,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 status = UNREADABLE
                 continue
             print(describe(verdict), flush=True)
-            if verdict.damaged:
-                status = UNREADABLE
-            elif not verdict.same:
-                status = max(status, DIFFERENT)
+            status = max(status, status_of(verdict), key=_GRAVITY.index)
     except KeyboardInterrupt:
         return 130
     return status
+
+
+def status_of(verdict: Verdict) -> int:
+    """The exit status that a verdict alone gives."""
+    if verdict.damaged:
+        return UNREADABLE
+    if verdict.same:
+        return SAME
+    return OTHER_ARITHMETIC if verdict.other_arithmetic and not verdict.unexplained else DIFFERENT
 
 
 def describe(verdict: Verdict) -> str:
@@ -65,6 +75,13 @@ def describe(verdict: Verdict) -> str:
             f"Of {counts}, {_count(verdict.different, 'frame')} {'differs' if verdict.different == 1 else 'differ'}; "
             f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({pace}).",
         ]
+    if verdict.other_arithmetic and not verdict.same:
+        sentences.append(
+            f"It was recorded by {verdict.other_arithmetic}, whose arithmetic this version's engine does not repeat to "
+            "the last bit; that is no damage."
+        )
+        if verdict.unexplained:
+            sentences.append(f"But arithmetic does not explain {verdict.unexplained}.")
     if verdict.environment:
         changed = "; ".join(verdict.environment)
         promise = "" if verdict.same else ", where equal bits are not promised"

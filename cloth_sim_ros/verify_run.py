@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from cloth_sim_ros import parameter_file
-from cloth_sim_ros.environment import differences
+from cloth_sim_ros.environment import differences, recorder_with_other_arithmetic
 from cloth_sim_ros.events import Event, from_dict
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
@@ -27,6 +27,8 @@ from cloth_sim_ros.simulation import Frame, Simulation
 from cloth_sim_ros.verify_commands import CommandCheck
 
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
+#: What a frame's record tells that other arithmetic can change: the rest it must get right.
+_OF_ROUNDING = frozenset({"the digest of its state", "its steps", "its integrator"})
 
 
 @dataclass(kw_only=True)
@@ -54,7 +56,11 @@ class Verdict:
     seconds: float = 0.0
     """Wall time that it took [s]."""
     environment: list[str] = field(default_factory=list)
-    """How versions, machine and files differ from the recording's, or may."""
+    """How what bits depend on differs from the recording's, or may: code and files."""
+    other_arithmetic: str = ""
+    """By what it was recorded, where that rounds otherwise than this package; empty where it does not."""
+    unexplained: str = ""
+    """With other arithmetic: the first frame and what differs in it that no rounding explains."""
     missing: list[str] = field(default_factory=list)
     """What the session lacks, a sentence each."""
     damaged: bool = False
@@ -78,7 +84,10 @@ def verify(paths: Sequence[Path], *, progress: Callable[[int], None] = lambda _b
     """
     begun = time.perf_counter()
     with SessionReader(list(paths)) as reader:
-        verdict = Verdict(name=", ".join(path.name for path in paths), environment=differences(reader.metadata))
+        verdict = Verdict(name=", ".join(path.name for path in paths))
+        verdict.other_arithmetic = recorder_with_other_arithmetic(reader.metadata)
+        if not verdict.other_arithmetic:
+            verdict.environment = differences(reader.metadata)
         done = 0
         before: _Run | None = None
         for part in reader.parts:
@@ -143,7 +152,7 @@ class _Run:
         if before is None or before.simulation.frame != self.simulation.frame:
             return
         if before.simulation.state.digest() != self.simulation.state.digest():
-            self._note_difference(f"the snapshot that {self._part.path.name} opens with")
+            self._note_difference(f"the snapshot that {self._part.path.name} opens with", rounding=True)
             self._close_frame()
 
     def _run_frame(self, record: FrameRecord, message: Message) -> bool:
@@ -179,17 +188,19 @@ class _Run:
         frame, simulation = self._frame, self.simulation
         assert frame is not None
         steps = frame.advance.steps if frame.advance else 0
-        for what, recorded, again in (
+        compared = (
             ("its number", record.frame, frame.index),
             ("its time", record.time, frame.time),
+            ("whether it is paused", record.paused, simulation.paused),
+            ("its tolerance", record.tolerance, frame.tolerance),
             ("the digest of its state", record.digest, simulation.state.digest()),
             ("its steps", record.steps, steps),
-            ("its tolerance", record.tolerance, frame.tolerance),
             ("its integrator", record.integrator, frame.integrator),
-            ("whether it is paused", record.paused, simulation.paused),
-        ):
+        )
+        for what, recorded, again in compared:
             if recorded != again:
-                self._note_difference(f"{what} ({recorded} was recorded, {again} came out)", record)
+                rounding = what in _OF_ROUNDING
+                self._note_difference(f"{what} ({recorded} was recorded, {again} came out)", record, rounding=rounding)
                 return
 
     def _compare_cloud(self, message: Message) -> None:
@@ -205,12 +216,14 @@ class _Run:
             worst = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
             deviation = float(away[worst]) if math.isfinite(away[worst]) else math.inf
             self._verdict.largest_deviation = max(self._verdict.largest_deviation, deviation)
-            self._note_difference(f"its cloud, by {deviation:.3g} m at particle {worst}")
+            self._note_difference(
+                f"its cloud, by {deviation:.3g} m at particle {worst}", rounding=math.isfinite(deviation)
+            )
         elif cloud.velocity is not None:
             again = self.simulation.state.v.T.astype(np.float32)
             wrong = np.flatnonzero((cloud.velocity.view(np.uint32) != again.view(np.uint32)).any(axis=1))
             if wrong.size:
-                self._note_difference(f"its cloud, by the velocity of particle {wrong[0]}")
+                self._note_difference(f"its cloud, by the velocity of particle {wrong[0]}", rounding=True)
 
     def _compare_wrench(self, message: Message) -> None:
         if message.publish_time != self._frame_stamp or self._frame is None:
@@ -219,13 +232,17 @@ class _Run:
         recorded = [getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"]
         again = self._frame.wrenches[self._wrenches[message.topic]]
         if recorded != [float(value) for value in again]:
-            self._note_difference(f"the wrench on {message.topic.split('/')[-2]}")
+            self._note_difference(f"the wrench on {message.topic.split('/')[-2]}", rounding=True)
 
-    def _note_difference(self, reason: str, record: FrameRecord | None = None) -> None:
+    def _note_difference(self, reason: str, record: FrameRecord | None = None, *, rounding: bool = False) -> None:
+        """Note what differs; `rounding` says that other arithmetic alone can make it differ."""
         self._differs = True
         verdict = self._verdict
+        frame = self.simulation.frame if record is None else record.frame
+        if verdict.other_arithmetic and not rounding and not verdict.unexplained:
+            verdict.unexplained = f"frame {frame}, {reason}"
         if verdict.first_frame is None:
-            verdict.first_frame = self.simulation.frame if record is None else record.frame
+            verdict.first_frame = frame
             verdict.first_time = self.simulation.time if record is None else record.time
             verdict.first_reason = reason
 

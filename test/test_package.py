@@ -18,6 +18,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+import cloth_sim_ros
+
 ROOT = Path(__file__).resolve().parent.parent
 HEADER = "# Copyright 2026 the cloth_sim_ros authors\n# SPDX-License-Identifier: Apache-2.0\n"
 FOLDERS = ("cloth_sim_ros", "launch", "scripts", "test")
@@ -73,7 +75,7 @@ def test_package_xml_is_valid() -> None:
     ("right", "wrong"),
     [
         ("exec_depend>rclpy</exec_depend", "exec_depends>rclpy</exec_depends"),
-        ("<version>0.1.0", "<version>0.1"),
+        ("<version>0.2.0", "<version>0.2"),
         ("<name>cloth_sim_ros", "<name>Cloth Sim"),
         (
             ' email="cloth_sim_ros@example.org">cloth_sim_ros authors</maintainer>',
@@ -120,7 +122,7 @@ def test_package_xml_has_every_ros_package_that_is_imported() -> None:
 def test_name_and_version_agree_everywhere(setup_arguments: dict[str, object]) -> None:
     root = ElementTree.parse(ROOT / "package.xml").getroot()
     version = root.findtext("version")
-    assert setup_arguments["version"] == version
+    assert setup_arguments["version"] == version == cloth_sim_ros.__version__
     assert setup_arguments["name"] == root.findtext("name")
     assert setup_arguments["license"] == root.findtext("license")
     assert re.search(rf"^{re.escape(str(version))} \(", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)

@@ -212,9 +212,9 @@ def test_a_frame_that_cannot_be_run_is_a_difference(tmp_path: Path) -> None:
     assert "nobody" in verdict.first_reason
 
 
-def test_other_versions_are_told(tmp_path: Path) -> None:
-    verdict = _verify(_make(tmp_path, metadata={"numba": "0.1"}))
-    assert verdict.environment == [f"numba 0.1 -> {environment()['numba']}"]
+def test_other_code_is_told(tmp_path: Path) -> None:
+    verdict = _verify(_make(tmp_path, metadata={"source": "0", "python": "3.1"}))
+    assert verdict.environment == [f"its code 0 -> {environment()['source']}"]
 
 
 def test_the_command_says_that_it_came_out_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
