@@ -149,8 +149,10 @@ def test_a_motion_that_cant_go_on_stops_time_and_not_the_node(
     process.wait_for_output("time is stopped")
     with Client() as client:
         client.watch()
-        answer = client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False))
-        assert answer.success
+        for kind, name in ((SetBool, "pause"), (Trigger, "step"), (Trigger, "step")):
+            answer = client.call(kind, f"/cloth_sim/{name}")
+            assert not answer.success
+            assert "time is stopped: " in answer.message
         cloud = client.wait_for_clouds(2)
         assert np.isfinite(positions(cloud)).all()
         assert client.call(Trigger, "/cloth_sim/save_state").success

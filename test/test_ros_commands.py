@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
+from cloth_sim_ros.events import Event, Pause, Step
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
@@ -118,6 +119,36 @@ def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.M
     np.testing.assert_array_equal(simulation.positions, before)
 
 
+@pytest.mark.parametrize("asked", [Step(), Pause(False)], ids=["step", "go on"])
+def test_time_that_cant_pass_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatch, asked: Event) -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
+    queue = EventQueue()
+    stepper = Stepper(simulation, queue)
+    told: list[Outcome] = []
+
+    def fail(*_: Any) -> None:
+        raise UnstableError("the motion became non-finite")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(simulation, "_move", fail)
+        stepper.step(0)
+        # The node must outlive whoever asks for more of it, as often as that is.
+        for _ in range(2):
+            queue.put(asked, answer=told.append)
+            queue.put(Grasp("gripper", True), answer=told.append)
+            frame = stepper.step(0)
+            assert not frame.moved
+            assert simulation.paused
+            assert stepper.trouble == "the motion became non-finite"
+    reasons = [(outcome.frame is None, outcome.reason) for outcome in told if outcome.grasp is None]
+    assert reasons == [(True, "time is stopped: the motion became non-finite")] * 2
+    assert sum(outcome.grasp is not None for outcome in told) == 2
+    queue.put(asked, answer=told.append)
+    assert stepper.step(0).moved
+    assert stepper.trouble == ""
+    assert told[-1].frame is not None
+
+
 def test_parameters_that_cant_take_effect_do_not_hurt_the_rest() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
@@ -129,6 +160,25 @@ def test_parameters_that_cant_take_effect_do_not_hurt_the_rest() -> None:
     assert frame.moved
     assert simulation.scene.step == 0.0
     assert simulation.grippers.is_placed(0)
+
+
+def test_bad_parameters_and_a_motion_that_cant_go_on_in_one_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
+    queue = EventQueue()
+    stepper = Stepper(simulation, queue)
+    move = simulation._move
+
+    def fail() -> Any:
+        if simulation.scene.step:
+            return move()
+        raise UnstableError("the motion became non-finite")
+
+    monkeypatch.setattr(simulation, "_move", fail)
+    queue.put(SetParameters({"step": 0.5}))
+    assert not stepper.step(0).moved
+    assert "stability limit" in stepper.refused_parameters
+    assert stepper.trouble == "the motion became non-finite"
+    assert simulation.paused
 
 
 def transformer(frame_id: str = "world") -> FrameTransformer:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from cloth_sim_ros.events import Event, Grasp, Pause, SetParameters
+from cloth_sim_ros.events import Event, Grasp, Pause, SetParameters, Step
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
@@ -40,32 +40,47 @@ class Stepper:
     def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
         """Compute a frame with what waits for a ROS time [ns] or before, after events of the node's own.
 
-        Where the motion becomes unstable the commands take effect, time stands still, and `trouble` says why.
+        Where the motion becomes unstable the commands take effect, time stands still, `trouble` says why, and so does
+        the answer to whoever asked for time to pass.
         """
         entries = [*(Entry(event=event) for event in own), *self._queue.take(due)]
         self.refused_parameters = ""
-        try:
-            frame = self._advance(entries)
-        except (UnstableError, ValueError) as error:
-            changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
-            if changes and isinstance(error, ValueError):
-                # Each value was right by itself, and together, or with this motion, they are not: the rest must not
-                # suffer for it.
-                self.refused_parameters = str(error)
-                entries = [entry for entry in entries if entry not in changes]
-            elif isinstance(error, UnstableError):
-                self.trouble = str(error)
-                entries = [*entries, Entry(event=Pause(True))]
-            else:
-                raise
-            frame = self._advance(entries)
+        refused: list[tuple[Entry, str]] = []
+        stopped = False
+        while True:
+            try:
+                frame = self._advance(entries)
+                break
+            except (UnstableError, ValueError) as error:
+                changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
+                if changes and (stopped or isinstance(error, ValueError)):
+                    # Each value was right by itself, and together, or with this motion, they are not: the rest must
+                    # not suffer for it.
+                    self.refused_parameters = str(error)
+                    refused += [(entry, str(error)) for entry in changes]
+                    entries = [entry for entry in entries if not isinstance(entry.event, SetParameters)]
+                elif isinstance(error, UnstableError) and not stopped:
+                    stopped, self.trouble = True, str(error)
+                    # Whatever would let time pass is left out: within this very frame it would fail once more.
+                    refused += [(entry, f"time is stopped: {error}") for entry in entries if _lets_time_pass(entry)]
+                    entries = [entry for entry in entries if not _lets_time_pass(entry)]
+                    entries.append(Entry(event=Pause(True)))
+                else:
+                    raise
         if frame.moved:
             self.trouble = ""
         _answer(entries, frame)
+        for entry, reason in refused:
+            if entry.answer is not None:
+                entry.answer(Outcome(frame=None, reason=reason))
         return frame
 
     def _advance(self, entries: list[Entry]) -> Frame:
         return self._aside(lambda: self._simulation.advance([entry.event for entry in entries]))
+
+
+def _lets_time_pass(entry: Entry) -> bool:
+    return isinstance(entry.event, Step) or (isinstance(entry.event, Pause) and not entry.event.paused)
 
 
 def _answer(entries: list[Entry], frame: Frame) -> None:
