@@ -31,7 +31,7 @@ GRASPS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Commands:
-    """Subscriptions of every gripper of a cloth.
+    """Subscriptions of every gripper of a cloth, from `listen` on.
 
     Args:
         node: the node.
@@ -54,6 +54,7 @@ class Commands:
         tape: Tape,
         log: ThrottledLog,
     ) -> None:
+        self._node = node
         self._clock = node.get_clock()
         self._queue = queue
         self._check = check
@@ -67,7 +68,10 @@ class Commands:
         self.received = 0
         self.refused = 0
         self.outdated = 0
-        for gripper in grippers:
+
+    def listen(self) -> None:
+        """Subscribe: whoever meets a subscription may rely on being heard."""
+        for gripper in self._gates:
             for leaf, kind, qos, handle in (
                 ("target", PoseStamped, TARGETS, self._target),
                 ("point", PointStamped, TARGETS, self._point),
@@ -75,10 +79,10 @@ class Commands:
             ):
                 topic = f"~/{gripper}/{leaf}"
                 take = functools.partial(
-                    self._take, gripper, leaf, kind, qos, node.resolve_topic_name(topic, only_expand=True), handle
+                    self._take, gripper, leaf, kind, qos, self._node.resolve_topic_name(topic, only_expand=True), handle
                 )
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-                subscription = node.create_subscription(kind, topic, _single(take), qos, raw=True)
+                subscription = self._node.create_subscription(kind, topic, _single(take), qos, raw=True)
                 self._subscriptions.append((subscription, take, qos.depth))
 
     def heard(self, gripper: str) -> int | None:

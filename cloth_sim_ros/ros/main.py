@@ -90,10 +90,10 @@ def _run(signals: StopSignals, aside: Aside) -> int:
         _spin(cloth, signals)
     except StopRequestedError:
         pass
-    except (RecordingUnavailableError, ValueError) as error:
+    except (RecordingUnavailableError, ValueError, *_BAD_NAMES) as error:
         if started:
             raise
-        return _refuse(str(error))
+        return _refuse(readable(error))
     finally:
         saved = cloth.close()
         cloth.node.destroy_node()

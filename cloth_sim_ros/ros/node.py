@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.parameter_service import ParameterService
 
 from cloth_sim_ros.events import Reset, SetParameters
 from cloth_sim_ros.ros import diagnostics, parameters
@@ -53,7 +54,8 @@ class ClothNode:
         name: node name, before remapping.
         aside: runs a long computation and returns what it returns; may raise StopRequestedError instead, and leave the
             computation to itself.
-        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ...
+        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ... Its parameter services
+            come with `start`, as all of its services and subscriptions do: what can be found is answered.
 
     Raises:
         ParameterError: for parameters that make no cloth.
@@ -66,7 +68,10 @@ class ClothNode:
         aside: Callable[[Callable[[], Any]], Any] = at_once,
         **options: Any,
     ) -> None:
-        self.node = Node(name, automatically_declare_parameters_from_overrides=True, **options)
+        self._serves_parameters = options.pop("start_parameter_services", True)
+        self.node = Node(
+            name, automatically_declare_parameters_from_overrides=True, start_parameter_services=False, **options
+        )
         scene = parameters.declare(self.node)
         self._aside = aside
         self._log = ThrottledLog(self.node.get_logger())
@@ -143,7 +148,7 @@ class ClothNode:
         self._recording.prepare()
 
     def start(self) -> None:
-        """Begin to record, if asked to, and let time begin.
+        """Begin to record, if asked to, let the cloth be found and commanded, and let time begin.
 
         Raises:
             RecordingUnavailableError: if the recording can't begin, though its libraries are there.
@@ -153,6 +158,10 @@ class ClothNode:
         if scene.record.enabled:
             self._record_from_the_start(now)
         self._outputs.start(now)
+        self._commands.listen()
+        self._services.serve()
+        if self._serves_parameters:
+            ParameterService(self.node)
         self._follows_clock = bool(self.node.get_parameter("use_sim_time").value)
         self._relief.live = not self._follows_clock
         if self._follows_clock:

@@ -22,7 +22,7 @@ PATIENCE = 5.0
 
 
 class Services:
-    """Services of one cloth.
+    """Services of one cloth, from `serve` on.
 
     Args:
         node: the node.
@@ -45,12 +45,17 @@ class Services:
         save_state: Callable[[], Path],
         seconds: Callable[[], float],
     ) -> None:
+        self._node = node
+        self._grippers = grippers
         self._queue = queue
         self._paused = paused
         self._record = record
         self._save_state = save_state
         self._seconds = seconds
         self._waiting: list[tuple[float, Future]] = []
+
+    def serve(self) -> None:
+        """Let the services be found: whoever finds one may rely on an answer."""
         # A handler that waits for its frame must not keep the frame from being computed.
         group = ReentrantCallbackGroup()
         for kind, name, handle in (
@@ -60,9 +65,9 @@ class Services:
             (SetBool, "~/record", self._on_record),
             (Trigger, "~/save_state", self._on_save_state),
         ):
-            node.create_service(kind, name, handle, callback_group=group)
-        for gripper in grippers:
-            node.create_service(
+            self._node.create_service(kind, name, handle, callback_group=group)
+        for gripper in self._grippers:
+            self._node.create_service(
                 SetBool, f"~/{gripper}/close", functools.partial(self._on_close, gripper), callback_group=group
             )
 
