@@ -8,8 +8,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.task import Future
+from std_srvs.srv import SetBool
 
 from cloth_sim_ros.ros import gripper_player
+from cloth_sim_ros.ros.gripper_main import describe_holds
 from cloth_sim_ros.ros.gripper_script import GripperScript
 
 SCRIPT = GripperScript.from_dict(
@@ -24,33 +27,61 @@ SCRIPT = GripperScript.from_dict(
 )
 
 
-def played(monkeypatch: pytest.MonkeyPatch, *, held_up_at: float, for_long: float) -> list[tuple[float, Any]]:
-    """What is sent and when [s], by a player that the system puts aside once: x of targets, and grasps."""
-    sent: list[tuple[float, Any]] = []
-    now = [0.0]
+class Cloth:
+    """The other side: a gripper that answers how much it holds, some time after it was asked."""
 
-    def spin_once(timeout_sec: float) -> None:
-        before, now[0] = now[0], now[0] + timeout_sec
-        if before < held_up_at <= now[0]:
-            now[0] += for_long
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, held: int = 3, answers_after: float = 0.02) -> None:
+        #: What is sent and when [s]: x of targets, and grasps.
+        self.sent: list[tuple[float, Any]] = []
+        self.time = 0.0
+        #: When the player is put aside by the system, and for how long [s].
+        self.held_up_at, self.held_up_for = 0.0, 0.0
+        self._held = held
+        self._answers_after = answers_after
+        self._asked: list[tuple[float, Future]] = []
+        publisher = SimpleNamespace(publish=self._publish, wait_for_all_acked=lambda _: True)
+        client = SimpleNamespace(call_async=self._ask, remove_pending_request=lambda _: None)
+        clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.time * 1e9)))
+        self.node: Any = SimpleNamespace(
+            create_publisher=lambda *_: publisher, create_client=lambda *_: client, get_clock=lambda: clock
+        )
+        executor = SimpleNamespace(add_node=lambda _: None, spin_once=self._spin_once)
+        monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
+        monkeypatch.setattr(gripper_player, "time", SimpleNamespace(monotonic=lambda: self.time))
 
-    def publish(message: Any) -> None:
-        sent.append((now[0], message.data if hasattr(message, "data") else message.pose.position.x))
+    def play(self) -> gripper_player.GripperPlayer:
+        player = gripper_player.GripperPlayer(self.node, SCRIPT, target="/cloth_sim")
+        assert player.play()
+        return player
 
-    publisher = SimpleNamespace(publish=publish, wait_for_all_acked=lambda _: True)
-    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(now[0] * 1e9)))
-    node = SimpleNamespace(create_publisher=lambda *_: publisher, get_clock=lambda: clock)
-    executor = SimpleNamespace(add_node=lambda _: None, spin_once=spin_once)
-    monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
-    monkeypatch.setattr(gripper_player, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    assert gripper_player.GripperPlayer(node, SCRIPT, target="/cloth_sim").play()  # type: ignore[arg-type]
-    return sent
+    def grasps(self) -> list[int]:
+        """Where in what was sent the grasps are."""
+        return [k for k, (_, what) in enumerate(self.sent) if isinstance(what, bool)]
+
+    def _spin_once(self, timeout_sec: float) -> None:
+        before, self.time = self.time, self.time + timeout_sec
+        if before < self.held_up_at <= self.time:
+            self.time += self.held_up_for
+        for asked, future in self._asked:
+            if self.time >= asked + self._answers_after and not future.done():
+                words = f"holds {self._held} particles: it is closed already: open it first"
+                future.set_result(SetBool.Response(success=self._held > 0, message=words))
+
+    def _publish(self, message: Any) -> None:
+        self.sent.append((self.time, message.data if hasattr(message, "data") else message.pose.position.x))
+
+    def _ask(self, request: SetBool.Request) -> Future:
+        assert request.data
+        self._asked.append((self.time, Future()))
+        return self._asked[-1][1]
 
 
 @pytest.mark.parametrize(("at", "for_long"), [(0.5, 0.0), (0.95, 0.7), (0.3, 30.0), (1.8, 5.0)])
 def test_grasps_happen_where_the_script_has_them(monkeypatch: pytest.MonkeyPatch, at: float, for_long: float) -> None:
-    sent = played(monkeypatch, held_up_at=at, for_long=for_long)
-    grasps = [k for k, (_, what) in enumerate(sent) if isinstance(what, bool)]
+    cloth = Cloth(monkeypatch)
+    cloth.held_up_at, cloth.held_up_for = at, for_long
+    cloth.play()
+    sent, grasps = cloth.sent, cloth.grasps()
     assert [sent[k][1] for k in grasps] == [True, False]
     for k, place in zip(grasps, (0.0, 1.0), strict=True):
         # The target before it, and those of the tenth of a second before that.
@@ -58,3 +89,33 @@ def test_grasps_happen_where_the_script_has_them(monkeypatch: pytest.MonkeyPatch
         near = [what for when, what in sent[:k] if sent[k][0] - 0.08 < when and not isinstance(what, bool)]
         assert len(near) >= 4
         assert near == pytest.approx([place] * len(near), abs=0.01)
+
+
+@pytest.mark.parametrize("held", [0, 3])
+def test_what_was_held_is_known(monkeypatch: pytest.MonkeyPatch, held: int) -> None:
+    assert [hold.held for hold in Cloth(monkeypatch, held=held).play().holds] == [held]
+
+
+def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Asked by closing it: an answer that comes after the opening would have closed it once more.
+    cloth = Cloth(monkeypatch, answers_after=2.5)
+    player = cloth.play()
+    closed, opened = (cloth.sent[k][0] for k in cloth.grasps())
+    assert opened - closed >= 2.5
+    assert [hold.held for hold in player.holds] == [3]
+
+
+def test_a_node_that_does_not_answer_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = Cloth(monkeypatch, answers_after=1e9)
+    player = cloth.play()
+    assert len(cloth.grasps()) == 2
+    (hold,) = player.holds
+    assert hold.held is None
+    assert "did not answer within" in hold.words
+    assert "not known" in describe_holds(player.holds)
+
+
+def test_what_was_held_is_told_in_words() -> None:
+    holds = [gripper_player.Hold(1, ""), gripper_player.Hold(0, "")]
+    assert describe_holds(holds) == "held 1 particle; held nothing (the node's log says why)"
+    assert describe_holds([]) == "the script closes nothing"

@@ -75,6 +75,31 @@ def test_gripper_without_a_node_gives_up(ros_domain: int, start_process: Callabl
     assert "no node /cloth_sim came within 0.5 s" in gripper.output
 
 
+def test_gripper_waits_for_the_node_and_not_for_its_middleware(
+    ros_domain: int, start_process: Callable[..., Any]
+) -> None:
+    # A node that has everything and does nothing: its middleware alone meets publishers and acknowledges.
+    with Client("cloth_sim") as idle:
+        idle.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
+        idle.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "2.0"])
+        gripper.wait_for_output("waiting for")
+        idle.node.create_service(SetBool, "/cloth_sim/gripper/close", lambda _, answer: answer)
+        assert gripper.wait() == 1
+    assert "/cloth_sim serves the gripper 'gripper', but it does not answer" in gripper.output
+    assert "playing" not in gripper.output
+
+
+def test_a_grasp_of_nothing_is_a_failure(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
+    process = start_cloth(start_process, "cloth.resolution:=[5, 5]")
+    script = tmp_path / "script.yaml"
+    script.write_text("steps: [{time: 0.0, position: [3.0, 3.0, 3.0]}, {time: 0.2, close: true}]")
+    gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
+    assert gripper.wait() == 1
+    assert "gripper 'gripper' of /cloth_sim: held nothing (the node's log says why)" in gripper.output
+    process.wait_for_output("is closed and holds nothing: no particle within 0.05 m of it")
+
+
 def test_running_node_refuses_with_reasons_and_goes_on(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -57,6 +57,7 @@ def session(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) 
     cloth = start_cloth(start_process, "record.enabled:=true", f"record.folder:={tmp_path / 'sessions'}")
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
     assert gripper.wait() == 0, gripper.output
+    assert "targets sent; held 4 particles" in gripper.output
     assert cloth.interrupt() == 0, cloth.output
     subscriber.interrupt()
     (path,) = (tmp_path / "sessions").glob("*.mcap")

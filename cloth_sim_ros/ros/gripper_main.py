@@ -14,9 +14,10 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
-from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
+from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer, Hold
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.locations import config_file
+from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.stopping import StopSignals
 
 
@@ -24,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Play a script.
 
     Returns:
-        Exit status: 0 when it was played, 1 if it could not be, 130 if a signal ended it.
+        Exit status: 0 when it was played, 1 if it could not be or a grasp held nothing, 130 if a signal ended it.
     """
     argv = list(sys.argv if arguments is None else ["cloth_gripper", *arguments])
     try:
@@ -57,7 +58,9 @@ def _play(options: argparse.Namespace) -> int:
         node.get_logger().info(f"playing {script.duration:g} s to gripper '{script.gripper}' of {options.node}")
         if not player.play():
             return 130
-        node.get_logger().info(f"played; {player.targets_sent} targets sent")
+        node.get_logger().info(f"played; {player.targets_sent} targets sent; {describe_holds(player.holds)}")
+        if not all(hold.held for hold in player.holds):
+            return _refuse(f"gripper '{script.gripper}' of {options.node}: {describe_holds(player.holds)}")
     except GripperError as error:
         return _refuse(str(error))
     except ExternalShutdownException:
@@ -65,6 +68,19 @@ def _play(options: argparse.Namespace) -> int:
     finally:
         node.destroy_node()
     return 0
+
+
+def describe_holds(holds: Sequence[Hold]) -> str:
+    """Return in words what was held, one grasp after the other."""
+    if not holds:
+        return "the script closes nothing"
+    return "; ".join(_in_words(hold) for hold in holds)
+
+
+def _in_words(hold: Hold) -> str:
+    if hold.held is None:
+        return f"what it held is not known: {hold.words}"
+    return f"held {counted(hold.held, 'particle')}" if hold.held else "held nothing (the node's log says why)"
 
 
 def _parser() -> argparse.ArgumentParser:

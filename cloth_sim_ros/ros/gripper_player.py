@@ -4,25 +4,32 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
+from typing import Any
 
+import attrs
 from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
+from std_srvs.srv import SetBool
 
 from cloth_sim_ros.ros.gripper_script import GraspAt, GripperScript
 from cloth_sim_ros.ros.messages import set_stamp
 
-#: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after the node was seen [s],
-#: or after other grippers of it were.
-_SETTLING = 3.0
-_SETTLING_WITH_OTHERS = 1.0
+#: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after other services of the
+#: node were seen [s].
+_SETTLING = 1.0
 #: How often a wait looks whether it shall go on.
 _POLL = Duration(seconds=0.1)
+#: A node answers after its frame, and where none is due says so after 5 s: later than this it has gone [s].
+_ANSWER = 7.0
+#: Services that rclpy makes with the node itself, before it is ready.
+_OF_RCLPY = "/get_type_description"
 #: A grasp later than this is made up for: the script goes on from as long before it, not from where the path has come
 #: to since [s].
 _HELD_UP = 0.1
@@ -32,6 +39,34 @@ _DELIVERY = Duration(seconds=0.5)
 
 class GripperError(RuntimeError):
     """The script can't be played; the message says why."""
+
+
+@attrs.frozen
+class Hold:
+    """What became of closing the gripper."""
+
+    #: Particles that it held; None if the node did not say.
+    held: int | None
+    #: What the node said, or why it said nothing.
+    words: str
+
+
+class Question:
+    """A call of ~/<gripper>/close that is waited for, but not for ever."""
+
+    def __init__(self, client: Any, *, closed: bool) -> None:
+        self._client = client
+        self._future = client.call_async(SetBool.Request(data=closed))
+        self._end = time.monotonic() + _ANSWER
+
+    def answer(self) -> Any | None:
+        """Return the answer, None while there is none, or an answer without success that says so."""
+        if self._future.done():
+            return self._future.result()
+        if time.monotonic() <= self._end:
+            return None
+        self._client.remove_pending_request(self._future)
+        return SetBool.Response(success=False, message=f"it did not answer within {_ANSWER:g} s")
 
 
 class GripperPlayer:
@@ -57,49 +92,67 @@ class GripperPlayer:
         self._grasps = node.create_publisher(
             Bool, f"{prefix}/grasp", QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         )
+        #: What is done by the topic is asked for by the service: it alone answers.
+        self._close = node.create_client(SetBool, f"{prefix}/close")
+        self._question: Question | None = None
+        #: One for each time that the script closes the gripper.
+        self.holds: list[Hold] = []
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
         self.targets_sent = 0
 
     def wait_for_gripper(self, limit: float) -> bool:
-        """Wait until the cloth's node listens to this gripper, at most `limit` seconds; False if told to end.
+        """Wait until the cloth's node serves this gripper, at most `limit` seconds, and open it; False if told to end.
 
         Raises:
-            GripperError: if the node does not come, or has no such gripper.
+            GripperError: if the node does not come, does not answer, or has no such gripper.
         """
         begun = time.monotonic()
-        seen: float | None = None
+        settling: float | None = None
         while self._proceed():
-            if self._targets.get_subscription_count() and self._grasps.get_subscription_count():
-                return self._begin_open()
+            if self._is_met():
+                return self._begin_open(begun + limit)
             now = time.monotonic()
-            if self._target not in self._node_names():
-                seen = None
-            elif seen is None:
-                seen = now
-            if seen is not None and now - seen > _SETTLING_WITH_OTHERS:
-                known = self._known_grippers()
-                if known or now - seen > _SETTLING:
-                    raise GripperError(
-                        f"{self._target} has no gripper '{self._script.gripper}'; it has {', '.join(known) or 'none'}"
-                    )
+            # A node that only has a name is still preparing.
+            settling = (settling or now) if self._is_served() else None
+            if settling is not None and now - settling > _SETTLING:
+                known = ", ".join(self._known_grippers()) or "none"
+                raise GripperError(f"{self._target} has no gripper '{self._script.gripper}'; it has {known}")
             if now - begun > limit:
-                raise GripperError(
-                    f"no node {self._target} came within {limit:g} s; is it running, in this ROS_DOMAIN_ID?"
-                )
+                raise GripperError(self._what_is_missing(limit))
             self._executor.spin_once(timeout_sec=0.02)
         return False
 
-    def _begin_open(self) -> bool:
-        """Open the gripper, and wait until the node has received that.
+    def _is_met(self) -> bool:
+        listens = self._targets.get_subscription_count() and self._grasps.get_subscription_count()
+        return bool(listens and self._close.service_is_ready())
 
-        We have met the node's subscriptions; it may take the node seconds longer to meet our publishers, and targets,
-        sent as best effort, would be lost until then. What it acknowledges here it has met.
+    def _begin_open(self, end: float) -> bool:
+        """Open the gripper, first by its topic, then by its service.
+
+        We have met the node's subscriptions; its middleware may take seconds longer to meet our publishers, and
+        targets, sent as best effort, would be lost until then. It acknowledges the grasp once it has met the publisher
+        of grasps, which was announced after that of targets. That is the middleware alone: the service is answered by
+        the node itself, after a frame.
+
+        Raises:
+            GripperError: if no answer comes until `end`.
         """
         self._grasps.publish(Bool(data=False))
+        met, last = False, "it does not answer"
         while self._proceed():
-            if self._grasps.wait_for_all_acked(_POLL):
-                return True
+            met = met or self._grasps.wait_for_all_acked(_POLL)
+            if self._question is None:
+                self._question = Question(self._close, closed=False)
+            self._executor.spin_once(timeout_sec=0.02)
+            answer = self._question.answer()
+            if answer is not None:
+                self._question = None
+                if answer.success and met:
+                    return True
+                last = answer.message or last
+            if time.monotonic() > end:
+                raise GripperError(f"{self._target} serves the gripper '{self._script.gripper}', but {last}")
         return False
 
     def play(self) -> bool:
@@ -123,9 +176,10 @@ class GripperPlayer:
                 start += int(late * 1e9)
                 elapsed -= late
             self._send_target(min(elapsed, self._script.duration))
-            while waiting and waiting[0].time <= elapsed:
-                self._grasps.publish(Bool(data=waiting.pop(0).closed))
-            if elapsed > self._script.duration:
+            # What the last grasp holds is asked before it may be opened again.
+            while waiting and waiting[0].time <= elapsed and self._is_answered():
+                self._grasp(waiting.pop(0).closed)
+            if elapsed > self._script.duration and not waiting and self._is_answered():
                 self._grasps.wait_for_all_acked(_DELIVERY)
                 return True
             # By the steady clock, without drift; times that have passed are left out.
@@ -133,6 +187,24 @@ class GripperPlayer:
             while (left := due - time.monotonic()) > 0.0:
                 self._executor.spin_once(timeout_sec=left)
         return False
+
+    def _grasp(self, closed: bool) -> None:
+        self._grasps.publish(Bool(data=closed))
+        if closed:
+            # Whichever of the two comes first closes it, the other changes nothing.
+            self._question = Question(self._close, closed=True)
+
+    def _is_answered(self) -> bool:
+        """Whether no question is open; notes what the answer says."""
+        if self._question is None:
+            return True
+        answer = self._question.answer()
+        if answer is None:
+            return False
+        self._question = None
+        number = re.search(r"holds (\d+) particle", answer.message or "")
+        self.holds.append(Hold(int(number.group(1)) if number else None, answer.message or "it did not answer"))
+        return True
 
     def _send_target(self, elapsed: float) -> None:
         position, orientation = self._script.pose(elapsed)
@@ -148,9 +220,30 @@ class GripperPlayer:
     def _node_names(self) -> set[str]:
         return {f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces()}
 
+    def _is_served(self) -> bool:
+        """Whether the node is there and ready: it serves more than what rclpy makes with the node itself."""
+        namespace, _, name = self._target.rpartition("/")
+        try:
+            services = self._node.get_service_names_and_types_by_node(name, namespace or "/")
+        except RuntimeError:
+            # It is not there, or not any more.
+            return False
+        return any(not service.endswith(_OF_RCLPY) for service, _ in services)
+
+    def _what_is_missing(self, limit: float) -> str:
+        if self._target in self._node_names():
+            return (
+                f"{self._target} is there, but was not ready within {limit:g} s; what does its log say? "
+                "--wait gives it longer"
+            )
+        return f"no node {self._target} came within {limit:g} s; is it running, in this ROS_DOMAIN_ID?"
+
     def _known_grippers(self) -> list[str]:
         namespace, _, name = self._target.rpartition("/")
-        topics = self._node.get_subscriber_names_and_types_by_node(name, namespace or "/")
+        try:
+            topics = self._node.get_subscriber_names_and_types_by_node(name, namespace or "/")
+        except RuntimeError:
+            return []
         prefix, suffix = f"{self._target}/", "/grasp"
         return sorted(
             topic[len(prefix) : -len(suffix)]
