@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Callable
 from typing import Any
@@ -138,7 +139,8 @@ def running(ros_domain: int) -> Any:
             node,
             scene,
             lambda values: queue.put(SetParameters(values)),
-            lambda wanted: refuse_endless_frames(wanted, simulation.state.x),
+            lambda _, wanted: refuse_endless_frames(wanted, simulation.state.x),
+            contextlib.nullcontext(),
         )
         yield node, simulation, stepper, live
         node.destroy_node()

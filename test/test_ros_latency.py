@@ -5,32 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
+from clocked_cloth import ClockedCloth
 from geometry_msgs.msg import PoseStamped
-from rclpy.parameter import Parameter
 from ros_client import Client, pose
-from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros import measure_latency
-from cloth_sim_ros.ros.clock import Due
-from cloth_sim_ros.ros.node import ClothNode
-
-
-class HandPacer:
-    """Frames when the test says so."""
-
-    period = 16_666_667
-
-    def __init__(self, _node: Any, *, rate: float, on_due: Any) -> None:
-        self.on_due = on_due
-
-    def start(self) -> None:
-        pass
-
-    def stop(self) -> None:
-        pass
+from cloth_sim_ros.ros.commands import Commands
 
 
 @pytest.fixture
@@ -39,53 +21,44 @@ def client(ros_domain: int) -> Iterator[Client]:
         yield client
 
 
-@pytest.fixture
-def cloth(client: Client, monkeypatch: pytest.MonkeyPatch) -> Iterator[ClothNode]:
-    """A cloth that no executor serves: nothing reaches it but what a frame takes."""
-    monkeypatch.setattr("cloth_sim_ros.ros.node.WallPacer", HandPacer)
-    cloth = ClothNode(
-        "cloth_sim", context=client.context, parameter_overrides=[Parameter("cloth.resolution", value=[5, 5])]
-    )
-    cloth.start()
-    yield cloth
-    cloth.close()
-    cloth.node.destroy_node()
+def test_a_frame_takes_all_that_has_come(client: Client) -> None:
+    with ClockedCloth(client, {"cloth.resolution": [5, 5]}) as cloth:
+        targets = client.publisher(PoseStamped, "/cloth_sim/gripper/target")
+        cloth.target("gripper", (0.5, 0.0, 0.5))
+        cloth.tick()
+        for number in range(8):
+            targets.publish(pose(0.5, 0.0, 0.5 + 0.01 * number))
+        begun = cloth.simulation.frame
+
+        def newest() -> bool:
+            cloth.tick()
+            return bool(cloth.place("gripper")[2] > 0.565)
+
+        client.spin_until(newest, what="the newest target")
+        # They arrive together or nearly so, and an executor hands one over a turn: not one a frame.
+        assert cloth.simulation.frame - begun < 8
 
 
-def late_frame(cloth: ClothNode) -> int:
-    """Let a frame be due a whole period ago; return how many commands it took."""
-    before = cloth._commands.received
-    due = cloth.node.get_clock().now().nanoseconds - HandPacer.period
-    cloth._pacer.on_due(Due(stamp=due, lateness=HandPacer.period, skipped=0))  # type: ignore[union-attr]
-    return cloth._commands.received - before
+def commands_of(received: list[int]) -> Commands:
+    """Commands of which so many more have come each time that they are asked whether they have settled."""
+    commands = Commands.__new__(Commands)
+    commands.received = commands._seen = commands._turns = 0
+    coming = iter(received)
+
+    def settled() -> bool:
+        commands.received += next(coming)
+        return Commands.settled(commands)
+
+    commands.settled = settled  # type: ignore[method-assign]
+    return commands
 
 
-def test_a_late_frame_takes_all_that_has_come(cloth: ClothNode, client: Client) -> None:
-    targets = client.publisher(PoseStamped, "/cloth_sim/gripper/target")
-    # A best-effort target is sure to arrive once either side has met the other.
-    client.spin_until(lambda: cloth.node.count_publishers("/cloth_sim/gripper/target"), what="the publisher seen")
-    grippers = cloth.simulation.grippers
-
-    def first() -> bool:
-        targets.publish(pose(0.5, 0.0, 0.5))
-        taken = late_frame(cloth)
-        # What came after the frame was due, yet before it began, is not left to the next one.
-        assert grippers.is_placed(0) == bool(taken)
-        return bool(taken)
-
-    client.spin_until(first, what="a frame that takes a target")
-    for number in range(8):
-        targets.publish(pose(0.5, 0.0, 0.5 + 0.01 * number))
-    client.publisher(Bool, "/cloth_sim/gripper/grasp").publish(Bool(data=True))
-    begun = cloth.simulation.frame
-
-    def newest() -> bool:
-        late_frame(cloth)
-        return bool(grippers.poses()[0, 2] > 0.565)
-
-    client.spin_until(newest, what="the newest target")
-    # They arrive together or nearly so: not one a frame.
-    assert cloth.simulation.frame - begun < 8
+def test_a_frame_waits_for_commands_but_not_for_a_flood() -> None:
+    commands = commands_of([0, 3, 1, 0, 0])
+    assert [commands.settled() for _ in range(5)] == [True, False, False, True, True]
+    flooded = commands_of([1] * 30)
+    turns = [flooded.settled() for _ in range(30)]
+    assert [turn for turn, settled in enumerate(turns) if settled] == [10, 21]
 
 
 def test_latencies_are_found(ros_domain: int) -> None:

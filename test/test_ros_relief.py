@@ -211,7 +211,7 @@ class HandPacer:
 
     period = 16_666_667
 
-    def __init__(self, _node: Any, *, rate: float, on_due: Any) -> None:
+    def __init__(self, _node: Any, *, rate: float, on_due: Any, settled: Any) -> None:
         self.on_due = on_due
 
     def start(self) -> None:

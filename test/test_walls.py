@@ -91,6 +91,19 @@ def test_room_loads_only_what_it_may(room: str) -> None:
     assert not loaded & forbidden
 
 
+def test_of_rclpy_only_what_is_public_is_used() -> None:
+    # Handles of the layer below, and whatever it calls private, change from one distribution to the next.
+    for path in sorted((ROOT / "cloth_sim_ros" / "ros").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Attribute):
+                own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls", "os")
+                assert node.attr != "handle", f"{path.name}:{node.lineno}"
+                assert own or node.attr.endswith("__") or not node.attr.startswith("_"), f"{path.name}:{node.lineno}"
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("rclpy"):
+                names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+                assert not [name for name in names if name.startswith("_")], f"{path.name}:{node.lineno}"
+
+
 @pytest.mark.parametrize("command", ["session.main", "replay.main", "verify", "bench.main", "ros.gripper_main"])
 def test_a_command_answers_before_it_loads_what_is_heavy(command: str) -> None:
     skip_without(command.split(".")[0])

@@ -51,11 +51,22 @@ class Pacer(Protocol):
 
 
 class WallPacer:
-    """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral."""
+    """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral.
 
-    def __init__(self, node: Node, *, rate: float, on_due: Callable[[Due], None]) -> None:
+    Args:
+        node: has the timer.
+        rate: frames a second.
+        on_due: called for each frame.
+        settled: whether all messages that came before are taken. An executor takes one message a topic and turn, the
+            oldest, and timers before messages: a frame that did not wait for this would, where frames take all the time
+            there is, see a command that has waited as long as the middleware keeps any.
+    """
+
+    def __init__(self, node: Node, *, rate: float, on_due: Callable[[Due], None], settled: Callable[[], bool]) -> None:
         self._node = node
         self._on_due = on_due
+        self._settled = settled
+        self._guard = node.create_guard_condition(self._serve)
         self.period = round(_SECOND / rate)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._start = 0
@@ -67,14 +78,20 @@ class WallPacer:
         # Read before the timer begins to count, so that its k-th call never comes before the k-th due time.
         self._start = self._steady.now().nanoseconds
         # rclpy truncates seconds to nanoseconds; the half keeps the period exact.
-        self._timer = self._node.create_timer((self.period + 0.5) / _SECOND, self._tick, clock=self._steady)
+        self._timer = self._node.create_timer((self.period + 0.5) / _SECOND, self._guard.trigger, clock=self._steady)
 
     def stop(self) -> None:
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
             self._timer = None
+            self._node.destroy_guard_condition(self._guard)
 
-    def _tick(self) -> None:
+    def _serve(self) -> None:
+        if self._timer is None:
+            return
+        if not self._settled():
+            self._guard.trigger()
+            return
         now = self._steady.now().nanoseconds
         number = (now - self._start) // self.period
         if number <= self._last:
@@ -114,12 +131,14 @@ class ClockPacer:
         *,
         rate: float,
         on_due: Callable[[Due], None],
+        settled: Callable[[], bool],
         on_jump_back: Callable[[int, int], None],
         on_jump_ahead: Callable[[int], None],
     ) -> None:
         self._node = node
         self._rate = Fraction(rate)
         self._on_due = on_due
+        self._settled = settled
         self._on_jump_back = on_jump_back
         self._on_jump_ahead = on_jump_ahead
         self.period = round(_SECOND / rate)
@@ -174,6 +193,10 @@ class ClockPacer:
             self._reached = now
         self._reached = max(self._reached, now)
         if self._due(self._next) > now:
+            return
+        if not self._settled():
+            # A turn later: see WallPacer.
+            self._guard.trigger()
             return
         behind = self._first_from(now + 1) - self._next
         skipped = max(0, behind - self._most)

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from cloth_sim_ros.events import Event, Grasp, Target
@@ -41,6 +41,7 @@ class Commands:
         frames: brings poses into the cloth's frame.
         tape: records the bytes as they came.
         log: for refusals.
+        turn: held while the queue is worked on.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Commands:
         frames: FrameTransformer,
         tape: Tape,
         log: ThrottledLog,
+        turn: AbstractContextManager[Any],
     ) -> None:
         self._node = node
         self._clock = node.get_clock()
@@ -61,9 +63,12 @@ class Commands:
         self._frames = frames
         self._tape = tape
         self._log = log
+        self._turn = turn
         self._gates = {name: StampGate() for name in grippers}
         self._heard: dict[str, int] = {}
-        self._subscriptions: list[tuple[Subscription, Callable[[bytes], None], int]] = []
+        #: Messages that had arrived when `settled` was asked last, and for how many turns some have come since a frame.
+        self._seen = 0
+        self._turns = 0
         #: Messages that arrived, and of them those that were refused or older than the newest.
         self.received = 0
         self.refused = 0
@@ -82,33 +87,39 @@ class Commands:
                     self._take, gripper, leaf, kind, qos, self._node.resolve_topic_name(topic, only_expand=True), handle
                 )
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-                subscription = self._node.create_subscription(kind, topic, _single(take), qos, raw=True)
-                self._subscriptions.append((subscription, take, qos.depth))
+                self._node.create_subscription(kind, topic, self._single(take), qos, raw=True)
 
     def heard(self, gripper: str) -> int | None:
         """When the newest target of a gripper came, ROS time [ns]; None if none has."""
         return self._heard.get(gripper)
 
-    def take_waiting(self) -> None:
-        """Take every command that has arrived; call it when a frame is due.
+    def settled(self) -> bool:
+        """Whether every command that has arrived is taken, as far as the turns since the last call show.
 
-        An executor takes one message a topic and turn, the oldest, and frames before messages. Where frames take all
-        the time there is, each would otherwise see a target that has waited as long as the middleware keeps any.
+        Ask again a turn of the executor later while it is not.
         """
-        for subscription, take, most in self._subscriptions:
-            # No more than the middleware keeps: a flood must not hold up the frame.
-            for _ in range(most):
-                with subscription.handle:
-                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-                if taken is None:
-                    break
-                take(taken[0])
+        taken, self._seen = self.received > self._seen, self.received
+        self._turns = self._turns + 1 if taken else 0
+        # No more than the middleware keeps: a flood must not hold up the frame.
+        if taken and self._turns <= TARGETS.depth:
+            return False
+        self._turns = 0
+        return True
 
     def forget_stamps(self) -> None:
         """Accept any stamp next: the clock was set back, or the cloth was."""
         for gate in self._gates.values():
             gate.forget()
         self._heard.clear()
+
+    def _single(self, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
+        """Return a function of exactly one argument: rclpy looks at how many a callback could take."""
+
+        def callback(data: bytes) -> None:
+            with self._turn:
+                take(data)
+
+        return callback
 
     def _take(
         self,
@@ -182,15 +193,6 @@ class Commands:
             f"grasp {grasp.gripper} {done}",
             f"gripper '{grasp.gripper}' {done}" + (f": {grasp.reason}" if grasp.reason else ""),
         )
-
-
-def _single(take: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function of exactly one argument: rclpy looks at how many a callback could take."""
-
-    def callback(data: bytes) -> None:
-        take(data)
-
-    return callback
 
 
 def _first_line(error: Exception) -> str:

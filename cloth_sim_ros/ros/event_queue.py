@@ -48,7 +48,7 @@ class QueueFullError(RuntimeError):
 
 
 class EventQueue:
-    """Events in order of arrival."""
+    """Events in order of arrival. Whoever works on it holds the node's turn: it has no lock of its own."""
 
     def __init__(self) -> None:
         self._entries: list[Entry] = []
@@ -56,14 +56,31 @@ class EventQueue:
     def __len__(self) -> int:
         return len(self._entries)
 
-    def put(self, event: Event, *, stamp: int = 0, answer: Answer | None = None) -> None:
-        """Let an event wait for its frame.
+    def make_room(self, event: Event) -> None:
+        """Let the oldest target give way where too many events wait.
 
         Raises:
-            QueueFullError: if too many wait and it is no target, of which the oldest gives way.
+            QueueFullError: if none of them is a target.
         """
-        if len(self._entries) >= MOST_WAITING:
-            self._make_room(event)
+        if len(self._entries) < MOST_WAITING:
+            return
+        for index, entry in enumerate(self._entries):
+            if isinstance(entry.event, Target):
+                del self._entries[index]
+                return
+        raise QueueFullError(
+            f"{MOST_WAITING} commands wait for a frame already, and {type(event).__name__.lower()} is one more; "
+            "is /clock standing still?"
+        )
+
+    def put(self, event: Event, *, stamp: int = 0, answer: Answer | None = None, promised: bool = False) -> None:
+        """Let an event wait for its frame; one that was promised its place by `make_room` is never refused.
+
+        Raises:
+            QueueFullError: if too many wait and none of them is a target, of which the oldest gives way.
+        """
+        if not promised:
+            self.make_room(event)
         self._entries.append(Entry(event=event, stamp=stamp, answer=answer))
 
     def take(self, due: int) -> list[Entry]:
@@ -81,13 +98,3 @@ class EventQueue:
         for entry in entries:
             if entry.answer is not None:
                 entry.answer(Outcome(frame=None, reason=reason))
-
-    def _make_room(self, event: Event) -> None:
-        for index, entry in enumerate(self._entries):
-            if isinstance(entry.event, Target):
-                del self._entries[index]
-                return
-        raise QueueFullError(
-            f"{MOST_WAITING} commands wait for a frame already, and {type(event).__name__.lower()} is one more; "
-            "is /clock standing still?"
-        )

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import datetime
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,7 @@ from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
 from cloth_sim_ros.ros.workload import refuse_endless_frames
+from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -77,6 +79,9 @@ class ClothNode:
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
         refuse_endless_frames(scene, self._simulation.state.x)
+        # Held by whoever works on the cloth or on what waits for it. Services wait for their frame, so they run beside
+        # it where the executor has several threads; and parameters may be set from anywhere.
+        self._turn = threading.RLock()
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, aside=aside)
@@ -90,6 +95,7 @@ class ClothNode:
             frames=self._frames,
             tape=self._recording,
             log=self._log,
+            turn=self._turn,
         )
         self._companions = GripperCompanions(self._simulation, self._frames, self._commands.heard, self._log)
         self._services = Services(
@@ -100,12 +106,14 @@ class ClothNode:
             record=self._record,
             save_state=self._save_state,
             seconds=time.monotonic,
+            turn=self._turn,
         )
         self._parameters = parameters.LiveParameters(
             self.node,
             scene,
             self._change_parameters,
-            lambda wanted: refuse_endless_frames(wanted, self._simulation.state.x),
+            self._check_parameters,
+            self._turn,
         )
         self.tally = diagnostics.Tally()
         self._relief = Relief(self._simulation, self._log)
@@ -121,7 +129,7 @@ class ClothNode:
             further=self._relief.describe,
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
-        self._overheard = Overheard(self.node, self._recording)
+        self._overheard = Overheard(self.node, self._recording, self._turn)
         self._pacer: Pacer | None = None
         self._started = time.monotonic()
         self._shown: float | None = None
@@ -169,14 +177,15 @@ class ClothNode:
                 self.node,
                 rate=scene.rate,
                 on_due=self._on_due,
+                settled=self._commands.settled,
                 on_jump_back=self._on_jump_back,
                 on_jump_ahead=self._on_jump_ahead,
             )
         else:
-            self._pacer = WallPacer(self.node, rate=scene.rate, on_due=self._on_due)
+            self._pacer = WallPacer(self.node, rate=scene.rate, on_due=self._on_due, settled=self._commands.settled)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=steady)
-        self.node.create_timer(diagnostics.PERIOD, self._diagnostics.send, clock=steady)
+        self.node.create_timer(diagnostics.PERIOD, self._report, clock=steady)
         self._started = time.monotonic()
         self.tally.begin()
         self._pacer.start()
@@ -195,6 +204,10 @@ class ClothNode:
         """
         if self._pacer is not None:
             self._pacer.stop()
+        with self._turn:
+            return self._close(timeout)
+
+    def _close(self, timeout: float) -> bool:
         self._queue.clear("the node stops")
         # Where a signal came amid a frame, there is nothing to be said of the half of it.
         if self._pacer is not None and not self._cut_off and self.node.context.ok():
@@ -214,8 +227,11 @@ class ClothNode:
     # Frames
 
     def _on_due(self, due: Due) -> None:
+        with self._turn:
+            self._frame(due)
+
+    def _frame(self, due: Due) -> None:
         begun = time.monotonic()
-        self._commands.take_waiting()
         self._recording.before_frame(due.stamp)
         # A frame that is late takes what came since it was due, too.
         until = due.stamp if self._follows_clock else max(due.stamp, self.node.get_clock().now().nanoseconds)
@@ -265,21 +281,27 @@ class ClothNode:
         self.node.get_logger().warning(
             f"/clock went back from {before / 1e9:.3f} s to {now / 1e9:.3f} s: the cloth is reset"
         )
-        self._commands.forget_stamps()
-        self._frames.forget()
-        self._queue.clear("/clock went back")
-        self._queue.put(Reset())
-        self._extras = {"clock_jump": [before, now]}
+        with self._turn:
+            self._commands.forget_stamps()
+            self._frames.forget()
+            self._queue.clear("/clock went back")
+            self._queue.put(Reset())
+            self._extras = {"clock_jump": [before, now]}
 
     def _on_jump_ahead(self, skipped: int) -> None:
         self._log.warn(
             "ahead",
             f"/clock is ahead by more than can be made up for: {skipped} frames are left out for good",
         )
-        self._extras = {"skipped": skipped}
+        with self._turn:
+            self._extras = {"skipped": skipped}
+
+    def _check_parameters(self, values: dict[str, Any], wanted: Scene) -> None:
+        refuse_endless_frames(wanted, self._simulation.state.x)
+        self._queue.make_room(SetParameters(values))
 
     def _change_parameters(self, values: dict[str, Any]) -> None:
-        self._queue.put(SetParameters(values))
+        self._queue.put(SetParameters(values), promised=True)
 
     # Recording and state
 
@@ -335,10 +357,15 @@ class ClothNode:
 
     # Once in a while
 
+    def _report(self) -> None:
+        with self._turn:
+            self._diagnostics.send()
+
     def _keep_house(self) -> None:
-        self._services.give_up_waiting()
-        self._overheard.listen()
-        reason = self._recording.poll()
+        with self._turn:
+            self._services.give_up_waiting()
+            self._overheard.listen()
+            reason = self._recording.poll()
         if reason:
             self.node.get_logger().error(f"the recording ended: {reason}")
         if isinstance(self._pacer, ClockPacer) and not self._pacer.has_clock:

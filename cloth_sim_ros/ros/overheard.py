@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 from rcl_interfaces.msg import Log, ParameterEvent
@@ -18,9 +19,16 @@ _ROSOUT = QoSProfile(depth=1000)
 
 
 class Overheard:
-    """Records this node's part of the topics that all nodes share, while a recording runs."""
+    """Records this node's part of the topics that all nodes share, while a recording runs.
 
-    def __init__(self, node: Node, tape: Tape) -> None:
+    Args:
+        node: the node.
+        tape: records.
+        turn: held while it does.
+    """
+
+    def __init__(self, node: Node, tape: Tape, turn: AbstractContextManager[Any]) -> None:
+        self._turn = turn
         self._node = node
         self._tape = tape
         self._subscriptions: list[Any] = []
@@ -47,6 +55,7 @@ class Overheard:
                 return
             if ours:
                 stamp = self._node.get_clock().now().nanoseconds
-                self._tape.add(topic, kind, data, stamp=stamp, qos=qos, droppable=False)
+                with self._turn:
+                    self._tape.add(topic, kind, data, stamp=stamp, qos=qos, droppable=False)
 
         self._subscriptions.append(self._node.create_subscription(kind, topic, take, qos, raw=True))

@@ -7,6 +7,7 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -96,8 +97,9 @@ class LiveParameters:
     Args:
         node: whose parameters.
         scene: in force.
-        change: called with what was accepted, flat names and values.
-        check: refuses a scene with ParameterError.
+        change: called with what was set, flat names and values; must not refuse it any more.
+        check: refuses a change, flat names and values, and the scene that it makes, with ValueError or RuntimeError.
+        turn: held meanwhile: an executor of several threads, or another thread, may set parameters beside frames.
     """
 
     def __init__(
@@ -105,16 +107,22 @@ class LiveParameters:
         node: Node,
         scene: Scene,
         change: Callable[[dict[str, Any]], None],
-        check: Callable[[Scene], None],
+        check: Callable[[dict[str, Any], Scene], None],
+        turn: AbstractContextManager[Any],
     ) -> None:
         self._node = node
         self._change = change
         self._check = check
+        self._turn = turn
         self._names = {entry.name for entry in Scene.declared()}
-        # With what was accepted and waits for its frame, so that two changes in one frame are checked together.
+        # With what was set and waits for its frame, so that two changes in one frame are checked together.
         self._accepted = scene
+        # What was judged last, and the scene that it makes: not built twice.
+        self._judged: tuple[dict[str, Any], Scene] = ({}, scene)
         self._returning = False
-        node.add_on_set_parameters_callback(self._set)
+        # Another callback may refuse what this one accepts: only what is set in the end is taken over.
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._take_over)
 
     def return_to(self, scene: Scene) -> None:
         """Show the values of a scene: a change that was accepted could not take effect after all."""
@@ -132,22 +140,38 @@ class LiveParameters:
         finally:
             self._returning = False
 
-    def _set(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+    def _judge(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for change in changes:
             if change.name == _SIM_TIME and change.value != self._node.get_parameter(_SIM_TIME).value:
                 reason = f"{_SIM_TIME} can't change while the cloth runs; set it at start"
                 return SetParametersResult(successful=False, reason=reason)
-        values = {change.name: _plain(change.value) for change in changes if change.name in self._names}
+        values = self._values(changes)
         if not values or self._returning:
             return SetParametersResult(successful=True)
-        try:
-            wanted = self._accepted.changed(values)
-            self._check(wanted)
-            self._change({name: wanted.parameters()[name] for name in values})
-            self._accepted = wanted
-        except (ValueError, RuntimeError) as error:
-            return SetParametersResult(successful=False, reason=str(error))
+        with self._turn:
+            try:
+                wanted = self._accepted.changed(values)
+                self._check(values, wanted)
+            except (ValueError, RuntimeError) as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            self._judged = (values, wanted)
         return SetParametersResult(successful=True)
+
+    def _take_over(self, changes: Sequence[RosParameter]) -> None:
+        values = self._values(changes)
+        if not values or self._returning:
+            return
+        with self._turn:
+            judged, wanted = self._judged
+            if judged != values:
+                wanted = self._accepted.changed(values)
+            self._accepted = wanted
+            self._judged = ({}, wanted)
+            in_force = wanted.parameters()
+            self._change({name: in_force[name] for name in values})
+
+    def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
+        return {change.name: _plain(change.value) for change in changes if change.name in self._names}
 
 
 def _profiles(node: Node, scene: Scene) -> list[str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ class Services:
         record: begins (True) or ends a recording and tells a function whether that went well and what came of it.
         save_state: writes the state and returns its file, or raises OSError.
         seconds: a clock that never stops nor goes back [s].
+        turn: held by whoever works on the cloth: an executor of several threads runs services beside frames.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Services:
         record: Callable[[bool, Callable[[bool, str], None]], None],
         save_state: Callable[[], Path],
         seconds: Callable[[], float],
+        turn: AbstractContextManager[Any],
     ) -> None:
         self._node = node
         self._grippers = grippers
@@ -52,6 +55,7 @@ class Services:
         self._record = record
         self._save_state = save_state
         self._seconds = seconds
+        self._turn = turn
         self._waiting: list[tuple[float, Future]] = []
 
     def serve(self) -> None:
@@ -91,11 +95,12 @@ class Services:
             if not future.done():
                 future.set_result(outcome)
 
-        try:
-            self._queue.put(event, answer=answer)
-        except QueueFullError as error:
-            return Outcome(frame=None, reason=str(error))
-        self._waiting.append((self._seconds(), future))
+        with self._turn:
+            try:
+                self._queue.put(event, answer=answer)
+            except QueueFullError as error:
+                return Outcome(frame=None, reason=str(error))
+            self._waiting.append((self._seconds(), future))
         outcome: Outcome = await future
         return outcome
 
@@ -107,7 +112,9 @@ class Services:
         return _answered(response, await self._ask(Pause(bool(request.data))), done)
 
     async def _on_step(self, _request: Any, response: Any) -> Any:
-        if not self._paused():
+        with self._turn:
+            paused = self._paused()
+        if not paused:
             response.success, response.message = False, "the cloth is running; pause it first"
             return response
         return _answered(response, await self._ask(Step()), "one frame passed")
@@ -124,13 +131,15 @@ class Services:
 
     async def _on_record(self, request: Any, response: Any) -> Any:
         future: Future = Future()
-        self._record(bool(request.data), lambda success, message: future.set_result((success, message)))
+        with self._turn:
+            self._record(bool(request.data), lambda success, message: future.set_result((success, message)))
         response.success, response.message = await future
         return response
 
     def _on_save_state(self, _request: Any, response: Any) -> Any:
         try:
-            response.message = str(self._save_state())
+            with self._turn:
+                response.message = str(self._save_state())
         except OSError as error:
             response.success, response.message = False, f"cannot save the state: {error}"
         else:
