@@ -2,34 +2,85 @@
 # SPDX-License-Identifier: Apache-2.0
 """One cloth: `ros2 launch cloth_sim_ros cloth_sim.launch.py params_file:=... namespace:=... name:=...`."""
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+_CONFIG = PathJoinSubstitution([FindPackageShare("cloth_sim_ros"), "config"])
+#: Name, default and meaning of each argument, and what it may be.
+_ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
+    ("params_file", PathJoinSubstitution([_CONFIG, "cloth_sim.yaml"]), "ROS parameter file of the cloth", None),
+    ("namespace", "", "namespace of the node", None),
+    ("name", "cloth_sim", "name of the node", None),
+    (
+        "use_sim_time",
+        "",
+        "whether time is that of /clock (true, false); where left out, what the parameter file says",
+        ["", "true", "false", "True", "False"],
+    ),
+    ("log_level", "info", "least severity that is logged", ["debug", "info", "warn", "error", "fatal"]),
+    ("rviz", "false", "whether RViz shows the cloth (needs rviz2)", ["true", "false", "True", "False"]),
+    ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
+]
+#: Topics of the RViz configuration, which is that of a node /cloth_sim with a gripper `gripper`.
+_SHOWN = ("points", "mesh", "gripper/point")
+
 
 def generate_launch_description() -> LaunchDescription:
-    """The node `cloth_sim` with a parameter file, in a namespace and under a name of the caller's choice."""
-    default_parameters = PathJoinSubstitution([FindPackageShare("cloth_sim_ros"), "config", "cloth_sim.yaml"])
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                "params_file", default_value=default_parameters, description="ROS parameter file of the cloth"
-            ),
-            DeclareLaunchArgument("namespace", default_value="", description="namespace of the node"),
-            DeclareLaunchArgument("name", default_value="cloth_sim", description="name of the node"),
-            Node(
-                package="cloth_sim_ros",
-                executable="cloth_sim",
-                name=LaunchConfiguration("name"),
-                namespace=LaunchConfiguration("namespace"),
-                parameters=[LaunchConfiguration("params_file")],
-                output="screen",
-                emulate_tty=True,
-                # The node closes its recording within two seconds of a signal; leave it the time.
-                sigterm_timeout="10",
-                sigkill_timeout="10",
-            ),
-        ]
+    """The node `cloth_sim`: its parameter file, namespace, name, clock and log level, and RViz where that is wanted."""
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=meaning, **({"choices": some} if some else {}))
+        for name, default, meaning, some in _ARGUMENTS
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=_actions)])
+
+
+def _actions(context: LaunchContext) -> list[Any]:
+    given = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
+    clock = [{"use_sim_time": given["use_sim_time"].lower() == "true"}] if given["use_sim_time"] else []
+    cloth = Node(
+        package="cloth_sim_ros",
+        executable="cloth_sim",
+        name=given["name"],
+        namespace=given["namespace"],
+        parameters=[given["params_file"], *clock],
+        ros_arguments=["--log-level", given["log_level"]],
+        output="screen",
+        emulate_tty=True,
+        # The node closes its recording within two seconds of a signal; leave it the time.
+        sigterm_timeout="10",
+        sigkill_timeout="10",
     )
+    actions = [*_misspelt(context, list(given)), cloth]
+    if given["rviz"].lower() == "true":
+        full = "/".join(["", *given["namespace"].strip("/").split("/"), given["name"]]).replace("//", "/")
+        actions.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                name=f"{given['name']}_rviz",
+                namespace=given["namespace"],
+                arguments=["-d", given["rviz_config"]],
+                parameters=clock,
+                remappings=[(f"/cloth_sim/{topic}", f"{full}/{topic}") for topic in _SHOWN],
+                output="screen",
+            )
+        )
+    return actions
+
+
+def _misspelt(context: LaunchContext, known: list[str]) -> list[Any]:
+    """Words on arguments that look like one of ours: launch itself takes any, and says nothing."""
+    close = {name: difflib.get_close_matches(name, known, n=1, cutoff=0.85) for name in context.launch_configurations}
+    return [
+        LogInfo(msg=f"cloth_sim.launch.py has no argument '{name}'; did you mean '{near[0]}'?")
+        for name, near in sorted(close.items())
+        if near and name not in known
+    ]

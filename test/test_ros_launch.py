@@ -13,77 +13,107 @@ import runpy
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import GetParameters
 from ros_client import Client, pose, positions
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 
 ROOT = Path(__file__).resolve().parent.parent
 LAUNCH = ROOT / "launch" / "cloth_sim.launch.py"
-#: A mark for what only a substitution knows, until the arguments are there.
-Substitution = Callable[[dict[str, str]], str]
+
+
+class Substitution:
+    """A text that is known only once the arguments are there."""
+
+    def __init__(self, resolve: Callable[[dict[str, str]], str]) -> None:
+        self._resolve = resolve
+
+    def perform(self, context: Any) -> str:
+        return self._resolve(context.launch_configurations)
 
 
 def text_of(value: Any, given: dict[str, str]) -> str:
     """A text, a substitution, or a list of them, as launch resolves them."""
-    if callable(value):
-        return str(value(given))
+    if isinstance(value, Substitution):
+        return value.perform(SimpleNamespace(launch_configurations=given))
     return "".join(text_of(item, given) for item in value) if isinstance(value, list) else str(value)
 
 
-def stand_ins(declared: dict[str, Any], nodes: list[dict[str, Any]]) -> dict[str, ModuleType]:
-    """Modules with the classes that launch files use, which note what is declared and started."""
+class Launched:
+    """The launch file, run for launch arguments `name:=value` with stand-ins for what it imports.
 
-    def module(name: str, **members: Any) -> ModuleType:
-        made = ModuleType(name)
-        vars(made).update(members)
-        return made
+    Attributes:
+        declared: options of each declared argument.
+        nodes: options of each node.
+        words: what is logged.
+    """
 
-    def configuration(name: str) -> Substitution:
-        return lambda given: given.get(name) or text_of(declared[name]["default_value"], given)
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **given: str) -> None:
+        self.declared: dict[str, Any] = {}
+        self.nodes: list[dict[str, Any]] = []
+        self.words: list[str] = []
+        with monkeypatch.context() as patch:
+            for name, module in self._stand_ins().items():
+                patch.setitem(sys.modules, name, module)
+            actions = runpy.run_path(str(LAUNCH))["generate_launch_description"]()
+            values = {name: text_of(options["default_value"], {}) for name, options in self.declared.items()} | given
+            for name, options in self.declared.items():
+                assert values[name] in options.get("choices", [values[name]]), f"launch refuses {name}"
+            for action in actions:
+                if callable(action):
+                    action(SimpleNamespace(launch_configurations=values))
 
-    def path_join(parts: list[Any]) -> Substitution:
-        return lambda given: str(Path(*(text_of(part, given) for part in parts)))
+    def _stand_ins(self) -> dict[str, ModuleType]:
+        def module(name: str, **members: Any) -> ModuleType:
+            made = ModuleType(name)
+            vars(made).update(members)
+            return made
 
-    return {
-        "launch": module("launch", LaunchDescription=lambda entities: entities),
-        "launch.actions": module(
-            "launch.actions", DeclareLaunchArgument=lambda name, **options: declared.__setitem__(name, options)
-        ),
-        "launch.substitutions": module(
-            "launch.substitutions", LaunchConfiguration=configuration, PathJoinSubstitution=path_join
-        ),
-        "launch_ros": module("launch_ros"),
-        "launch_ros.actions": module("launch_ros.actions", Node=lambda **options: nodes.append(options)),
-        "launch_ros.substitutions": module(
-            "launch_ros.substitutions", FindPackageShare=lambda package: lambda given: str(ROOT)
-        ),
-    }
+        def path_join(parts: list[Any]) -> Substitution:
+            return Substitution(lambda given: str(Path(*(text_of(part, given) for part in parts))))
+
+        return {
+            "launch": module("launch", LaunchContext=object, LaunchDescription=lambda entities: entities),
+            "launch.actions": module(
+                "launch.actions",
+                DeclareLaunchArgument=lambda name, **options: self.declared.__setitem__(name, options),
+                LogInfo=lambda *, msg: self.words.append(msg),
+                OpaqueFunction=lambda *, function: function,
+            ),
+            "launch.substitutions": module(
+                "launch.substitutions",
+                LaunchConfiguration=lambda name: Substitution(lambda given: given[name]),
+                PathJoinSubstitution=path_join,
+            ),
+            "launch_ros": module("launch_ros"),
+            "launch_ros.actions": module("launch_ros.actions", Node=lambda **options: self.nodes.append(options)),
+            "launch_ros.substitutions": module(
+                "launch_ros.substitutions", FindPackageShare=lambda package: Substitution(lambda given: str(ROOT))
+            ),
+        }
 
 
 def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
     """The node's command line for launch arguments `name:=value`, as launch_ros builds it."""
-    declared: dict[str, Any] = {}
-    nodes: list[dict[str, Any]] = []
-    with monkeypatch.context() as patch:
-        for name, module in stand_ins(declared, nodes).items():
-            patch.setitem(sys.modules, name, module)
-        runpy.run_path(str(LAUNCH))["generate_launch_description"]()
-    assert given.keys() <= declared.keys()
-    assert all(options["description"] for options in declared.values())
-    (node,) = nodes
+    launched = Launched(monkeypatch, **given)
+    assert given.keys() <= launched.declared.keys()
+    assert all(options["description"] for options in launched.declared.values())
+    (node,) = launched.nodes
     assert (node["package"], node["executable"]) == ("cloth_sim_ros", "cloth_sim")
-    arguments = ["--ros-args", "-r", f"__node:={text_of(node['name'], given)}"]
-    namespace = text_of(node["namespace"], given)
-    if namespace:
-        arguments += ["-r", f"__ns:=/{namespace.strip('/')}"]
-    for file in node["parameters"]:
-        arguments += ["--params-file", text_of(file, given)]
+    arguments = ["--ros-args", *node["ros_arguments"], "-r", f"__node:={node['name']}"]
+    if node["namespace"]:
+        arguments += ["-r", f"__ns:=/{node['namespace'].strip('/')}"]
+    for entry in node["parameters"]:
+        if isinstance(entry, dict):
+            arguments += [word for name, value in entry.items() for word in ("-p", f"{name}:={str(value).lower()}")]
+        else:
+            arguments += ["--params-file", entry]
     return ["-m", "cloth_sim_ros.ros.main", *arguments]
 
 
@@ -105,6 +135,59 @@ def test_without_arguments_the_default_cloth_is_launched(
     process.send_signal(2)
     assert process.wait() == 0
     assert "Traceback" not in process.output
+
+
+def test_every_argument_reaches_the_node(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = command_line(monkeypatch, use_sim_time="true", log_level="warn", name="towel")
+    process = start_process([*arguments, "-p", "cloth.resolution:=[5, 5]", "-p", "cloth.sizes:=[1.0, 1.0]"])
+    process.wait_for_output("did you mean 'cloth.size'?")
+    with Client() as client:
+        request = GetParameters.Request(names=["use_sim_time"])
+        answer = client.call(GetParameters, "/towel/get_parameters", request)
+        assert answer.values[0].bool_value
+    assert process.interrupt() == 0
+    assert "[INFO]" not in process.output
+
+
+@pytest.mark.parametrize("given", ["", "true", "False"])
+def test_the_clock_of_the_parameter_file_stays_unless_another_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, given: str
+) -> None:
+    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=given, rviz="true")
+    expected = [{"use_sim_time": given == "true"}] if given else []
+    cloth, rviz = launched.nodes
+    assert cloth["parameters"] == ["own.yaml", *expected]
+    assert rviz["parameters"] == expected
+
+
+def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(Launched(monkeypatch).nodes) == 1
+    _, rviz = Launched(monkeypatch, rviz="true", namespace="left_arm", name="towel").nodes
+    assert (rviz["package"], rviz["executable"]) == ("rviz2", "rviz2")
+    option, path = rviz["arguments"]
+    assert option == "-d"
+    manager = yaml.safe_load(Path(path).read_text())["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    shown = {entry["Class"].rpartition("/")[2]: entry for entry in manager["Displays"]}
+    assert shown.keys() == {"Grid", "TF", "Marker", "PointCloud2"}
+    topics = {kind: shown[kind]["Topic"] for kind in ("Marker", "PointCloud2")}
+    assert {topic["Reliability Policy"] for topic in topics.values()} == {"Reliable"}
+    (tool,) = (entry["Topic"]["Value"] for entry in manager["Tools"] if entry["Class"].endswith("PublishPoint"))
+    # Those of the configuration, led to those of the node.
+    assert dict(rviz["remappings"]) == {
+        topics["PointCloud2"]["Value"]: "/left_arm/towel/points",
+        topics["Marker"]["Value"]: "/left_arm/towel/mesh",
+        tool: "/left_arm/towel/gripper/point",
+    }
+    _, plain = Launched(monkeypatch, rviz="true").nodes
+    assert all(old == new for old, new in plain["remappings"])
+
+
+def test_a_misspelt_argument_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    launched = Launched(monkeypatch, param_file="own.yaml", robot="left")
+    assert launched.words == ["cloth_sim.launch.py has no argument 'param_file'; did you mean 'params_file'?"]
 
 
 def test_two_cloths_are_launched_from_one_parameter_file(
