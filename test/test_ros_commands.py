@@ -19,7 +19,7 @@ from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, Que
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate
+from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.stepper import Stepper
 
 SECOND = 1_000_000_000
@@ -179,6 +179,17 @@ def test_bad_parameters_and_a_motion_that_cant_go_on_in_one_frame(monkeypatch: p
     assert "stability limit" in stepper.refused_parameters
     assert stepper.trouble == "the motion became non-finite"
     assert simulation.paused
+
+
+@pytest.mark.parametrize(
+    ("sec", "nanosec", "reason"),
+    [(-5, 0, "-5 s and 0 ns; a time is not negative"), (5, 4_000_000_000, "nanoseconds are below 1000000000")],
+)
+def test_stamps_that_are_no_time_are_refused(sec: int, nanosec: int, reason: str) -> None:
+    assert checked(0, 0) == 0
+    assert checked(5, 999_999_999) == 6 * SECOND - 1
+    with pytest.raises(StampError, match=reason):
+        checked(sec, nanosec)
 
 
 def transformer(frame_id: str = "world") -> FrameTransformer:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from clocked_cloth import SECOND, ClockedCloth
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PointStamped, WrenchStamped
 from ros_client import Client
 
 CORNER = np.array([0.5, 0.0, 0.5])
@@ -88,6 +88,19 @@ def test_out_of_order_repeated_and_early_stamps(client: Client) -> None:
         cloth.point("gripper", (0.7, 0.0, 0.0))
         cloth.tick()
         assert cloth.place("gripper")[0] == pytest.approx(0.7, abs=1e-12)
+
+
+def test_stamps_that_are_no_time_change_nothing(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        cloth.target("gripper", CORNER)
+        cloth.tick()
+        for sec, nanosec in ((-5, 0), (cloth.now // SECOND, 4_000_000_000)):
+            message = PointStamped()
+            message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+            cloth.send("gripper/point", message)
+        cloth.tick()
+        assert cloth.refused == (2, 0)
+        assert cloth.place("gripper").tolist() == CORNER.tolist()
 
 
 def test_targets_and_points_of_one_gripper_are_one_stream(client: Client) -> None:

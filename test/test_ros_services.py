@@ -13,7 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client, pose, positions, start_cloth
 from shape_msgs.msg import Mesh
@@ -67,7 +67,7 @@ def check_grasp(client: Client) -> None:
 
     client.spin_until(lambda: closes((9.0, 9.0, 9.0), "the nearest is"), what="a grasp at nothing")
     client.call(SetBool, close, SetBool.Request(data=False))
-    client.spin_until(lambda: closes(CORNER, "holds 1 particles"), what="a grasp of the corner")
+    client.spin_until(lambda: closes(CORNER, "holds 1 particle"), what="a grasp of the corner")
     again = client.call(SetBool, close, SetBool.Request(data=True))
     assert "closed already" in again.message
     target.publish(pose(0.5, -0.3, 0.9))
@@ -160,6 +160,12 @@ def check_parameters(client: Client) -> None:
     assert list(client.call(GetParameters, "/cloth_sim/get_parameters", request).values[0].double_array_value) == [
         0.0, 0.0, 9.81,
     ]  # fmt: skip
+    for kind, service in ((SetParameters, "set_parameters"), (SetParametersAtomically, "set_parameters_atomically")):
+        request = kind.Request(parameters=[Parameter(name="gravitation", value=value)])
+        answer = client.call(kind, f"/cloth_sim/{service}", request)
+        result = answer.results[0] if kind is SetParameters else answer.result
+        assert not result.successful
+        assert result.reason == "there is no parameter 'gravitation'; did you mean 'gravity'?"
     # Right by itself, wrong for this cloth: refused when its frame comes, and shown as it is.
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.5)
     request = SetParameters.Request(parameters=[Parameter(name="step", value=value)])
@@ -193,6 +199,7 @@ def check_diagnostics(client: Client) -> None:
     status = client.spin_until(lambda: seen and seen[-1], what="diagnostics")
     values = {entry.key: entry.value for entry in status.values}
     assert status.name == "cloth_sim: cloth"
+    assert status.hardware_id == "none"
     assert values["energy_j"] == "off"
     assert values["recording"] == "closed"
     assert 0.0 < float(values["real_time_factor"]) < 1.2

@@ -34,4 +34,4 @@ def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argp
 def readable(error: Exception) -> str:
     """Return the message of one of rclpy's errors without the places in its sources."""
     parts = [part for part in str(error).replace("\n", ", ").split(", at ") if not part.startswith(("/", "./"))]
-    return parts[0].strip() if parts else str(error)
+    return ", at ".join(parts).strip() if parts else str(error)

@@ -18,10 +18,9 @@ from std_msgs.msg import Bool
 from cloth_sim_ros.events import Event, Grasp, Target
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.messages import read_stamp
+from cloth_sim_ros.ros.log import ThrottledLog, counted
 from cloth_sim_ros.ros.outputs import Tape
-from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate
+from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.simulation import EventError
 
 #: Best effort, so that any publisher matches; the newest target is what counts.
@@ -163,7 +162,7 @@ class Commands:
     def _aim(
         self, gripper: str, header: Any, position: tuple[float, ...], orientation: tuple[float, ...] | None, now: int
     ) -> None:
-        stamp = read_stamp(header.stamp)
+        stamp = checked(header.stamp.sec, header.stamp.nanosec)
         # What is wrong in itself is said so, whatever its frame and stamp.
         self._check(Target(gripper, position, orientation))
         position, orientation = self._frames.to_cloth(header.frame_id, position, orientation, stamp)
@@ -186,7 +185,7 @@ class Commands:
         if not grasp.closed:
             done = "is open"
         elif grasp.held:
-            done = f"is closed and holds {grasp.held} particles"
+            done = f"is closed and holds {counted(grasp.held, 'particle')}"
         else:
             done = "is closed and holds nothing"
         self._log.info(

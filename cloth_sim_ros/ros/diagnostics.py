@@ -78,7 +78,8 @@ class Diagnostics:
     def __init__(self, node: Node, tape: Tape, collect: Callable[[bool], tuple[bytes, str, dict[str, str]]]) -> None:
         self._collect = collect
         self._clock = node.get_clock()
-        self._status = DiagnosticStatus(name=f"{node.get_fully_qualified_name().strip('/')}: cloth")
+        # "none" is what diagnostic_updater has where there is no hardware: an empty one looks forgotten.
+        self._status = DiagnosticStatus(name=f"{node.get_fully_qualified_name().strip('/')}: cloth", hardware_id="none")
         self._output = Output(node, DiagnosticArray, "/diagnostics", tape)
 
     def send(self) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter_service import ParameterService
 
 from cloth_sim_ros.events import Reset, SetParameters
@@ -23,7 +22,7 @@ from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.frames import FrameTransformer
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.log import ThrottledLog, counted
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
 from cloth_sim_ros.ros.recording import RecordingNotInstalledError, RecordingUnavailableError, SessionRecording
@@ -71,9 +70,7 @@ class ClothNode:
         **options: Any,
     ) -> None:
         self._serves_parameters = options.pop("start_parameter_services", True)
-        self.node = Node(
-            name, automatically_declare_parameters_from_overrides=True, start_parameter_services=False, **options
-        )
+        self.node = parameters.SceneNode(name, start_parameter_services=False, **options)
         scene = parameters.declare(self.node)
         self._aside = aside
         self._log = ThrottledLog(self.node.get_logger())
@@ -291,7 +288,7 @@ class ClothNode:
     def _on_jump_ahead(self, skipped: int) -> None:
         self._log.warn(
             "ahead",
-            f"/clock is ahead by more than can be made up for: {skipped} frames are left out for good",
+            f"/clock is ahead by more than can be made up for: {counted(skipped, 'frame')} left out for good",
         )
         with self._turn:
             self._extras = {"skipped": skipped}
@@ -341,7 +338,7 @@ class ClothNode:
     def _tell_end(self, status: RecorderStatus) -> None:
         if status.state == "closed":
             self.node.get_logger().info(
-                f"recorded {status.messages} messages, {status.bytes_written} bytes, into {status.path}"
+                f"recorded {counted(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}"
             )
         else:
             self.node.get_logger().error(f"the recording did not end well: {status.error}")

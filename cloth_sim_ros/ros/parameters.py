@@ -11,10 +11,11 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from cloth_sim_ros.parameters import Parameter
+from cloth_sim_ros.parameters import Parameter, ParameterError
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.without_effect import without_effect
@@ -35,6 +36,71 @@ _FOREIGN = (_SIM_TIME, "start_type_description_service")
 #: Quality of service of a topic that the node publishes, and what of it may be overridden.
 _PROFILE = "qos_overrides.{topic}.publisher.{policy}"
 _POLICIES = ("reliability", "history", "depth")
+
+
+class UnknownParametersError(ParameterNotDeclaredException):
+    """Parameters that are not there."""
+
+    def __init__(self, names: list[str], known: Sequence[str]) -> None:
+        super().__init__(names)
+        self._sentences = [f"there is no parameter '{name}'{_suggestion(name, known)}" for name in names]
+
+    def __str__(self) -> str:
+        return "; ".join(self._sentences)
+
+
+class SceneNode(Node):
+    """rclpy's node, with words for what rclpy refuses without a name."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        """As rclpy's, with the overrides declared.
+
+        Raises:
+            ParameterError: for an empty list, which has no type in ROS.
+        """
+        try:
+            super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
+        except ValueError as error:
+            if "PARAMETER_NOT_SET" not in str(error):
+                raise
+            raise ParameterError(_empty_lists(name, options)) from error
+
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """As rclpy's, whose exception for parameters that are not there lists none.
+
+        Raises:
+            UnknownParametersError: naming them, and the nearest that there are.
+        """
+        unknown = [entry.name for entry in parameter_list if not self.has_parameter(entry.name)]
+        if unknown:
+            raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
+        return super().set_parameters_atomically(parameter_list)
+
+
+def _empty_lists(name: str, options: dict[str, Any]) -> str:
+    """Say which parameters were given as [], and what to write instead."""
+    probe = Node(name, **options)
+    try:
+        given = []
+        for entry in Scene.declared():
+            # A mark of any type, so that whatever overrides it does.
+            descriptor = ParameterDescriptor(dynamic_typing=True)
+            if probe.declare_parameter(entry.name, "no override", descriptor).value is None:
+                given.append(entry)
+    finally:
+        probe.destroy_node()
+    if not given:
+        return "a parameter is an empty list, [], whose type ROS can't know; leave it out"
+    return "; ".join(
+        f"{entry.name} is an empty list, [], whose type ROS can't know; "
+        + ("for none write ['']" if entry.kind == "string[]" else f"it must be {entry.kind}")
+        for entry in given
+    )
+
+
+def _suggestion(name: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
 
 
 def declare(node: Node) -> Scene:
@@ -188,9 +254,9 @@ def _warn_of_unknown(node: Node, known: Sequence[str]) -> None:
         if name in known:
             continue
         node.undeclare_parameter(name)
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        node.get_logger().warning(f"there is no parameter '{name}', what sets it has no effect{hint}")
+        node.get_logger().warning(
+            f"there is no parameter '{name}', what sets it has no effect{_suggestion(name, known)}"
+        )
 
 
 def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> dict[str, Any]:

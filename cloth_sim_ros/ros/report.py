@@ -13,6 +13,7 @@ from rclpy.node import Node
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.diagnostics import Tally
+from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.ros.strain import StrainGauge
@@ -100,7 +101,7 @@ class Report:
         if status is not None and status.state == "failed":
             return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
         if rates["late"]:
-            return DiagnosticStatus.WARN, f"{rates['late']} frames late in the last second", values
+            return DiagnosticStatus.WARN, f"{counted(rates['late'], 'frame')} late in the last second", values
         if self._simulation.paused:
             return DiagnosticStatus.OK, "paused", values
         if self._simulation.asleep:

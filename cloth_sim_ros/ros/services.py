@@ -17,6 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from cloth_sim_ros.events import Event, Grasp, Pause, Reset, Step
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.log import counted
 
 #: How long a service waits for the frame that it asked for before it says that none is due [s].
 PATIENCE = 5.0
@@ -126,7 +127,7 @@ class Services:
             return _answered(response, outcome, "")
         # Closing on nothing did what was asked, and yet not what was wanted.
         response.success = bool(grasp.held) if grasp.closed else True
-        response.message = f"holds {grasp.held} particles" + (f": {grasp.reason}" if grasp.reason else "")
+        response.message = f"holds {counted(grasp.held, 'particle')}" + (f": {grasp.reason}" if grasp.reason else "")
         return response
 
     async def _on_record(self, request: Any, response: Any) -> Any:

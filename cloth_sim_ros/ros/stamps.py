@@ -21,6 +21,19 @@ class OldStampError(StampError):
     """A stamp older than the newest one."""
 
 
+def checked(sec: int, nanosec: int) -> int:
+    """Return the seconds and nanoseconds of a message's stamp as ROS time [ns].
+
+    Raises:
+        StampError: if they are no time: before 1970, or with a second or more of nanoseconds.
+    """
+    if sec < 0:
+        raise StampError(f"its stamp is {sec} s and {nanosec} ns; a time is not negative, and 0 s and 0 ns mean now")
+    if nanosec >= _SECOND:
+        raise StampError(f"its stamp is {sec} s and {nanosec} ns; nanoseconds are below {_SECOND}")
+    return sec * _SECOND + nanosec
+
+
 @attrs.define
 class StampGate:
     """Judges the stamps of one gripper's commands."""
