@@ -10,9 +10,9 @@ from __future__ import annotations
 import codecs
 import io
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +56,7 @@ def read(data: bytes, *, name: str) -> CheckedMesh:
         raise ValueError(f"'{name}' is no mesh file that can be read: its name must end in {', '.join(KINDS)}")
     try:
         points, faces, words = {"obj": _obj, "ply": _ply, "stl": _stl}[kind](data)
-    # what a broken file makes trimesh's readers raise depends on where it breaks; each names the cause
-    except (ValueError, KeyError, IndexError, AttributeError, TypeError, EOFError, NameError) as error:
+    except ValueError as error:
         raise ValueError(f"'{name}' is no readable {kind.upper()} file: {error}") from error
     mesh = checked_mesh(points, faces)
     repairs = [repair for repair in mesh.repairs if kind != "stl" or "at the place of another" not in repair]
@@ -136,7 +135,7 @@ def _ply(data: bytes) -> _Read:
     if b"ascii" in head.split(b"element", 1)[0]:
         _check_ascii_ply(head, body.split(b"\n", 1)[-1])
     try:
-        loaded = load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)
+        loaded = _by_trimesh(load_ply, io.BytesIO(data), fix_texture=False, skip_materials=True)
     except ValueError as error:
         if "unexpected length" not in str(error):
             raise
@@ -165,7 +164,7 @@ def _check_ascii_ply(head: bytes, body: bytes) -> None:
         if words[:1] == [b"element"] and len(words) == 3:
             elements.append((words[1].decode(errors="replace"), int(words[2]), []))
         elif words[:1] == [b"property"] and elements:
-            elements[-1][2].append(words[1] == b"list")
+            elements[-1][2].append(words[1:2] == [b"list"])
     rows = body.rstrip().splitlines()
     at = 0
     for element, count, properties in elements:
@@ -206,10 +205,33 @@ def _stl(data: bytes) -> _Read:
         data = data[:length]
     if (count if told is None else told) == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), []
-    mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False, validate=False)
+    mesh = _by_trimesh(trimesh.load_mesh, io.BytesIO(data), file_type="stl", process=False, validate=False)
     if told is not None and len(mesh.faces) != told:
         raise ValueError(f"{len(mesh.faces)} of {told} facets could be read: a vertex is not three numbers")
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64), words
+
+
+def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """What one of trimesh's readers returns.
+
+    What a broken file makes it raise depends on where it breaks; each names the cause. What is raised by the call
+    itself, and not within it, is no fault of the file's.
+
+    Raises:
+        ValueError: if the file is broken.
+    """
+    try:
+        return load(*arguments, **options)
+    except ModuleNotFoundError as error:
+        if error.name != "charset_normalizer":
+            raise
+        # With it trimesh would guess what the text is written in.
+        raise ValueError("it has bytes that are no text in UTF-8") from error
+    except (KeyError, IndexError, AttributeError, TypeError, EOFError, NameError) as error:
+        within = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+        if not within:
+            raise
+        raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
 def _ascii_stl_facets(data: bytes) -> int:

@@ -321,3 +321,45 @@ def test_sizes_of_no_cloth_are_refused_with_their_magnitude(scale, shift, words)
     points, triangles = grid()
     with pytest.raises(SurfaceError, match=words):
         checked_mesh(points * scale + shift, triangles)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl"])
+def test_errors_of_the_program_are_not_laid_on_the_file(monkeypatch, kind):
+    def changed(data):
+        raise TypeError("an argument too many")
+
+    monkeypatch.setattr(mesh_file, f"_{kind}", changed)
+    with pytest.raises(TypeError, match="an argument too many"):
+        mesh_file.read(b"", name=f"cloth.{kind}")
+
+
+def test_a_reader_called_wrongly_is_no_broken_file():
+    with pytest.raises(TypeError, match="no_such_option"):
+        mesh_file._by_trimesh(lambda file: file, b"", no_such_option=True)
+
+
+def test_broken_files_of_any_kind_are_refused_as_such():
+    points, triangles = grid()
+    mesh = trimesh.Trimesh(points, triangles, process=False)
+    ascii_ply = trimesh.exchange.ply.export_ply(mesh, encoding="ascii")
+    whole = {
+        "obj": [obj(points, triangles)],
+        "ply": [mesh.export(file_type="ply"), ascii_ply],
+        "stl": [mesh.export(file_type="stl"), mesh.export(file_type="stl_ascii").encode()],
+    }
+    random = np.random.default_rng(7)
+    refused = 0
+    for number in range(600):
+        kind = sorted(whole)[number % 3]
+        data = bytearray(whole[kind][number % len(whole[kind])])
+        for _ in range(random.integers(1, 4)):
+            at = int(random.integers(len(data)))
+            some = bytes(data[at : at + int(random.integers(1, 30))])
+            data[at : at + len(some)] = [b"", some + some, b"property\n", bytes([random.integers(256)])][
+                random.integers(4)
+            ]
+        try:
+            mesh_file.read(bytes(data), name=f"cloth.{kind}")
+        except ValueError:
+            refused += 1
+    assert refused > 300
