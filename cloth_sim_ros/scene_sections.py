@@ -222,7 +222,13 @@ class Record:
     """Recording of sessions."""
 
     enabled: bool = parameter("bool", False, "Record a session from the start")
-    folder: str = parameter("string", "sessions", "Folder for session files; made if missing")
+    folder: str = parameter(
+        "string",
+        "sessions",
+        "Folder for the next recording's files, and for saved states; made if missing",
+        live=True,
+        observes=True,
+    )
     split: int = parameter(
         "int", 0, "Go on in a new file when one holds this much; 0 never", unit="B", least=0, most=1 << 50
     )

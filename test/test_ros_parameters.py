@@ -110,6 +110,8 @@ def other_value(entry: Any, value: Any) -> Any:
         return not value
     if entry.choices:
         return next(choice for choice in entry.choices if choice != value)
+    if entry.kind == "string":
+        return f"other_{value}"
     if entry.is_array:
         return tuple(0.5 * number + 0.25 for number in value)
     return 0.9 * value if value else 0.001 * entry.most**0.5

@@ -34,7 +34,7 @@ def test_running_node(ros_domain: int, start_process: Callable[..., Any], tmp_pa
         assert (client.clouds[0].height, client.clouds[0].width) == (10, 12)
         check_grasp(client)
         check_pause_and_step(client)
-        check_recording(client)
+        check_recording(client, tmp_path)
         check_state(client, tmp_path)
         check_reset(client)
         check_parameters(client)
@@ -101,7 +101,7 @@ def frame_of(answer: Any) -> int:
     return int(answer.message.rsplit("frame ", 1)[1])
 
 
-def check_recording(client: Client) -> None:
+def check_recording(client: Client, folder: Path) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.session.reader import SessionReader
 
@@ -113,6 +113,15 @@ def check_recording(client: Client) -> None:
     ended = client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=False))
     assert (ended.success, ended.message) == (True, str(path))
     assert not client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=False)).success
+    assert path.parent == folder
+    # The next one goes elsewhere.
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(folder / "other"))
+    request = SetParameters.Request(parameters=[Parameter(name="record.folder", value=value)])
+    assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
+    client.wait_for_clouds(3)
+    answer = client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=True))
+    assert Path(answer.message).parent == folder / "other"
+    assert client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=False)).success
     with SessionReader(path, strict=True) as reader:
         assert len(list(reader.clouds())) >= 10
         assert reader.topology() is not None

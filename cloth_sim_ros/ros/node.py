@@ -22,6 +22,7 @@ from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.frames import FrameTransformer
+from cloth_sim_ros.ros.lateness import Lateness
 from cloth_sim_ros.ros.log import ThrottledLog, counted
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
@@ -114,6 +115,7 @@ class ClothNode:
         )
         self.tally = diagnostics.Tally()
         self._relief = Relief(self._simulation, self._log)
+        self._lateness = Lateness(period=scene.period, log=self._log)
         self._latest = Latest()
         report = Report(
             self.node,
@@ -267,12 +269,8 @@ class ClothNode:
         period = self._pacer.period
         late = due.skipped + (due.lateness + int(taken * 1e9) > period)
         self.tally.late += late
-        if late and not self._follows_clock:
-            self._log.warn(
-                "late",
-                f"frames come late: this one took {taken * 1e3:.1f} ms of {period / 1e6:.1f} ms, "
-                f"{self.tally.late} were late so far",
-            )
+        if not self._follows_clock:
+            self._lateness.add(late=late, skipped=due.skipped, seconds=taken)
 
     def _on_jump_back(self, before: int, now: int) -> None:
         self.node.get_logger().warning(

@@ -1,0 +1,86 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether frames come late, told when that begins, now and then while it lasts, and when it ends."""
+
+from __future__ import annotations
+
+import statistics
+
+from cloth_sim_ros.ros.log import ThrottledLog, counted
+
+#: A judgement is over at least so much time [s], and so many frames.
+WINDOW, FEWEST = 2.0, 20
+#: Share of a window's frames above which the cloth is late: single ones are the system's, /diagnostics counts them.
+MANY = 0.05
+#: While it lasts it is told again after so many windows.
+AGAIN = 30
+#: Windows in time before that is told.
+CALM = 5
+#: Above this share of the period it is computing that takes the time.
+BUSY = 0.9
+
+
+class Lateness:
+    """Follows frames that are due by wall time.
+
+    Args:
+        period: time between two frames [s].
+        log: told.
+    """
+
+    def __init__(self, *, period: float, log: ThrottledLog) -> None:
+        self._period = period
+        self._log = log
+        self._most = max(FEWEST, round(WINDOW / period))
+        self._is_late = False
+        self._windows = 0
+        self._calm = 0
+        self._sum = 0
+        self._begin()
+
+    def add(self, *, late: int, skipped: int, seconds: float) -> None:
+        """Take note of a frame.
+
+        Args:
+            late: due times that passed without their frame being there a period later: of this one, and those before.
+            skipped: due times before this one that were left out.
+            seconds: wall time that the frame took [s].
+        """
+        self._due += 1 + skipped
+        self._late += late
+        self._taken.append(seconds)
+        if self._due >= self._most:
+            self._judge()
+            self._begin()
+
+    def _begin(self) -> None:
+        self._due, self._late = 0, 0
+        self._taken: list[float] = []
+
+    def _judge(self) -> None:
+        if self._late > MANY * self._due:
+            if not self._is_late:
+                self._is_late, self._windows, self._sum = True, 0, 0
+            self._calm = 0
+            self._sum += self._late
+            if self._windows % AGAIN == 0:
+                self._tell()
+            self._windows += 1
+        elif self._is_late:
+            self._sum += self._late
+            self._calm += 1
+            if self._calm == CALM:
+                self._is_late = False
+                self._log.info("in time", f"frames come in time again; {counted(self._sum, 'frame')} late or left out")
+
+    def _tell(self) -> None:
+        middle, period = statistics.median(self._taken), self._period
+        if middle > BUSY * period:
+            why = "the cloth takes more time than this machine has"
+        else:
+            why = "the machine had other things to do"
+        self._log.warn(
+            "late",
+            f"frames come late: {self._late} of {self._due} were not there a period after they were due; one takes "
+            f"{middle * 1e3:.1f} ms of {period * 1e3:.1f} ms: {why}",
+        )

@@ -1,0 +1,67 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames that come late are told of when that begins and ends, not one by one."""
+
+from __future__ import annotations
+
+from cloth_sim_ros.ros.lateness import AGAIN, CALM, Lateness
+from cloth_sim_ros.ros.log import ThrottledLog
+
+PERIOD = 1.0 / 60.0
+WINDOW = 120
+
+
+class Log:
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def info(self, text: str) -> None:
+        self.lines.append(text)
+
+    def warning(self, text: str) -> None:
+        self.lines.append(text)
+
+
+def lateness() -> tuple[Lateness, Log]:
+    log = Log()
+    return Lateness(period=PERIOD, log=ThrottledLog(log, seconds=0.0)), log
+
+
+def run(judge: Lateness, windows: int, *, late: int, seconds: float) -> None:
+    """Let windows of frames pass, of each of which so many are late."""
+    for _ in range(windows):
+        for number in range(WINDOW):
+            judge.add(late=int(number < late), skipped=0, seconds=seconds)
+
+
+def test_single_late_frames_are_not_told() -> None:
+    judge, log = lateness()
+    run(judge, 100, late=3, seconds=0.0034)
+    assert log.lines == []
+
+
+def test_it_is_told_when_it_begins_and_ends_and_now_and_then() -> None:
+    judge, log = lateness()
+    run(judge, 1, late=60, seconds=0.0034)
+    assert log.lines == [
+        "frames come late: 60 of 120 were not there a period after they were due; one takes 3.4 ms of 16.7 ms: the "
+        "machine had other things to do"
+    ]
+    run(judge, AGAIN - 1, late=60, seconds=0.02)
+    assert len(log.lines) == 1
+    run(judge, 1, late=60, seconds=0.02)
+    assert log.lines[1].endswith("one takes 20.0 ms of 16.7 ms: the cloth takes more time than this machine has")
+    run(judge, CALM - 1, late=0, seconds=0.0034)
+    assert len(log.lines) == 2
+    run(judge, 1, late=0, seconds=0.0034)
+    assert log.lines[2:] == [f"frames come in time again; {60 * (AGAIN + 1)} frames late or left out"]
+    run(judge, 10, late=0, seconds=0.0034)
+    assert len(log.lines) == 3
+
+
+def test_due_times_that_were_left_out_count() -> None:
+    judge, log = lateness()
+    for _ in range(WINDOW // 2):
+        judge.add(late=1, skipped=1, seconds=0.03)
+    (line,) = log.lines
+    assert line.startswith("frames come late: 60 of 120 ")
