@@ -15,8 +15,11 @@ from typing import Any
 import psutil
 import pytest
 import yaml
+from session_maker import SessionMaker
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.ros import demo
+from cloth_sim_ros.session.reader import SessionReader
 
 ROOT = Path(__file__).resolve().parent.parent
 RANGE, DOMAIN = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_DOMAIN_ID"
@@ -35,6 +38,19 @@ def run_demo(start_process: Callable[..., Any], folder: Path) -> Any:
     parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"cloth": {"resolution": [10, 10]}}}}))
     arguments = ["--folder", folder / "sessions", "--params", parameters, "--script", script]
     return start_process(["-m", "cloth_sim_ros.ros.demo", *arguments])
+
+
+def test_what_is_reported_adds_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    maker = SessionMaker(tmp_path, Scene.from_parameters({"cloth.resolution": [4, 4]}))
+    for _ in range(5):
+        maker.add()
+    path = maker.finish()
+    with SessionReader(path) as session:
+        stamps = [message.log_time for message in session.messages(["/cloth_sim/points"])]
+    # The first one had gone before the subscriber met the node; the last diagnostics came before the last clouds.
+    values = {"clouds_published": "2", "recording_file": str(path), "real_time_factor_overall": "1.0"}
+    assert demo._report(demo.Seen(clouds=4, first=stamps[1], values=values)) == 0
+    assert "frames published  5, received 4, lost since the first one 0" in capsys.readouterr().out
 
 
 def test_the_demonstration_grasps_records_and_ends(

@@ -178,8 +178,9 @@ def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: An
 
 def _report(seen: Seen) -> int:
     values = seen.values
-    published = int(values.get("clouds_published", "0"))
     path = values.get("recording_file", "")
+    # What the node said of itself last is up to a second older than the last cloud; all that it published is recorded.
+    published = _published_since(path, 0)
     lost = _published_since(path, seen.first) - seen.clouds
     print(f"frames published  {published}, received {seen.clouds}, lost since the first one {lost}")
     print(f"late frames       {values.get('late_frames')}")
