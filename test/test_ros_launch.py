@@ -128,6 +128,7 @@ def test_without_arguments_the_default_cloth_is_launched(
 ) -> None:
     process = start_process(command_line(monkeypatch))
     process.wait_for_output("900 particles at 60 Hz of wall time, grippers: gripper")
+    assert "expected real-time factor: " in process.output
     with Client() as client:
         client.watch("/cloth_sim")
     # As on Ctrl-C: one signal from the terminal, one from ros2 launch.

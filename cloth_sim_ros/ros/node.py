@@ -21,6 +21,7 @@ from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import EventQueue
+from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.lateness import Lateness
 from cloth_sim_ros.ros.log import ThrottledLog, counted
@@ -115,6 +116,8 @@ class ClothNode:
         )
         self.tally = diagnostics.Tally()
         self._relief = Relief(self._simulation, self._log)
+        self._forecaster = Forecaster(self._simulation, self.node.get_logger())
+        self._changed = False
         self._lateness = Lateness(period=scene.period, log=self._log)
         self._latest = Latest()
         report = Report(
@@ -125,7 +128,7 @@ class ClothNode:
             commands=self._commands,
             outputs=self._outputs,
             recording=self._recording,
-            further=self._relief.describe,
+            further=lambda: self._relief.describe() | self._forecaster.describe(),
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
         self._overheard = Overheard(self.node, self._recording, self._turn)
@@ -147,11 +150,13 @@ class ClothNode:
         return self._outputs.published
 
     def warm_up(self) -> None:
-        """Load what recording needs, ahead of the first frame that is due.
+        """Try a frame of a cloth that is thrown away, to know how long one takes here; load what recording needs.
 
         Raises:
+            ValueError: if the scene can't be stepped.
             StopRequestedError: if a signal came meanwhile.
         """
+        self._forecaster.calibrate(self._aside(lambda: try_frames(self._simulation.scene)))
         self._recording.prepare()
 
     def start(self) -> None:
@@ -185,6 +190,8 @@ class ClothNode:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=steady)
         self.node.create_timer(diagnostics.PERIOD, self._report, clock=steady)
+        if not self._follows_clock:
+            self._forecaster.tell()
         self._started = time.monotonic()
         self.tally.begin()
         self._pacer.start()
@@ -247,6 +254,7 @@ class ClothNode:
                 f"time is stopped: {self._stepper.trouble}; set other parameters or call ~/reset, then ~/pause false"
             )
         self._latest.failure = self._stepper.trouble
+        self._changed |= any(isinstance(event, SetParameters) for event in frame.events)
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
         if frame.moved or frame.events or not shown:
             self._shown = begun
@@ -361,6 +369,9 @@ class ClothNode:
             self._services.give_up_waiting()
             self._overheard.listen()
             reason = self._recording.poll()
+            if self._changed:
+                self._changed = False
+                self._forecaster.tell()
         if reason:
             self.node.get_logger().error(f"the recording ended: {reason}")
         if isinstance(self._pacer, ClockPacer) and not self._pacer.has_clock:

@@ -1,0 +1,156 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How fast a cloth can be expected to run, told before it turns out, and the resolution that would hold real time."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import attrs
+
+from cloth_sim_ros.physics.integrators.base import StepLimitError, UnstableError
+from cloth_sim_ros.physics.integrators.fixed import SAFETY
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.simulation import Simulation
+
+#: Share of a period that stepping may take: the rest is for messages, the recording and other programs.
+ROOM = 0.8
+#: Told again where the factor has changed by more than this share.
+_NEWS = 0.2
+
+
+@attrs.frozen(kw_only=True)
+class Forecast:
+    """What one frame takes."""
+
+    #: Steps, at least.
+    steps: int
+    #: Wall time of these steps [s].
+    seconds: float
+    #: Simulated time of the frame a wall time: 1 is real time.
+    factor: float
+
+
+def forecast(*, period: float, step: float, particles: int, cost: float) -> Forecast:
+    """Return what a frame takes at best: accuracy may ask for more than the given step.
+
+    Args:
+        period: simulated time of a frame [s].
+        step: longest step that is taken, by stability or as it is fixed [s].
+        particles: number of particles.
+        cost: of one step for one particle [s].
+    """
+    steps = max(1, math.ceil(period / step * (1.0 - 1e-12)))
+    seconds = steps * particles * cost
+    return Forecast(steps=steps, seconds=seconds, factor=period / seconds)
+
+
+def holding(shape: tuple[int, int], factor: float, *, fixed_step: bool = False) -> tuple[int, int]:
+    """Return rows and columns of a grid of the same size that would hold real time with some room, at least 2 each.
+
+    Particles grow with the square of the rows, and steps with them: a sheet's springs keep their stiffness, its
+    particles share the mass, so that the stability limit is in proportion to the spacing (that of bending to its
+    square, by which the result is on the safe side).
+
+    Args:
+        shape: rows and columns of the grid at hand.
+        factor: expected of it, see `Forecast`.
+        fixed_step: whether the step is fixed, and does not depend on the spacing.
+    """
+    scale = min(1.0, (ROOM * factor) ** (1.0 / (2.0 if fixed_step else 3.0)))
+    return max(2, int(shape[0] * scale)), max(2, int(shape[1] * scale))
+
+
+def try_frames(scene: Scene) -> float | None:
+    """Return what a step takes on this machine for one particle [s], as two frames of a cloth that is thrown away show it.
+
+    Raises:
+        StepLimitError: if the scene's fixed step is above its limit.
+    """
+    trial = Simulation(scene)
+    try:
+        trial.advance()
+        begun = time.perf_counter()
+        done = trial.advance().advance
+        seconds = time.perf_counter() - begun
+    except StepLimitError:
+        raise
+    except UnstableError:
+        # It is told when it comes to its frame: there it stops time, not the node.
+        return None
+    return seconds / (done.evaluations * trial.state.particle_count) if done and done.evaluations else None
+
+
+class Forecaster:
+    """Says at start, and when the cloth has changed, how fast it can be expected to run.
+
+    Args:
+        simulation: the cloth.
+        logger: told.
+    """
+
+    def __init__(self, simulation: Simulation, logger: Any) -> None:
+        self._simulation = simulation
+        self._logger = logger
+        self._told: float | None = None
+        #: Cost of a step measured on this machine, as a share of what the model of costs says.
+        self._share = 1.0
+        #: The newest; None where steps have no limit that is known beforehand.
+        self.newest: Forecast | None = None
+
+    def calibrate(self, cost: float | None) -> None:
+        """Take over what a step of this cloth took on this machine for one particle [s], if that is known."""
+        if cost is not None:
+            self._share = cost / (self._simulation.plan.step_cost * 1e-9)
+
+    def tell(self) -> None:
+        """Say what is to be expected now, unless that is what was said last."""
+        self.newest = self._expected()
+        if self.newest is None:
+            return
+        factor, told = self.newest.factor, self._told
+        if told is not None and (factor < 1.0) == (told < 1.0) and abs(factor - told) <= _NEWS * told:
+            return
+        self._told = factor
+        scene = self._simulation.scene
+        bound = "as the step is fixed" if scene.step else "by the stability limit"
+        words = (
+            f"expected real-time factor: {factor:.2g} at best ({self.newest.steps} steps a frame {bound}, "
+            f"{self.newest.seconds * 1e3:.2g} ms of {scene.period * 1e3:.3g} ms; accuracy may ask for more)"
+        )
+        if factor >= 1.0:
+            self._logger.info(words)
+        else:
+            self._logger.warning(f"{words}. Real time is not held: {self._remedy(factor)}")
+
+    def describe(self) -> dict[str, str]:
+        """Return the newest expectation, for diagnostics."""
+        return {"real_time_factor_expected": "unknown" if self.newest is None else f"{self.newest.factor:.4g}"}
+
+    def _expected(self) -> Forecast | None:
+        scene, plan = self._simulation.scene, self._simulation.plan
+        if not scene.step and scene.integrator in ("implicit", "symplectic_euler"):
+            return None
+        step = scene.step or SAFETY * leapfrog_limit(*plan.rates(self._simulation.state.x))
+        return forecast(
+            period=scene.period,
+            step=step,
+            particles=plan.model.particle_count,
+            cost=self._share * plan.step_cost * 1e-9,
+        )
+
+    def _remedy(self, factor: float) -> str:
+        scene = self._simulation.scene
+        fixed = bool(scene.step)
+        rows, columns = scene.shape
+        if rows > 1:
+            most = holding((rows, columns), factor, fixed_step=fixed)
+            remedy = f"cloth.resolution [{most[0]}, {most[1]}] would"
+        else:
+            scale = (ROOM * factor) ** (1.0 if fixed else 2.0 / 3.0)
+            remedy = f"a mesh of {max(3, int(columns * scale))} particles would"
+        softer = "a larger step" if fixed else "a softer or heavier material"
+        return f"{remedy}, as would {softer}; otherwise the parameter overload says what gives way"

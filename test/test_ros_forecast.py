@@ -1,0 +1,112 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of the speed before it turns out: the estimate, the resolution that would hold, and when it is told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cloth_sim_ros import Scene, SetParameters, Simulation
+from cloth_sim_ros.ros.forecast import ROOM, Forecaster, forecast, holding
+
+
+class Log:
+    def __init__(self) -> None:
+        self.infos: list[str] = []
+        self.warnings: list[str] = []
+
+    def info(self, text: str) -> None:
+        self.infos.append(text)
+
+    def warning(self, text: str) -> None:
+        self.warnings.append(text)
+
+
+def forecaster(**values: Any) -> tuple[Forecaster, Simulation, Log]:
+    simulation, log = Simulation(Scene.from_parameters(values)), Log()
+    return Forecaster(simulation, log), simulation, log
+
+
+def test_the_estimate_is_steps_times_particles_times_cost() -> None:
+    found = forecast(period=0.01, step=0.003, particles=1000, cost=1e-8)
+    assert (found.steps, found.seconds) == (4, pytest.approx(4e-5))
+    assert found.factor == pytest.approx(250.0)
+    # A step beyond the frame is one step; the very step of the frame is no second one.
+    assert forecast(period=0.01, step=1.0, particles=1, cost=1e-8).steps == 1
+    assert forecast(period=0.3, step=0.1, particles=1, cost=1e-8).steps == 3
+
+
+@pytest.mark.parametrize(
+    ("factor", "fixed", "expected"),
+    [(0.1, False, (43, 86)), (0.1, True, (28, 56)), (5.0, False, (100, 200)), (1e-9, False, (2, 2))],
+)
+def test_the_resolution_that_would_hold(factor: float, fixed: bool, expected: tuple[int, int]) -> None:
+    assert holding((100, 200), factor, fixed_step=fixed) == expected
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        {"material.stretch_modulus": 1e5},
+        {"material.stretch_modulus": 3e4, "material.damping": 0.5},
+        {"bending.model": "crossed", "material.bending_modulus": 1e-3, "material.stretch_modulus": 1e4},
+        {"step": 2e-6, "cloth.resolution": [30, 40]},
+    ],
+    ids=["stiff", "damped", "bending", "fixed step"],
+)
+def test_what_is_recommended_holds_by_the_same_estimate(material: dict[str, Any]) -> None:
+    values = {"cloth.resolution": [100, 80]} | material
+    slow, simulation, log = forecaster(**values)
+    slow.tell()
+    assert slow.newest is not None
+    assert slow.newest.factor < 1.0
+    (warning,) = log.warnings
+    most = holding(simulation.scene.shape, slow.newest.factor, fixed_step=bool(simulation.scene.step))
+    assert f"cloth.resolution [{most[0]}, {most[1]}] would" in warning
+    better, _, log = forecaster(**{**values, "cloth.resolution": list(most)})
+    better.tell()
+    assert log.warnings == []
+    assert better.newest is not None
+    # With the room that it leaves, and not much more than what is asked for by springs alone.
+    assert better.newest.factor * ROOM >= 0.95
+
+
+def test_it_is_told_again_when_it_has_changed() -> None:
+    one, simulation, log = forecaster(**{"cloth.resolution": [20, 20]})
+    one.tell()
+    one.tell()
+    (words,) = log.infos
+    assert words.startswith("expected real-time factor: ")
+    assert "at best" in words
+    simulation.advance([SetParameters({"material.density": 0.21})])
+    one.tell()
+    assert len(log.infos) == 1, "hardly any other"
+    simulation.advance([SetParameters({"material.stretch_modulus": 1e8})])
+    one.tell()
+    (warning,) = log.warnings
+    assert "Real time is not held" in warning
+    simulation.advance([SetParameters({"material.stretch_modulus": 1000.0})])
+    one.tell()
+    assert len(log.infos) == 2
+
+
+def test_what_has_no_limit_is_not_guessed() -> None:
+    one, _, log = forecaster(**{"cloth.resolution": [5, 5], "integrator": "implicit"})
+    one.tell()
+    assert log.infos + log.warnings == []
+    assert one.describe() == {"real_time_factor_expected": "unknown"}
+
+
+def test_the_machine_at_hand_counts() -> None:
+    one, simulation, _ = forecaster(**{"cloth.resolution": [10, 10]})
+    one.tell()
+    assert one.newest is not None
+    before = one.newest.factor
+    one.calibrate(3e-9 * simulation.plan.step_cost)
+    one.tell()
+    assert one.newest.factor == pytest.approx(before / 3.0)
+    one.calibrate(None)
+    one.tell()
+    assert one.newest.factor == pytest.approx(before / 3.0)
