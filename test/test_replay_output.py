@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ import pytest
 from session_maker import NODE, SessionMaker, carried_corner, make_grasp
 
 from cloth_sim_ros.events import Grasp, Reset, SetParameters, Target
+from cloth_sim_ros.replay import viewer
 from cloth_sim_ros.replay.main import main
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.session.reader import SessionReader
@@ -145,7 +148,7 @@ def test_a_picture_shows_a_lit_cloth_where_the_gripper_holds_it(
     status = main([str(session), "--screenshot", str(out), "--at", "0.6", "--size", "900x600"])
     said = capsys.readouterr().err
     if "mesa-vulkan-drivers" in said:
-        pytest.skip(said.strip())
+        pytest.skip(f"a picture needs a Vulkan driver, apt-get install mesa-vulkan-drivers: {said.strip()}")
     assert status == 0, said
     picture = np.asarray(image.open(out).convert("RGB"), dtype=int)
     assert picture.shape == (600, 900, 3)
@@ -172,7 +175,9 @@ def test_the_viewer_needs_a_screen(
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     session = make_grasp(tmp_path, seconds=0.1, cloth__resolution=[5, 5])
     assert main([str(session)]) == 1
-    assert "--screenshot" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "--screenshot" in said
+    assert "apt-get install xvfb xauth" in said
 
 
 def test_a_missing_driver_is_named(
@@ -185,6 +190,55 @@ def test_a_missing_driver_is_named(
     session = make_grasp(tmp_path, seconds=0.1, cloth__resolution=[5, 5])
     assert main([str(session), "--screenshot", str(tmp_path / "out.png")]) == 1
     assert "apt-get install mesa-vulkan-drivers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("listed", [True, False], ids=["one that does not serve", "none"])
+def test_a_driver_that_does_not_serve_is_named_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listed: bool
+) -> None:
+    # What the viewer says where OpenGL is there and Vulkan is not: nothing of drivers.
+    log = tmp_path / "viewer.log"
+    log.write_text(
+        "\x1b[33m WARN\x1b[0m egui_wgpu: Software rasterizer detected - loss of performance expected. backend: Gl\n\n"
+        "thread 'main' panicked at 'Failed to get render context'\nre_viewer/src/app/mod.rs:1425\nstack backtrace:\n"
+        "   6: core::panicking::panic_fmt\n             at libc-start.c:360:3\n\nTroubleshooting Rerun: https://...\n"
+        "Report bugs: https://...\n"
+    )
+    driver = tmp_path / "driver.json"
+    if listed:
+        driver.write_text("{}")
+    monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
+    message = str(viewer._why(log, "does not answer (transport error)"))
+    assert "apt-get install mesa-vulkan-drivers" in message
+    assert ("none is installed here" in message) is not listed
+    assert message.endswith("it said: thread 'main' panicked at 'Failed to get render context')")
+
+
+def test_a_viewer_that_ends_amid_painting_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, log = tmp_path / "driver.json", tmp_path / "viewer.log"
+    driver.write_text("{}")
+    log.write_text("Error: out of memory\n")
+    monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
+
+    def end() -> None:
+        raise RuntimeError("transport error")
+
+    client = SimpleNamespace(take_screenshot=end)
+    monkeypatch.setattr(viewer, "_headless", lambda *_: contextlib.nullcontext((client, log)))
+    monkeypatch.setattr(viewer, "_wait_until_loaded", lambda *_: None)
+    with pytest.raises(
+        viewer.ViewerError, match=r"gave up painting \(transport error\); it said: Error: out of memory"
+    ):
+        viewer.save_screenshot(tmp_path / "in.rrd", tmp_path / "out.png", at=None, size=(300, 300))
+
+
+def test_another_failure_is_told_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, log = tmp_path / "driver.json", tmp_path / "viewer.log"
+    driver.write_text("{}")
+    monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
+    log.write_text("Error: the port is taken\n\nReport bugs: https://...\n")
+    message = str(viewer._why(log, "ended with status 1"))
+    assert message == "the viewer ended with status 1; it said: Error: the port is taken"
 
 
 @pytest.mark.parametrize(

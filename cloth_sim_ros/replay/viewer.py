@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -26,7 +27,19 @@ _PATIENCE = 60.0
 #: Painted alike twice in a row, the picture is complete; looked at this often [s].
 _LOOK_AGAIN = 0.25
 
-_NO_ADAPTER = ("no graphics adapter", "failed to find adapter", "no suitable adapter", "adapter was found")
+#: What the viewer says where it finds no driver that it can paint with; the last where it finds an OpenGL one alone.
+_NO_ADAPTER = (
+    "no graphics adapter",
+    "failed to find adapter",
+    "no suitable adapter",
+    "adapter was found",
+    "failed to get render context",
+)
+#: Where drivers are listed, beside what the environment names; a file each.
+_DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+#: What the viewer says below its reason, and colours.
+_IDLE_WORDS = re.compile(r"troubleshooting rerun|report bugs|stack backtrace|^\d+:|^at |^$", re.IGNORECASE)
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class ViewerError(Exception):
@@ -38,7 +51,8 @@ def check_screen() -> None:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError(
             "there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); use --screenshot out.png for a "
-            "picture, or --save out.rrd and open that with `rerun` on a machine with a screen"
+            "picture, or --save out.rrd and open that with `rerun` on a machine with a screen; or a virtual screen: "
+            "apt-get install xvfb xauth, then xvfb-run cloth_replay"
         )
 
 
@@ -60,9 +74,13 @@ def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[i
     """
     with _headless(rrd, size) as (client, log):
         _wait_until_loaded(client, log)
-        if at is not None:
-            client.set_time(SIM_TIME, duration=at, play_state="paused")
-        picture.write_bytes(_settled_picture(client))
+        try:
+            if at is not None:
+                client.set_time(SIM_TIME, duration=at, play_state="paused")
+            painted = _settled_picture(client)
+        except (ConnectionError, RuntimeError) as error:
+            raise _why(log, f"gave up painting ({error})") from error
+        picture.write_bytes(painted)
 
 
 @contextlib.contextmanager
@@ -132,13 +150,28 @@ def _settled_picture(client: ViewerClient) -> bytes:
 
 
 def _why(log: Path, what: str) -> ViewerError:
-    output = log.read_text(errors="replace")
-    if any(sign in output.lower() for sign in _NO_ADAPTER):
+    output = _COLOURS.sub("", log.read_text(errors="replace"))
+    said = [line.strip() for line in output.splitlines() if not _IDLE_WORDS.search(line.strip())]
+    # Where it gave up it says so in one line and the place below; else what it said last.
+    reason = next((line for line in said if "panicked at" in line), " / ".join(said[-3:])) or "nothing"
+    driver = "" if _lists_a_driver() else ": none is installed here"
+    if driver or any(sign in output.lower() for sign in _NO_ADAPTER):
         return ViewerError(
-            "the viewer finds no graphics driver; install a software one: apt-get install mesa-vulkan-drivers"
+            f"painting needs a Vulkan driver, and the viewer found none that serves{driver}; install one that needs no "
+            f"graphics card: apt-get install mesa-vulkan-drivers (the viewer {what}; it said: {reason})"
         )
-    last = " / ".join(line.strip() for line in output.splitlines()[-3:])
-    return ViewerError(f"the viewer {what}; it said: {last or 'nothing'}")
+    return ViewerError(f"the viewer {what}; it said: {reason}")
+
+
+def _lists_a_driver() -> bool:
+    """Whether a Vulkan driver is listed where the loader looks; elsewhere than on Linux nobody knows."""
+    if not sys.platform.startswith("linux"):
+        return True
+    named = os.environ.get("VK_DRIVER_FILES") or os.environ.get("VK_ICD_FILENAMES")
+    if named:
+        return any(Path(name).exists() for name in named.split(os.pathsep))
+    own = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "vulkan" / "icd.d"
+    return any(next(Path(folder).glob("*.json"), None) for folder in (*_DRIVER_FOLDERS, own))
 
 
 def _free_port() -> int:
