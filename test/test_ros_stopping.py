@@ -97,6 +97,26 @@ def test_a_signal_ends_the_compilation(ros_domain: int, start_process: Callable[
     assert "Traceback" not in process.output
 
 
+@pytest.mark.parametrize(
+    "loaded",
+    ["cloth_sim_ros.ros.stopping", "rclpy.node", "numpy.linalg", "numba.core.types", "cloth_sim_ros.simulation", None],
+)
+def test_a_signal_while_starting_ends_in_order(
+    ros_domain: int, start_process: Callable[..., Any], loaded: str | None
+) -> None:
+    # Python says what it has loaded: a moment of the start that is the same on every machine.
+    environment = {"PYTHONPROFILEIMPORTTIME": "1"} if loaded else {}
+    process = start_process(["-m", "cloth_sim_ros.ros.main"], env=environment)
+    process.wait_for_output(f" {loaded}\n" if loaded else "preparing the kernels")
+    assert process.interrupt(limit=LIMIT) == 0, process.output
+    assert "Traceback" not in process.output
+    said = [line for line in process.output.splitlines() if not line.startswith("import time:")]
+    told = [line for line in said if "stopped while starting" in line or "SIGINT: stopping" in line]
+    assert len(told) == 1, said
+    if loaded:
+        assert said == ["cloth_sim: SIGINT: stopped while starting"]
+
+
 def test_a_gripper_that_waits_ends_at_once(ros_domain: int, start_process: Callable[..., Any]) -> None:
     process = start_process(["-m", "cloth_sim_ros.ros.gripper_main"])
     process.wait_for_output("waiting for")

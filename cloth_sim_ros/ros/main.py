@@ -1,40 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_sim`: the node in a process of its own, until a signal asks it to stop."""
+"""The command `cloth_sim`: here stands only what must come before all that takes long to load, as signals may."""
 
 from __future__ import annotations
 
-import argparse
-import gc
 import sys
 from collections.abc import Sequence
 
-import rclpy
-from rclpy.exceptions import (
-    InvalidNamespaceException,
-    InvalidNodeNameException,
-    InvalidParameterException,
-    InvalidTopicNameException,
-)
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-
-from cloth_sim_ros import __version__
-from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
-from cloth_sim_ros.ros.aside import Aside
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.recording import RecordingUnavailableError
-from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
-
-_BAD_NAMES = (
-    InvalidNamespaceException,
-    InvalidNodeNameException,
-    InvalidParameterException,
-    InvalidTopicNameException,
-)
-#: rclpy raises these from a broken message of a type that it takes itself (/clock, a parameter request); they have no
-#: public name.
-_TAKING_FAILED = ("RCLError", "RMWError")
+from cloth_sim_ros.ros.stopping import StopSignals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,82 +16,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0 when stopped by a signal, 1 if it could not start or its recording could not be closed.
     """
-    argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
-    parser = argparse.ArgumentParser(
-        prog="cloth_sim",
-        description="A live cloth in a ROS 2 graph. Parameters: --ros-args -p name:=value, or --params-file file.yaml; "
-        "ros2 param describe tells what they mean.",
-    )
-    parser.add_argument("--version", action="version", version=__version__)
     signals = StopSignals()
     signals.install()
-    try:
-        with signals.interruptible():
-            read_and_start(parser, argv)
-    except StopRequestedError:
-        return 0
-    except ArgumentsError as error:
-        return _refuse(str(error))
-    aside = Aside(signals.interruptible)
-    try:
-        status = _run(signals, aside)
-    finally:
-        signals.ignore()
-        rclpy.try_shutdown()
-    if aside.left:
-        aside.end_process(status)
-    return status
-
-
-def _run(signals: StopSignals, aside: Aside) -> int:
-    try:
-        with signals.interruptible():
-            cloth = ClothNode(aside=aside.run)
-    except StopRequestedError:
-        return 0
-    except (ValueError, RuntimeError, *_BAD_NAMES) as error:
-        return _refuse(readable(error))
-    started = False
-    try:
-        cloth.warm_up()
-        # What the compiler and other libraries keep for good need not be gone through again: a garbage collection would
-        # hold up a frame by some tens of milliseconds now and then.
-        gc.collect()
-        gc.freeze()
-        cloth.start()
-        started = True
-        _spin(cloth, signals)
-    except StopRequestedError:
-        pass
-    except (RecordingUnavailableError, ValueError, *_BAD_NAMES) as error:
-        if started:
-            raise
-        return _refuse(readable(error))
-    finally:
-        saved = cloth.close()
-        cloth.node.destroy_node()
-    return 0 if saved else 1
-
-
-def _spin(cloth: ClothNode, signals: StopSignals) -> None:
-    executor = SingleThreadedExecutor()
-    executor.add_node(cloth.node)
-    log = ThrottledLog(cloth.node.get_logger())
-    while signals.requested is None:
-        try:
-            executor.spin_once()
-        except ExternalShutdownException:
-            return
-        except RuntimeError as error:
-            if type(error).__name__ not in _TAKING_FAILED:
-                raise
-            log.error("take", f"a message could not be taken and is left out: {error}")
-    cloth.node.get_logger().info(f"{signals.requested.name}: stopping")
-
-
-def _refuse(reason: str) -> int:
-    print(f"cloth_sim: {reason}", file=sys.stderr)
-    return 1
+    with signals.ending():
+        from cloth_sim_ros.ros.process import run
+    return run(list(sys.argv if arguments is None else ["cloth_sim", *arguments]), signals)
 
 
 if __name__ == "__main__":

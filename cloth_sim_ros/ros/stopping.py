@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -26,6 +28,7 @@ class StopSignals:
     def __init__(self) -> None:
         self.requested: signal.Signals | None = None
         self._interruptible = False
+        self._ending = False
 
     def install(self) -> None:
         """Take over the signals; from the main thread only."""
@@ -52,8 +55,29 @@ class StopSignals:
         finally:
             self._interruptible = False
 
+    @contextmanager
+    def ending(self) -> Iterator[None]:
+        """Within, the first signal ends the process at once, in order: nothing has begun yet that would need an end.
+
+        For the time of imports: an exception amid them may be taken for a missing library, and leaves halves behind.
+        """
+        self._ending = True
+        try:
+            yield
+        finally:
+            self._ending = False
+
+    def tell_early_end(self) -> None:
+        """Say in one line that a signal came before the node ran."""
+        name = self.requested.name if self.requested else "a signal"
+        print(f"cloth_sim: {name}: stopped while starting", file=sys.stderr, flush=True)
+
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         first = self.requested is None
         self.requested = signal.Signals(number)
+        if self._ending:
+            # Not by print: the signal may have come amid one.
+            os.write(2, f"cloth_sim: {self.requested.name}: stopped while starting\n".encode())
+            os._exit(0)
         if first and self._interruptible:
             raise StopRequestedError(self.requested.name)
