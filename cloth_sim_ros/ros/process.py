@@ -54,11 +54,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
     )
     parser.add_argument("--version", action="version", version=__version__)
     try:
-        with signals.interruptible():
-            read_and_start(parser, argv)
-    except StopRequestedError:
-        signals.tell_early_end()
-        return 0
+        read_and_start(parser, argv)
     except ArgumentsError as error:
         return _refuse(str(error))
     aside = Aside(signals.interruptible)
@@ -74,10 +70,12 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
 
 def _run(signals: StopSignals, aside: Aside) -> int:
     try:
-        with signals.interruptible():
-            cloth = ClothNode(aside=aside.run)
+        # Aside, so that a signal interrupts nothing but our waiting: an exception amid rclpy's callbacks would be lost.
+        cloth = aside.run(lambda: ClothNode(aside=aside.run))
     except StopRequestedError:
         signals.tell_early_end()
+        if aside.left:
+            aside.end_process(0)
         return 0
     except (ValueError, RuntimeError, *_BAD_NAMES) as error:
         return _refuse(readable(error))
