@@ -88,7 +88,13 @@ def test_random_commands(ros_domain: int, start_process: Callable[..., Any], cou
     assert process.interrupt() == 0
     assert "Traceback" not in process.output
     # The first refusal of each kind is always logged.
-    for reason in ("(finite numbers|no coordinate may|is no quaternion)", "is in frame", "s ahead", "no Po.*Stamped"):
+    for reason in (
+        "(finite numbers|no coordinate may|is no quaternion)",
+        "is in frame",
+        "s ahead",
+        "a time is not negative",
+        "no Po.*Stamped",
+    ):
         assert re.search(reason, process.output)
     # A few kinds of message, each once a second at most; the run takes its time where the machine is busy.
     assert len(process.output.splitlines()) < count / 5

@@ -17,6 +17,10 @@ class StampError(ValueError):
     """A stamp that is not used; the message says why."""
 
 
+class NoTimeError(StampError):
+    """A stamp that is no time."""
+
+
 class OldStampError(StampError):
     """A stamp older than the newest one."""
 
@@ -25,12 +29,12 @@ def checked(sec: int, nanosec: int) -> int:
     """Return the seconds and nanoseconds of a message's stamp as ROS time [ns].
 
     Raises:
-        StampError: if they are no time: before 1970, or with a second or more of nanoseconds.
+        NoTimeError: if they are no time: before 1970, or with a second or more of nanoseconds.
     """
     if sec < 0:
-        raise StampError(f"its stamp is {sec} s and {nanosec} ns; a time is not negative, and 0 s and 0 ns mean now")
+        raise NoTimeError(f"its stamp is {sec} s and {nanosec} ns; a time is not negative, and 0 s and 0 ns mean now")
     if nanosec >= _SECOND:
-        raise StampError(f"its stamp is {sec} s and {nanosec} ns; nanoseconds are below {_SECOND}")
+        raise NoTimeError(f"its stamp is {sec} s and {nanosec} ns; nanoseconds are below {_SECOND}")
     return sec * _SECOND + nanosec
 
 
