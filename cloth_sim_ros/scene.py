@@ -16,21 +16,21 @@ from cloth_sim_ros import parameter_file, parameters, relaxation, scene_files
 from cloth_sim_ros.cloth_identity import cloth_of, difference
 from cloth_sim_ros.parameters import ParameterError, parameter, section
 from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
-from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
 from cloth_sim_ros.physics.material import Threads
 from cloth_sim_ros.physics.mesh_sheet import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene_physics import (
     Sheet,
     anchored_particles,
-    build_plan,
     build_model,
+    build_plan,
     build_sheet,
     grid_threads_of,
 )

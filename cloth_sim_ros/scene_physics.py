@@ -11,6 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.material import Threads, grid_threads
 from cloth_sim_ros.physics.mesh_sheet import MeshSheet
@@ -19,11 +24,6 @@ from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.raw_springs import RawSprings
 from cloth_sim_ros.physics.surface import grid_cells, grid_hinges
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene import Scene

@@ -12,11 +12,11 @@ import numpy as np
 
 from cloth_sim_ros.physics.chain import Chain, SpringLaw
 from cloth_sim_ros.physics.dynamics import Dynamics
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.material import grid_threads
 from cloth_sim_ros.physics.surface import LAYOUTS
-from cloth_sim_ros.physics.forces.force import Array
 
 
 def mode_frequencies(chain: Chain) -> Array:

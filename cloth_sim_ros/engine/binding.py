@@ -27,7 +27,14 @@ MOST_RUNS = 8
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Kinds of listed elements with the particles and numbers of each; see list.hpp.
-KINDS = {"spring": (0, 2, 3), "joint": (1, 2, 2), "crossed": (2, 4, 3), "altitude": (3, 4, 3), "triangle": (4, 3, 0), "quad": (5, 4, 0)}
+KINDS = {
+    "spring": (0, 2, 3),
+    "joint": (1, 2, 2),
+    "crossed": (2, 4, 3),
+    "altitude": (3, 4, 3),
+    "triangle": (4, 3, 0),
+    "quad": (5, 4, 0),
+}
 #: Families of a grid's springs in the engine's order; see grid_row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
 #: What a user's own force is called with: t, x, v, f and powers (or null); returns 0, or another number to end the run.

@@ -113,9 +113,7 @@ class Automatic(Integrator):
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
 
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
-    ) -> Advance:
+    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         memory = Choice.of(state)
         self._choose(memory, plan, state, duration)
         memory.wait -= 1.0

@@ -34,14 +34,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics.angles import sine_and_cosine
-from cloth_sim_ros.physics.hinge_shape import HingeShape
-from cloth_sim_ros.physics.surface import opposite_kept
 from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, gradient_squares
 from cloth_sim_ros.physics.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, gradient_squares
+from cloth_sim_ros.physics.hinge_shape import HingeShape
+from cloth_sim_ros.physics.surface import opposite_kept
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 
@@ -91,7 +91,7 @@ def grid_hinge_constants(
     if len(diagonals) == 2 * len(cells):  # both diagonals of every cell: both checkerboards
         across, along, diagonal = 0.5 * hy / hx, 0.5 * hx / hy, hx * hy / square
     else:
-        diagonal = 1.5 * _squared(square / (2.0 * hx * hy))
+        diagonal = 1.5 * (square / (2.0 * hx * hy)) * (square / (2.0 * hx * hy))
         across = 1.0 / (hx / hy - hy * hy / (square * diagonal))
         along = 1.0 / (hy / hx - hx * hx / (square * diagonal))
     return bending_modulus * np.select([along_column, along_row], [across, along], diagonal)
@@ -260,7 +260,9 @@ def _hinge_damping(
     )
     x = np.ascontiguousarray(points.transpose(0, 2, 1).reshape(3, -1))
     kind = "altitude" if blend else "crossed"
-    first, second, third, fourth = (gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), x, kind=kind) / mass[quads]).T
+    first, second, third, fourth = (
+        gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), x, kind=kind) / mass[quads]
+    ).T
     return damping * np.sqrt(2.0 * stiffness / (first + second + third + fourth))
 
 

@@ -33,7 +33,9 @@ class Book:
         self._powers = np.zeros(2)
         self._duration = 0.0
 
-    def add_runs(self, weights: Sequence[float], grips: Sequence[Array], powers: Sequence[Array], duration: float) -> None:
+    def add_runs(
+        self, weights: Sequence[float], grips: Sequence[Array], powers: Sequence[Array], duration: float
+    ) -> None:
         """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
         for weight, grip, power in zip(weights, grips, powers, strict=True):
             self._grips += weight * grip

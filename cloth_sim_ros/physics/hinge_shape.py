@@ -147,7 +147,11 @@ class HingeShape:
         return self.edge * self.height0 * self.height1
 
     def _distance2(self, t: ArrayLike) -> Array:
-        across = self.height0 * self.height0 + self.height1 * self.height1 + 2.0 * self.height0 * self.height1 * np.asarray(t)
+        across = (
+            self.height0 * self.height0
+            + self.height1 * self.height1
+            + 2.0 * self.height0 * self.height1 * np.asarray(t)
+        )
         return np.maximum(across + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
@@ -159,6 +163,10 @@ class HingeShape:
         b = np.zeros_like(a)
         for end in (np.zeros_like(self.edge), self.edge):
             one, two = self.foot0 - end, self.foot1 - end
-            a = a + (one * one + self.height0 * self.height0) * (two * two + self.height1 * self.height1) - (one * two) ** 2
+            a = (
+                a
+                + (one * one + self.height0 * self.height0) * (two * two + self.height1 * self.height1)
+                - (one * two) ** 2
+            )
             b = b + 2.0 * product * one * two
         return a, b, -2.0 * product * product

@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.surface import Surface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.surface import Surface
 
 #: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
 #: the network.
@@ -39,7 +38,7 @@ class MeshSheet:
         """Area of each triangle at rest [m^2], shape (m,)."""
         a, b, c = (self.rest[self.surface.triangles[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
-        return np.asarray(0.5 * np.sqrt(np.sum(normal * normal, axis=1)), dtype=np.float64)
+        return np.asarray(0.5 * np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2), dtype=np.float64)
 
     def masses(self, density: float) -> Array:
         """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""
@@ -49,8 +48,8 @@ class MeshSheet:
 
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
-    ) -> DeferredSprings:
-        """Return edge springs that make a sheet of Young's modulus Y [N/m], their lists made when they are asked for.
+    ) -> PairSprings:
+        """Return edge springs that make a sheet of Young's modulus Y [N/m].
 
         An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
         3(2), 1998), half of it at the border by

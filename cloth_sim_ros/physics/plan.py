@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a model to numbers: `compile(model)` gives the plan that integrators, the node and the tests all use.
 
-A plan is a list of parts (a grid's springs, listed springs and hinges, panels, held particles, what acts on every particle
-alike, and forces in numpy), whose forces, bounds, energies and costs add up. Which parts there are follows from the model
+A plan is a list of parts (a grid's springs, listed springs and hinges, panels, held particles, what acts on every
+particle
+alike, and forces in numpy), whose forces, bounds, energies and costs add up. Which parts there are follows from the
+model
 alone.
 """
 
@@ -19,7 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.band import fixed_sum
 from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
     CALLBACK,
@@ -38,16 +39,18 @@ from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import Gridded, Listed, Part, Uniform
+from cloth_sim_ros.physics.parts import Gridded, Listed
 
-#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that what
+#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that
+#: what
 #: is chosen by them is the same on any machine.
 MOVE = 2.0
 ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
 GRID_SPRING = 1.3
 #: The same of a force in numpy [ns a particle].
 NUMPY_FORCE = 100.0
-#: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched one's.
+#: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched
+#: one's.
 _STIFFER = 1.08
 #: Particles of a sheet from which a second thread gains more than meeting it costs. No bit depends on it.
 WORTH_A_THREAD = 3000
@@ -78,7 +81,7 @@ class Told(NamedTuple):
         return self.activity < float("inf")
 
 
-def compile(model: Model) -> Plan:  # noqa: A001 - the word of docs/design.md
+def compile(model: Model) -> Plan:
     """Return the plan of a model: the only way from a model to numbers.
 
     Raises:
@@ -127,7 +130,9 @@ class Plan:
         for force in model.forces:
             if isinstance(force, Grips):
                 if self._grips is not None:
-                    raise ValueError(f"two forces hold particles, '{self._grips.name}' and '{force.name}'; make them one")
+                    raise ValueError(
+                        f"two forces hold particles, '{self._grips.name}' and '{force.name}'; make them one"
+                    )
                 self._grips = force
             parts = force.parts(count)
             if parts is None:
@@ -160,7 +165,9 @@ class Plan:
         table[:, 3], table[:, 6] = 1.0, -1.0
         for part in gridded:
             if (part.rows, part.columns) != (rows, columns):
-                raise ValueError(f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles")
+                raise ValueError(
+                    f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles"
+                )
         for family in families:
             row = table[FAMILIES.index(family.name)]
             if row[0]:
@@ -301,7 +308,7 @@ class Plan:
                 f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of at least 1, the first odd where weak "
                 "springs alternate"
             )
-        self._steps[:count] = steps
+        self._steps[:count] = list(steps)
         noted = BOOKED_NUMBERS * self.gripper_count
         out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2))
         frame = self._frame
@@ -312,7 +319,7 @@ class Plan:
         frame.result = frame.told = None
         result = out[0]
         if weights is not None:
-            self._weights[:count] = weights
+            self._weights[:count] = list(weights)
             frame.told = ctypes.addressof(self._told)
             if count > 1:
                 result = np.empty((2, 3, n))
@@ -473,7 +480,7 @@ class Plan:
                 if powers:
                     powers[0] += force.dissipation(t, places, speeds)
                     powers[1] += force.supply(t, places, speeds)
-        except BaseException as trouble:  # noqa: BLE001 - it is raised again on the other side of the engine
+        except BaseException as trouble:
             self._trouble = trouble
             return 1
         return 0

@@ -49,7 +49,8 @@ def simulate(
         model: masses, forces and anchors; or a plan that was compiled of them before.
         state: where it starts; it stands at the end when this returns.
         until: time to end at [s].
-        save_at: times to keep positions and velocities of [s], ascending, from 0 to `until`; the end alone where left out.
+        save_at: times to keep positions and velocities of [s], ascending, from 0 to `until`; the end alone where left
+        out.
         tolerance: largest particle position error [m]; see docs/time_stepping.md. None takes steps by stability alone.
         integrator: how to step; chosen by stiffness and tolerance where left out.
 

@@ -21,10 +21,10 @@ import math
 
 import numpy as np
 
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance, restart
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.forces.force import Array
 
 #: Name in ``State.memory``: calm frames in a row, and whether the sheet sleeps, shape (2,), int64. It is not there
 #: while the sheet moves.

@@ -63,7 +63,7 @@ class FrameTransformer:
             if not 0 < stamp - self._found <= _BEHIND:
                 raise
         moved = rotation_matrix(turn) @ np.asarray(position) + translation
-        turned = None if orientation is None else tuple(product(turn, normalised(orientation)).tolist())
+        turned = None if orientation is None else product(turn.tolist(), normalised(orientation).tolist())
         return tuple(moved.tolist()), turned
 
     def newest(self, frame_id: str) -> tuple[tuple[float, ...], tuple[float, ...], int]:

@@ -67,11 +67,11 @@ class Force:
         """Return the power [W] that the force puts into the motion beside what its energy loses."""
         return 0.0
 
-    def add_stiffness(self, x: Array, blocks: Array) -> None:  # noqa: B027
+    def add_stiffness(self, x: Array, blocks: Array) -> None:
         """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
 
-    def add_damping(self, x: Array, blocks: Array) -> None:  # noqa: B027
+    def add_damping(self, x: Array, blocks: Array) -> None:
         """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
 
-    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:  # noqa: B027
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.engine.binding import FAMILIES, finite
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.parts import GridFamily, Gridded, Part
+from cloth_sim_ros.physics.parts import Gridded, GridFamily, Part
 
 #: Ends of a family's springs relative to the row and column that own it: (row, column) of each.
 ENDS = {
@@ -75,9 +75,7 @@ class GridSprings(Force):
         """The same springs as a list, made when it is first asked for."""
         pairs, numbers = zip(*(self._of(family) for family in self.families), strict=True)
         every = np.concatenate(numbers)
-        return PairSprings(
-            np.concatenate(pairs), every[:, 0], every[:, 1], every[:, 2], name=self.name, weak=self.weak
-        )
+        return PairSprings(np.concatenate(pairs), every[:, 0], every[:, 1], every[:, 2], name=self.name, weak=self.weak)
 
     @property
     def pairs(self) -> NDArray[np.int64]:

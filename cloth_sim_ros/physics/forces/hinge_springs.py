@@ -15,7 +15,6 @@ from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.parts import Listed, Part
 
 
-
 class HingeSprings(Force):
     """Springs on the signed length h [m] of hinges: energy κ̂ (h - h0)²/2, damping force -k_d (∇h·v) ∇h.
 

@@ -17,7 +17,8 @@ from cloth_sim_ros.physics.parts import Listed, Part
 class PairSprings(Force):
     """Damped springs by the lecture's law (S1), joints where the rest length is zero (S4).
 
-    F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s| on the far end, s its place seen from the near one; a joint's
+    F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s| on the far end, s its place seen from the near one; a
+    joint's
     is -k s - k_d ds/dt.
 
     Args:

@@ -31,7 +31,9 @@ class Wind(Force):
     def __init__(self, velocity: ArrayLike, rate: float) -> None:
         self.velocity: Array = finite("wind", velocity, (3,))
         #: Push on every particle [m/s^2], shape (3,).
-        self.acceleration: Array = finite("push of the wind", float(finite("drag rate", rate, (), least=0.0)) * self.velocity, (3,))
+        self.acceleration: Array = finite(
+            "push of the wind", float(finite("drag rate", rate, (), least=0.0)) * self.velocity, (3,)
+        )
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()

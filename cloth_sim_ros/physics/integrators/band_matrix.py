@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
-from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import UnstableError
 
 _Index = NDArray[np.int64]
 

@@ -64,9 +64,7 @@ class Integrator(ABC):
         """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate c/m [1/s]."""
 
     @abstractmethod
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
-    ) -> Advance:
+    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         """Advance ``state`` from time t [s] by duration [s].
 
         Its arrays of positions and velocities are replaced, not written into: who holds them holds the state before.

@@ -93,7 +93,10 @@ class Columns:
             self._make(columns)
         if columns not in self._combined:
             factors, runs = weights(self.counts[:columns]), self._runs[:columns]
-            self._combined[columns] = combine([run.x for run in runs], factors), combine([run.v for run in runs], factors)
+            self._combined[columns] = (
+                combine([run.x for run in runs], factors),
+                combine([run.v for run in runs], factors),
+            )
         return self._combined[columns]
 
     def told(self, columns: int) -> Told:

@@ -139,9 +139,7 @@ class ControlledAdvance:
 
     def _last_resort(self, rejected: int) -> Advance:
         self._memory.store(self._state)
-        done = last_resort(
-            self._plan, self._state, self._t, self._duration, self._book, instead_of=self._options.name
-        )
+        done = last_resort(self._plan, self._state, self._t, self._duration, self._book, instead_of=self._options.name)
         return done._replace(
             evaluations=self._evaluations + done.evaluations,
             limit=self._limit,

@@ -54,9 +54,7 @@ class Implicit(Integrator):
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
 
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
-    ) -> Advance:
+    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
 
         return ImplicitAdvance(self, plan, state, t, duration, book).run()

@@ -26,9 +26,7 @@ def within_reach(plan: Plan) -> bool:
     return plan.model.particle_count <= MOST_IMPLICIT
 
 
-def last_resort(
-    plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str
-) -> Advance:
+def last_resort(plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str) -> Advance:
     """Advance by implicit steps; at least one is flagged.
 
     Args:

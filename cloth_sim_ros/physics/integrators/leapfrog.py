@@ -48,7 +48,5 @@ class Leapfrog(Integrator):
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return leapfrog_limit(omega2, damping_rate)
 
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
-    ) -> Advance:
+    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         return ControlledAdvance(self, plan, state, t, duration, book).run()

@@ -26,7 +26,8 @@ _NEGLIGIBLE = 0.05
 class StageMatrix:
     """Matrix of one model, positive definite by construction: compression's negative stiffness is left out.
 
-    Springs and joints enter it as they are; of hinges, panels and forces in numpy it takes the particle blocks that bound
+    Springs and joints enter it as they are; of hinges, panels and forces in numpy it takes the particle blocks that
+    bound
     them, which slows the iteration. Particles that move are numbered so that coupled ones lie close together (reverse
     Cuthill-McKee), row by row on a grid.
     """

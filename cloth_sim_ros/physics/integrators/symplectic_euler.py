@@ -42,9 +42,7 @@ class SymplecticEuler(Integrator):
         half = 0.5 * damping_rate
         return 2.0 / (half + math.sqrt(half * half + omega2))
 
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None
-    ) -> Advance:
+    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         a = np.empty_like(state.x)
 
         def run(h: float, steps: int) -> int:
