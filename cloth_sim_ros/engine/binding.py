@@ -118,7 +118,8 @@ def library() -> ctypes.CDLL:
             return _prepared(path)
     names = ", ".join(str(path) for path in candidates)
     raise EngineError(
-        f"the engine is not built: there is no {names}; build it with `make engine`, or `pip install` or `colcon build` "
+        f"the engine is not built: there is no {names}; build it with `make engine`, or `pip install` or `colcon "
+        "build` 
         "the package, which need a C++ compiler (Debian and Ubuntu: g++)"
     )
 

@@ -50,7 +50,7 @@ class Book:
 
     @property
     def wrenches(self) -> Array:
-        """Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over time, shape (grippers, 6)."""
+        """Mean force [N] and torque [N m] of the cloth on each gripper about its pose, shape (grippers, 6)."""
         if self._duration == 0.0:
             return np.zeros((self.gripper_count, 6))
         mean: Array = self._grips[:, :6] / self._duration

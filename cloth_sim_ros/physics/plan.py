@@ -305,8 +305,8 @@ class Plan:
         count, n = len(steps), self.model.particle_count
         if not 1 <= count <= MOST_RUNS or min(steps) < 1 or (alternate and steps[0] % 2 == 0):
             raise ValueError(
-                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of at least 1, the first odd where weak "
-                "springs alternate"
+                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of at least 1, the first odd where "
+                "weak springs alternate"
             )
         self._steps[:count] = list(steps)
         noted = BOOKED_NUMBERS * self.gripper_count
@@ -352,7 +352,7 @@ class Plan:
         check(status)
 
     def rates(self, x: Array) -> tuple[float, float]:
-        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
+        """Return bounds of the squared highest angular frequency [1/s^2] and the highest damping rate c/m [1/s] at x."""
         self._sync()
         address, stiff, damped, blocks = doubles("x", x, self._shape), None, None, None
         if self._own:
@@ -411,7 +411,7 @@ class Plan:
         f += out * self.model.masses
 
     def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
-        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum over particles of u_i' B_i u_i."""
+        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i over particles."""
         self._sync()
         shape = (6, self.model.particle_count)
         addresses = doubles("stiff", stiff, shape), doubles("damped", damped, shape)
@@ -452,7 +452,7 @@ class Plan:
 
     @cached_property
     def alternate_share(self) -> float:
-        """Share of the step limit up to which weak springs of a sheet may be taken at every second step; 0 where they may
+        """Share of the step limit up to which a sheet's weak springs may be taken at every second step; 0 where they may
         not: see alternation.hpp.
         """
         # Of hinges nothing is known.

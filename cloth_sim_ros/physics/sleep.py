@@ -128,7 +128,7 @@ def wake(state: State) -> None:
 
 
 def all_below(vectors: Array, limit: float) -> bool:
-    """Return whether every vector of an array (3, n) is at most as long as the limit; False for one that is not finite."""
+    """Return whether every vector of an array (3, n) is at most as long as the limit; False if one is not finite."""
     # A sheet that moves is known by its last particle: the first ones are often anchored.
     x, y, z = vectors[:, -1].tolist()
     if not x * x + y * y + z * z <= limit * limit:

@@ -65,7 +65,7 @@ def holding(shape: tuple[int, int], factor: float, *, fixed_step: bool = False) 
 
 
 def try_frames(scene: Scene) -> float | None:
-    """Return what a step takes on this machine for one particle [s], as two frames of a cloth that is thrown away show it.
+    """Return what a step takes here for one particle [s], as two frames of a cloth that is thrown away show it.
 
     Raises:
         StepLimitError: if the scene's fixed step is above its limit.
