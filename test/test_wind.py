@@ -70,7 +70,7 @@ def test_a_panel_without_area_feels_nothing(corners):
     [
         (({"normal": -1.0, "tangential": 0.0}), "normal drag is -1"),
         (({"normal": 1.0, "tangential": float("nan")}), "tangential drag is nan"),
-        (({"normal": 1.0, "tangential": 0.0, "wind": (0.0, float("inf"), 0.0)}), "the wind is"),
+        (({"normal": 1.0, "tangential": 0.0, "wind": (0.0, float("inf"), 0.0)}), r"wind\[1\] is inf"),
     ],
 )
 def test_bad_coefficients_are_refused(arguments, words):

@@ -193,7 +193,7 @@ def _componentwise(x: Array) -> Array:
     return np.ascontiguousarray(x.reshape(-1, 3).T)
 
 
-def _come_to_rest(starts: Array, many: _Tetrahedra, step: float, limit: int) -> tuple[Array, Array]:
+def _come_to_rest(starts: Array, many: _Tetrahedra, step: float, limit: int) -> tuple[NDArray[np.int64], Array]:
     """Let all move until they rest, by the leapfrog; returns the steps of each and its latest rise of energy [J].
 
     They are looked at every `LOOK` steps: at rest is what was so at four looks in a row.

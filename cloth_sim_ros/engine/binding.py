@@ -119,8 +119,7 @@ def library() -> ctypes.CDLL:
     names = ", ".join(str(path) for path in candidates)
     raise EngineError(
         f"the engine is not built: there is no {names}; build it with `make engine`, or `pip install` or `colcon "
-        "build` 
-        "the package, which need a C++ compiler (Debian and Ubuntu: g++)"
+        "build` the package, which need a C++ compiler (Debian and Ubuntu: g++)"
     )
 
 
@@ -167,8 +166,10 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
     Raises:
         ValueError: for another shape or type, or an array that is not C-contiguous.
     """
-    if not isinstance(array, np.ndarray) or array.shape != shape:
-        raise ValueError(f"{name} has shape {np.shape(array)}; it must be {shape}")
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{name} is of type {type(array).__name__}; it must be an array of shape {shape}")
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
     # Asked first what is quickly told.
     if (array.dtype is not _DOUBLE and array.dtype != _DOUBLE) or not array.flags.c_contiguous:
         layout = "" if array.flags.c_contiguous else ", not C-contiguous"
@@ -176,8 +177,22 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
     return int(array.ctypes.data)
 
 
-def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf) -> Array:
-    """Return numbers as the engine takes them, one number standing for all.
+def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
+    """Return the address of an array that the engine may write.
+
+    Raises:
+        ValueError: as `doubles` does, and for an array that is read-only.
+    """
+    address = doubles(name, array, shape)
+    if not array.flags.writeable:
+        raise ValueError(f"{name} is read-only; results are written to it, so give another one")
+    return address
+
+
+def finite(
+    name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf, one_for_all: bool = True
+) -> Array:
+    """Return numbers as the engine takes them, one number standing for all unless said otherwise.
 
     Raises:
         ValueError: for another shape, or a number that is not finite or below the least.
@@ -186,11 +201,13 @@ def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.
         given = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} is {value!r}; it must be numbers") from error
-    if given.ndim and given.shape != shape:
-        raise ValueError(f"{name} has shape {given.shape}; it must be {shape}, or one number")
+    if given.shape != shape and (given.ndim or not one_for_all):
+        single = ", or one number" if shape and one_for_all else ""
+        raise ValueError(f"{name} has shape {given.shape}; it must be {shape or 'one number'}{single}")
     array = np.ascontiguousarray(np.broadcast_to(given, shape)).reshape(shape)
     wrong = np.argwhere(~(np.isfinite(array) & (array >= least)))
-    if wrong.size:
+    # The place of a single number is empty, and yet it is one.
+    if len(wrong):
         place = tuple(int(i) for i in wrong[0])
         limit = "finite" if least == -np.inf else f"finite and at least {least:g}"
         raise ValueError(f"{name}{list(place) if place else ''} is {array[place]}; it must be {limit}")
@@ -203,7 +220,10 @@ def indices(name: str, value: Any, columns: int, most: int) -> Indices:
     Raises:
         ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `most`.
     """
-    given = np.asarray(value)
+    try:
+        given = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"{name} has rows of different lengths; it must be (m, {columns})") from error
     if given.size and given.dtype.kind not in "iu":
         raise ValueError(f"{name} is of type {given.dtype}; particles are counted by whole numbers")
     if given.ndim != 2 and not given.size:
@@ -214,5 +234,6 @@ def indices(name: str, value: Any, columns: int, most: int) -> Indices:
     wrong = np.argwhere((array < 0) | (array >= most))
     if wrong.size:
         row, column = wrong[0]
-        raise ValueError(f"row {row} of {name} names particle {given[row, column]}; there are {most}, counted from 0")
+        known = f"there are {most}," if most < np.iinfo(np.int64).max else "they are"
+        raise ValueError(f"row {row} of {name} names particle {given[row, column]}; {known} counted from 0")
     return array

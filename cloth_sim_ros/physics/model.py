@@ -27,7 +27,10 @@ class Model:
     """
 
     def __init__(self, masses: ArrayLike, forces: Sequence[Force], *, anchors: Iterable[int] = ()) -> None:
-        self.masses: Array = np.array(masses, dtype=np.float64)
+        try:
+            self.masses: Array = np.array(masses, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"masses are {masses!r}; they must be numbers") from error
         if self.masses.ndim != 1 or self.masses.size == 0:
             raise ValueError(f"masses have shape {self.masses.shape}; give one mass a particle, at least one")
         wrong = np.flatnonzero(~(np.isfinite(self.masses) & (self.masses > 0.0)))
@@ -36,11 +39,17 @@ class Model:
                 f"mass of particle {wrong[0]} is {self.masses[wrong[0]]} kg; it must be finite and above 0"
             )
         self.forces = tuple(forces)
+        for force in self.forces:
+            if not isinstance(force, Force):
+                raise ValueError(f"{force!r} is among the forces; each must be a Force")
         names = [force.name for force in self.forces]
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"two forces are named '{name}'; give each its own name")
-        self.anchors = np.unique(np.fromiter(anchors, dtype=np.int64))
+        fixed = np.array(list(anchors))
+        if fixed.size and fixed.dtype.kind not in "iu":
+            raise ValueError(f"anchors {fixed.tolist()} are no whole numbers; give indices of particles")
+        self.anchors = np.unique(fixed.astype(np.int64))
         if self.anchors.size and not (self.anchors[0] >= 0 and self.anchors[-1] < self.particle_count):
             raise ValueError(f"anchors {self.anchors.tolist()} must lie between 0 and {self.particle_count - 1}")
         #: 1/m [1/kg], zero for anchored particles, shape (particle_count,).

@@ -12,6 +12,7 @@ alone.
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import weakref
 from collections.abc import Iterable, Sequence
@@ -34,6 +35,7 @@ from cloth_sim_ros.engine.binding import (
     finite,
     indices,
     library,
+    writable,
 )
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
@@ -41,8 +43,9 @@ from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import Gridded, Listed
 
-#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that
-#: what
+#: Steps of one run at most.
+MOST_STEPS = 2**31 - 1
+#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that what
 #: is chosen by them is the same on any machine.
 MOVE = 2.0
 ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
@@ -148,6 +151,8 @@ class Plan:
         check(self._library.cloth_plan_uniform(handle, gravity.ctypes.data, wind.ctypes.data, drag))
         self._drag = drag
         self._gridded = self._add_grid(handle, gridded)
+        #: Elements of each list; 0 where it is none of springs or joints.
+        self._pair_counts = [len(part.particles) if part.kind in ("spring", "joint") else 0 for part in listed]
         for part in listed:
             self._add_list(handle, part)
         if listed and not gridded:
@@ -224,6 +229,8 @@ class Plan:
         paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
         if paths.shape != (grips.gripper_count, PATH_NUMBERS):
             raise ValueError(f"paths have shape {paths.shape}; they must be {(grips.gripper_count, PATH_NUMBERS)}")
+        if not np.isfinite(paths).all():
+            raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
         if grips.changes != self._seen:
             self._hold(grips, paths)
         else:
@@ -231,7 +238,7 @@ class Plan:
         self._seen, self._moved = grips.changes, grips.moves
 
     def _hold(self, grips: Grips, paths: Array) -> None:
-        particles = indices("held particles", grips.particles.reshape(-1, 1), 1, self.model.particle_count)
+        particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self.model.particle_count)
         count = len(particles)
         owners = np.ascontiguousarray(grips.owners(), dtype=np.int64)
         if len(owners) != count:
@@ -303,12 +310,20 @@ class Plan:
         self._sync()
         x0, v0 = start
         count, n = len(steps), self.model.particle_count
-        if not 1 <= count <= MOST_RUNS or min(steps) < 1 or (alternate and steps[0] % 2 == 0):
+        known = 1 <= count <= MOST_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS
+        if not known or (alternate and steps[0] % 2 == 0):
             raise ValueError(
-                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of at least 1, the first odd where "
-                "weak springs alternate"
+                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of 1 to {MOST_STEPS}, the first "
+                "odd where weak springs alternate"
             )
-        self._steps[:count] = list(steps)
+        if not (math.isfinite(t) and math.isfinite(duration)):
+            raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
+        if weights is not None and len(weights) != count:
+            raise ValueError(f"{len(weights)} weights for {count} runs; give one a run")
+        try:
+            self._steps[:count] = list(steps)
+        except TypeError as error:
+            raise ValueError(f"runs of {list(steps)} steps; they must be whole numbers") from error
         noted = BOOKED_NUMBERS * self.gripper_count
         out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2))
         frame = self._frame
@@ -342,7 +357,7 @@ class Plan:
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""
         self._sync()
-        addresses = (doubles("x", x, self._shape), doubles("v", v, self._shape), doubles("out", out, self._shape))
+        addresses = (doubles("x", x, self._shape), doubles("v", v, self._shape), writable("out", out, self._shape))
         self._checked(self._library.cloth_accelerations(self._handle, t, *addresses))
 
     def _checked(self, status: int) -> None:
@@ -414,7 +429,7 @@ class Plan:
         """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i over particles."""
         self._sync()
         shape = (6, self.model.particle_count)
-        addresses = doubles("stiff", stiff, shape), doubles("damped", damped, shape)
+        addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
         check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
         damped[:3] += self._drag * self.model.masses
         if self._grips is not None:
@@ -429,14 +444,17 @@ class Plan:
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
         self._sync()
-        given = {"x": x, "v": v, "dx": dx, "dv": dv, "out": out}
+        given = {"x": x, "v": v, "dx": dx, "dv": dv}
         addresses = [doubles(name, array, self._shape) for name, array in given.items()]
+        addresses.append(writable("out", out, self._shape))
         check(self._library.cloth_product(self._handle, *addresses))
         for force in self._own:
             force.add_jacobian_product(t, x, v, dx, dv, out)
 
     def pair_blocks(self, number: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
         """Return blocks B (count, 6) of the plan's list of springs or joints of a number, see `StageMatrix`."""
+        if not 0 <= number < len(self._pair_counts) or self._pair_counts[number] != count:
+            raise ValueError(f"list {number} of {count} springs or joints; the plan has lists of {self._pair_counts}")
         out = np.empty((count, 6))
         address = doubles("x", x, self._shape)
         check(self._library.cloth_pair_blocks(self._handle, number, address, stiffness, damping, out.ctypes.data))
@@ -452,8 +470,8 @@ class Plan:
 
     @cached_property
     def alternate_share(self) -> float:
-        """Share of the step limit up to which a sheet's weak springs may be taken at every second step; 0 where they may
-        not: see alternation.hpp.
+        """Share of the step limit up to which a sheet's weak springs may be taken at every second step, see
+        alternation.hpp; 0 where they may not.
         """
         # Of hinges nothing is known.
         weak = any(force.weak and not isinstance(force, GridSprings) for force in self.model.forces)
@@ -488,14 +506,16 @@ class Plan:
 
 def largest_distance(x: Array, y: Array) -> float:
     """Return the largest distance between particles of two arrays (3, n) [m]; infinite if any entry is not finite."""
-    out = ctypes.c_double()
-    addresses = doubles("x", x, x.shape), doubles("y", y, x.shape)
+    out, shape = ctypes.c_double(), (3, *x.shape[1:2])
+    addresses = doubles("x", x, shape), doubles("y", y, shape)
     check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
     return float(out.value)
 
 
 def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
     """Return the weighted sum of arrays of one shape."""
+    if not arrays or len(arrays) != len(weights):
+        raise ValueError(f"{len(weights)} weights for {len(arrays)} arrays; give one an array, at least one")
     out = np.empty_like(arrays[0])
     places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
     factors = np.array(weights, dtype=np.float64)
@@ -508,7 +528,7 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
 def weighted_dot(masses: Array, a: Array, b: Array) -> float:
     """Return the sum over particles of m a . b, shapes (n,) and (3, n), in the order of the particles."""
     out, shape = ctypes.c_double(), (3, len(masses))
-    addresses = doubles("masses", masses, masses.shape), doubles("a", a, shape), doubles("b", b, shape)
+    addresses = doubles("masses", masses, (len(masses),)), doubles("a", a, shape), doubles("b", b, shape)
     check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))
     return float(out.value)
 

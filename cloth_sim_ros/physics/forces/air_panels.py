@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import indices
+from cloth_sim_ros.engine.binding import finite, indices
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.parts import Listed, Part
 
@@ -44,19 +44,14 @@ class AirPanels(Force):
     def __init__(
         self, panels: ArrayLike, *, normal: float, tangential: float, wind: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
-        self.panels = np.ascontiguousarray(panels, dtype=np.int64)
-        if self.panels.ndim != 2 or self.panels.shape[1] not in (3, 4) or not self.panels.size or self.panels.min() < 0:
-            raise ValueError(
-                f"air acts on a surface: give panels of three or four particles, counted from 0; got an array of shape "
-                f"{self.panels.shape}"
-            )
-        for what, value in (("normal", normal), ("tangential", tangential)):
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{what} drag is {value} N s/m^3; it must be finite and at least 0")
-        self.wind: Array = np.array(wind, dtype=np.float64).reshape(3)
-        if not np.isfinite(self.wind).all():
-            raise ValueError(f"the wind is {self.wind.tolist()} m/s; it must be finite")
-        self.normal, self.tangential = float(normal), float(tangential)
+        # As objects: rows of different lengths are told below.
+        corners = 4 if np.shape(np.asarray(panels, dtype=object))[1:] == (4,) else 3
+        self.panels = indices("panels", panels, corners, np.iinfo(np.int64).max)
+        if not len(self.panels):
+            raise ValueError("there are no panels; air acts on a surface: give panels of three or four particles")
+        self.normal = float(finite("normal drag", normal, (), least=0.0))
+        self.tangential = float(finite("tangential drag", tangential, (), least=0.0))
+        self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         panels = indices("panels", self.panels, self.panels.shape[1], particle_count)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cloth_sim_ros.engine.binding import indices
 from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
 
 
@@ -46,5 +47,9 @@ class CrossedSprings(HingeSprings):
         name: str = "crossed",
         weak: bool = False,
     ) -> None:
-        hinges = np.concatenate((np.reshape(edges, (-1, 2)), np.reshape(wings, (-1, 2))), axis=1)
+        first = indices(f"edges of '{name}'", edges, 2, np.iinfo(np.int64).max)
+        second = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
+        if len(first) != len(second):
+            raise ValueError(f"'{name}' has {len(first)} edges and {len(second)} pairs of wings; give one pair an edge")
+        hinges = np.concatenate((first, second), axis=1)
         super().__init__(hinges, rest_length, stiffness, damping, name=name, weak=weak)

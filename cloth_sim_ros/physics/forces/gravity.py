@@ -26,7 +26,7 @@ class Gravity(Force):
     name = "gravity"
 
     def __init__(self, acceleration: ArrayLike = (0.0, 0.0, -9.81)) -> None:
-        self.acceleration: Array = finite("acceleration", acceleration, (3,))
+        self.acceleration: Array = finite("acceleration", acceleration, (3,), one_for_all=False)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()

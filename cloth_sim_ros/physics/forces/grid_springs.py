@@ -42,6 +42,8 @@ class GridSprings(Force):
     """
 
     def __init__(self, rows: int, columns: int, families: Sequence[GridFamily], *, name: str = "grid") -> None:
+        if not isinstance(rows, int | np.integer) or not isinstance(columns, int | np.integer):
+            raise ValueError(f"a sheet of {rows!r} x {columns!r} particles; both must be whole numbers")
         if rows < 1 or columns < 1:
             raise ValueError(f"a sheet of {rows} x {columns} particles; it needs at least 1 x 1")
         names = [family.name for family in families]
@@ -50,7 +52,7 @@ class GridSprings(Force):
                 raise ValueError(f"no spring family '{family.name}'; there are {', '.join(FAMILIES)}")
             if names.count(family.name) > 1:
                 raise ValueError(f"family '{family.name}' is given {names.count(family.name)} times; give it once")
-            if not (np.isfinite(family.rest_length) and family.rest_length > 0.0):
+            if not float(finite(f"rest length of '{family.name}'", family.rest_length, ())) > 0.0:
                 raise ValueError(
                     f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0"
                 )
@@ -58,7 +60,7 @@ class GridSprings(Force):
                 finite(f"{what} of '{family.name}'", getattr(family, what), (), least=0.0)
             if family.parity not in (None, 0, 1):
                 raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
-        self.rows, self.columns, self.name = rows, columns, name
+        self.rows, self.columns, self.name = int(rows), int(columns), name
         self.families = tuple(sorted(families, key=lambda family: FAMILIES.index(family.name)))
         self.weak = bool(families) and all(family.weak for family in families)
         self.damped = any(family.damping > 0.0 for family in families)

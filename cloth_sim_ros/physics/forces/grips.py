@@ -32,7 +32,9 @@ class Grips(Force):
     damped = True
 
     def __init__(self, gripper_count: int) -> None:
-        self.gripper_count = gripper_count
+        if not isinstance(gripper_count, int | np.integer) or gripper_count < 0:
+            raise ValueError(f"gripper_count is {gripper_count!r}; it must be a whole number of at least 0")
+        self.gripper_count = int(gripper_count)
         paths = np.zeros((gripper_count, PATH_NUMBERS))
         paths[:, 16] = 1.0
         #: Count what is held anew, and new paths, so that a plan knows when to look.
@@ -79,7 +81,16 @@ class Grips(Force):
         return ()
 
     def owners(self) -> NDArray[np.int64]:
-        """Gripper of each grip, shape (m,)."""
+        """Gripper of each grip, shape (m,).
+
+        Raises:
+            ValueError: for starts that do not ascend from 0.
+        """
+        starts = np.asarray(self.starts)
+        if starts.shape != (self.gripper_count + 1,) or starts.dtype.kind not in "iu":
+            raise ValueError(f"starts are {starts.tolist()}; give {self.gripper_count + 1} whole numbers")
+        if starts[0] != 0 or (starts[1:] < starts[:-1]).any():
+            raise ValueError(f"starts are {starts.tolist()}; they must ascend from 0")
         return np.repeat(np.arange(self.gripper_count), np.diff(self.starts))
 
     def steady(self) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cloth_sim_ros.engine.binding import finite, indices
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 
 
@@ -39,8 +40,8 @@ class OppositeSprings(PairSprings):
         name: str = "opposite",
         weak: bool = False,
     ) -> None:
-        pairs = np.ascontiguousarray(wings, dtype=np.int64).reshape(-1, 2)
-        rest = np.broadcast_to(np.asarray(rest_length, dtype=np.float64), (len(pairs),))
+        pairs = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
+        rest = finite(f"rest_length of '{name}'", rest_length, (len(pairs),))
         wrong = np.flatnonzero(~(rest > 0.0))
         if wrong.size:
             raise ValueError(

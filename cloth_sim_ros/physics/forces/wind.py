@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
@@ -29,11 +30,11 @@ class Wind(Force):
     name = "wind"
 
     def __init__(self, velocity: ArrayLike, rate: float) -> None:
-        self.velocity: Array = finite("wind", velocity, (3,))
-        #: Push on every particle [m/s^2], shape (3,).
-        self.acceleration: Array = finite(
-            "push of the wind", float(finite("drag rate", rate, (), least=0.0)) * self.velocity, (3,)
-        )
+        self.velocity: Array = finite("wind", velocity, (3,), one_for_all=False)
+        pushed = float(finite("drag rate", rate, (), least=0.0))
+        with np.errstate(over="ignore"):
+            #: Push on every particle [m/s^2], shape (3,).
+            self.acceleration: Array = finite("push of the wind", pushed * self.velocity, (3,))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()
