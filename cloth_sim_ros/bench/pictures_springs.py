@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.physics.chain import Chain, SpringLaw
-from cloth_sim_ros.physics.dynamics import Dynamics
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.material import grid_threads
+from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.surface import LAYOUTS
 
 
 def mode_frequencies(chain: Chain) -> Array:
     """Angular frequencies [rad/s] of a chain's longitudinal modes, by the springs' own Jacobian, ascending."""
     model, state = chain.model(), chain.state()
-    springs = model.term("springs")
+    plan = compile(model)
     free = np.setdiff1d(np.arange(chain.particle_count), chain.anchors)
     columns = []
     for particle in free:
         push, out, nothing = (np.zeros_like(state.x) for _ in range(3))
         push[0, particle] = 1.0
-        springs.add_jacobian_product(0.0, state.x, state.v, push, nothing, out)
+        plan.add_jacobian_product(0.0, state.x, state.v, push, nothing, out)
         columns.append(-out[0, free] * model.inverse_masses[free])
     return np.asarray(np.sqrt(np.sort(np.linalg.eigvals(np.array(columns)).real)))
 
@@ -43,11 +43,11 @@ def draw_chain(pyplot: Any, folder: Path) -> Path:
     state.x[0] += 1e-3 * pulse
     state.v[0] = 2e-3 * c * (x0 - 1.0) / width**2 * pulse
     state.v[0, [0, -1]] = 0.0
-    dynamics, t = Dynamics(chain.model()), 0.0
+    plan, t = compile(chain.model()), 0.0
     for k in range(4):
         left.plot(x0, (state.x[0] - x0) * 1e3, label=f"t = {t * 1e3:.0f} ms")
         left.axvline(1.0 + c * t, color=f"C{k}", linewidth=0.8, linestyle=":")
-        Leapfrog().advance(dynamics, state, t, 0.6 / c)
+        Leapfrog().advance(plan, state, t, 0.6 / c)
         t += 0.6 / c
     left.set(xlabel="along the chain [m]", ylabel="displacement [mm]", title="A pulse, and where c says it is (dotted)")
     left.legend()
@@ -71,8 +71,8 @@ def draw_layouts(pyplot: Any, folder: Path) -> Path:
         threads = grid_threads(stretch_modulus=1000.0, shear_modulus=100.0, spacing=sheet.spacing, layout=layout)
         positions = sheet.positions()
         springs = sheet.springs(sheet.families(threads, k_d0=0.0, density=0.2))
-        for term, colour in zip(springs, ("C0", "C1"), strict=True):
-            for a, b in term.pairs:
+        for force, colour in zip(springs, ("C0", "C1"), strict=True):
+            for a, b in force.pairs:
                 axis.plot(*positions[[a, b], :2].T, color=colour, linewidth=1.0)
         axis.set_title(f"{layout}, Poisson {threads.poisson_ratio:.3f}", fontsize=9)
     sheet = GridSheet(height=1.0, width=1.0, rows=2, columns=2, layout="both")

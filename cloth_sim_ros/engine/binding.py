@@ -189,9 +189,7 @@ def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
     return address
 
 
-def finite(
-    name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf, one_for_all: bool = True
-) -> Array:
+def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf, one_for_all: bool = True) -> Array:
     """Return numbers as the engine takes them, one number standing for all unless said otherwise.
 
     Raises:
