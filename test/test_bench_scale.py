@@ -15,7 +15,7 @@ from cloth_sim_ros.simulation import Simulation
 
 def test_the_cost_of_a_matrix_is_known_before_it_is_made():
     scene = Scene.from_parameters({"cloth.resolution": [40, 40]})
-    matrix = stage_matrix.stage_matrix(scene.dynamics())
+    matrix = stage_matrix.stage_matrix(scene.model())
     rows, width = matrix.size
     assert rows == 39 * 40
     assert 40 <= width <= 45
@@ -25,7 +25,7 @@ def test_the_cost_of_a_matrix_is_known_before_it_is_made():
 def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
     scene = Scene.from_parameters({"cloth.resolution": [12, 12]})
 
-    def refuse(_dynamics):
+    def refuse(_model):
         raise AssertionError("a matrix was asked for")
 
     monkeypatch.setattr(stage_matrix, "stage_matrix", refuse)

@@ -14,8 +14,8 @@ from cloth_sim_ros.bench.speed_curtain import cores
 from cloth_sim_ros.scene import Scene
 from cloth_sim_ros.simulation import Simulation
 
-#: Of a frame of fixed work: the steps, whether they stayed finite, and what the next ones may be.
-NEEDED = {"_largest_rates": 1, "advance_sheet": 1, "all_finite": 1}
+#: Of a frame of fixed work: the steps, whether they stayed finite, and what the next ones may be, in one.
+NEEDED = {"frame": 1}
 VARIANTS = {variant.name: variant for variant in variants()}
 
 
@@ -49,19 +49,20 @@ def test_the_loop_made_by_hand_moves_as_the_simulation_to_the_last_bit(values):
         "error control: absent",
     ],
 )
-def test_a_frame_calls_the_kernels_that_it_needs_and_none_besides(name):
+def test_a_frame_is_one_call_of_the_engine(name):
     assert calls_of_a_frame(running(name)) == NEEDED
 
 
-def test_a_gripper_that_holds_is_part_of_the_steps():
-    # Its springs count in the bounds of what it holds.
-    of_held = {"_add_bounds": 1, "block_rates": 2}
-    assert calls_of_a_frame(running("gripper: active, holding")) == NEEDED | of_held
+@pytest.mark.parametrize("presence", ["holding", "turning"])
+def test_a_gripper_that_holds_is_part_of_it(presence):
+    # It tells the engine where its path leads.
+    told = {"plan_held": 1} if presence == "turning" else {}
+    assert calls_of_a_frame(running(f"gripper: active, {presence}")) == NEEDED | told
 
 
-def test_error_control_adds_a_look_at_the_end_and_at_rest():
+def test_error_control_adds_a_look_at_the_end():
     more = calls_of_a_frame(running("error control: active"), frames=1)
-    assert set(more) - set(NEEDED) <= {"largest_distance", "all_below", "any_further", "add_weighted"}
+    assert set(more) - set(NEEDED) <= {"distance", "combine", "rates"}
 
 
 def test_a_sleeping_frame_calls_nothing_and_takes_no_memory():
@@ -81,9 +82,9 @@ def test_a_frame_takes_the_room_of_the_state_that_it_makes():
     assert kept < 4000
 
 
-def test_springs_that_a_plan_stands_for_have_no_lists():
+def test_springs_of_a_sheet_have_no_lists():
     simulation = running("sleep: idle, moving")
-    assert not [term.name for term in simulation.model.terms if "pairs" in vars(term)]
+    assert not [force.name for force in simulation.model.forces if {"pairs", "listed"} & vars(force).keys()]
 
 
 @pytest.mark.parametrize(
@@ -117,6 +118,6 @@ def test_a_small_run_reports_ratios(tmp_path, capsys):
     status = main(["skip", "--only", "hand", "--sizes", "8", "--copies", "1", "--seconds", "0.01"])
     told = capsys.readouterr().out
     assert "| 8  | springs alone" in told or "| 8 | springs alone" in told
-    # At this size Python counts for more than the kernels: the promise is broken, and said to be.
+    # At this size Python counts for more than the engine: the promise is broken, and said to be.
     assert status == 1
     assert "NOT MET" in told

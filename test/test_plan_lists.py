@@ -80,7 +80,8 @@ BUILT = [name for name in libraries() if (Path(engine.__path__[0]) / f"_{name}.s
         ("default", {"tolerance": 1e-2}),
         ("grid, wind and air", {"cloth.resolution": [7, 9]}),
         ("grid, altitude, undamped", {}),
-        ("mesh, crossed", {"integrator": "implicit"}),
+        ("mesh, crossed", {}),
+        ("default", {"integrator": "implicit", "cloth.resolution": [7, 9]}),
         ("springs", {}),
     ],
 )

@@ -129,8 +129,8 @@ def test_what_a_scene_does_not_use_is_not_in_its_model():
             "material.damping": 0.0,
         }
     ).model()
-    assert [term.name for term in bare.terms] == ["structural"]
-    assert not bare.terms[0].damped
+    assert [force.name for force in bare.forces] == ["structural"]
+    assert not bare.forces[0].damped
 
 
 def test_mass_is_density_times_area_and_the_sheet_hangs_by_its_top():
@@ -152,17 +152,17 @@ def test_mass_is_density_times_area_and_the_sheet_hangs_by_its_top():
         ("altitude", ["opposite", "altitude"]),
     ],
 )
-def test_a_bending_model_is_its_terms_and_no_more(model, names):
+def test_a_bending_model_is_its_forces_and_no_more(model, names):
     modulus = 1e-4 if model in ("crossed", "altitude") else 0.0
     values = {"bending.model": model, "material.bending_modulus": modulus, "cloth.resolution": [5, 6]}
-    terms = [term.name for term in Scene.from_parameters(values).model().terms]
-    assert terms == ["structural", "shear", *names, "gravity", "drag", "grips"]
+    forces = [force.name for force in Scene.from_parameters(values).model().forces]
+    assert forces == ["structural", "shear", *names, "gravity", "drag", "grips"]
 
 
 def test_a_viscosity_replaces_the_dimensionless_damping_and_converges():
     def damping(rows):
         values = {"material.viscosity": 0.5, "cloth.resolution": [rows, rows]}
-        return Scene.from_parameters(values).model().terms[0].damping.max()
+        return Scene.from_parameters(values).model().force("structural").listed.damping.max()
 
     # k_d = (k_s / l0) viscosity / Y does not change with the resolution; constant k_d0 would halve it.
     assert damping(9) == pytest.approx(damping(5), rel=1e-12)

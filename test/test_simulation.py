@@ -241,7 +241,7 @@ def test_a_frame_that_fails_leaves_state_and_scene_as_they_were(monkeypatch):
     simulation.advance([Target("left", corner(simulation))])
     before, scene = simulation.state.digest(), simulation.scene
 
-    def fail(self, dynamics, state, *rest):
+    def fail(self, plan, state, *rest):
         state.x = np.full_like(state.x, np.nan)
         raise UnstableError("on purpose")
 

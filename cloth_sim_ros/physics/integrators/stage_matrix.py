@@ -38,14 +38,10 @@ class StageMatrix:
         springs, others = _split(model)
         #: Springs and joints alone, as lists; all else.
         self._springs, self._others = compile(Model(model.masses, springs)), compile(Model(model.masses, others))
-        self._pairs = [
-            np.ascontiguousarray(part.particles)
-            for force in springs
-            for part in force.parts(count) or ()
-            if isinstance(part, Listed)
-        ]
+        parts = [part for force in springs for part in force.parts(count) or () if isinstance(part, Listed)]
+        self._pairs = [np.ascontiguousarray(part.particles) for part in parts]
         moving = model.inverse_masses > 0.0
-        places, width = _order(self._band_pairs(), moving)
+        places, width = _order(self._band_pairs(parts), moving)
         self._matrix = BandMatrix(places, width, self._pairs)
 
     @property
@@ -53,14 +49,12 @@ class StageMatrix:
         """Block rows, and blocks in a row."""
         return self._matrix.count, self._matrix.width + 1
 
-    def _band_pairs(self) -> NDArray[np.int64]:
+    def _band_pairs(self, parts: list[Listed]) -> NDArray[np.int64]:
         """The pairs that the band has to hold: all but those that are negligible beside others at both their ends."""
-        # At coincident places a block is the stiffness times the unit matrix: the order does not depend on the state.
-        x = np.zeros((3, self._model.particle_count))
-        pairs = [np.empty((0, 2), dtype=np.int64), *self._pairs]
-        blocks = [np.empty((0, 6)), *self._blocks(x, 1.0, 0.0)]
-        ends, (xx, yy, zz) = np.concatenate(pairs), np.concatenate(blocks)[:, :3].T
-        size = xx + yy + zz
+        # A spring's k [N/m] and a joint's, wherever their ends are: the order does not depend on the state.
+        rigidities = [part.numbers[:, 1 if part.kind == "spring" else 0] for part in parts]
+        ends = np.concatenate([np.empty((0, 2), dtype=np.int64), *self._pairs])
+        size = np.concatenate([np.empty(0), *rigidities])
         largest = np.zeros(self._model.particle_count)
         for side in (0, 1):
             np.maximum.at(largest, ends[:, side], size)
