@@ -44,7 +44,6 @@ def test_the_loop_made_by_hand_moves_as_the_simulation_to_the_last_bit(values):
         "gravity: absent",
         "bending: absent",
         "gripper: absent",
-        "gripper: idle",
         "energy balance: absent",
         "error control: absent",
     ],
@@ -53,11 +52,10 @@ def test_a_frame_is_one_call_of_the_engine(name):
     assert calls_of_a_frame(running(name)) == NEEDED
 
 
-@pytest.mark.parametrize("presence", ["holding", "turning"])
-def test_a_gripper_that_holds_is_part_of_it(presence):
-    # It tells the engine where its path leads.
-    told = {"plan_held": 1} if presence == "turning" else {}
-    assert calls_of_a_frame(running(f"gripper: active, {presence}")) == NEEDED | told
+@pytest.mark.parametrize("presence", ["idle", "active, holding", "active, turning"])
+def test_a_gripper_is_part_of_it(presence):
+    # The engine is told where its path leads, and what it holds.
+    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"plan_held": 1}
 
 
 def test_error_control_adds_a_look_at_the_end():

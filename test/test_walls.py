@@ -18,20 +18,19 @@ PACKAGE = ROOT / "cloth_sim_ros"
 ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
 VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
 # What takes long to load, or is not there on a robot: only loaded where it is first needed.
-LATE = {"matplotlib", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *VIEWER}
+LATE = {"matplotlib", "numba", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *VIEWER}
 FILES = {"mcap", "rosbags", "yaml"}
 ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
 
 # Each room: the rooms it may load, and the libraries that must not come with it.
 WALLS: dict[str, tuple[set[str], set[str]]] = {
     # Arrays in, arrays out; and its build.py runs before anything is installed.
-    "engine": (set(), ROS | LATE | FILES | {"numba", "scipy", "tqdm"}),
-    # numba itself loads yaml where it finds it; that physics does not is seen below.
-    "physics": ({"engine"}, ROS | LATE | {"mcap", "rosbags", "tqdm"}),
+    "engine": (set(), ROS | LATE | FILES | {"scipy", "tqdm"}),
+    "physics": ({"engine"}, ROS | LATE | FILES | {"scipy", "tqdm"}),
     "scene": ({"engine", "physics"}, ROS | LATE | {"mcap", "rosbags"}),
     "simulation": ({"engine", "physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
-    "session": (set(), ROS | LATE | {"numba", "scipy"}),
-    "replay": ({"session"}, ROS | {"numba", "scipy"}),
+    "session": (set(), ROS | LATE | {"scipy"}),
+    "replay": ({"session"}, ROS | {"scipy"}),
     "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
     # A problem that scipy solves for comparison needs it from the start; the command loads the problem when asked.
     "bench": ({"engine", "physics", "scene", "simulation"}, ROS | LATE - {"scipy.sparse", "scipy.optimize"}),
@@ -116,14 +115,14 @@ def test_node_loads_on_a_robot_that_lacks_what_pip_installs() -> None:
     loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
 
 
-def test_replay_loads_without_ros_and_without_a_compiler() -> None:
+def test_replay_loads_without_ros_and_without_scipy() -> None:
     skip_without("replay")
-    loaded_by(modules_of("replay"), absent=ROS | {"numba", "scipy"})
+    loaded_by(modules_of("replay"), absent=ROS | {"scipy"})
 
 
 def test_importing_the_package_loads_next_to_nothing() -> None:
     loaded = loaded_by(["cloth_sim_ros"])
-    heavy = ROS | LATE | FILES | {"numpy", "scipy", "numba"}
+    heavy = ROS | LATE | FILES | {"numpy", "scipy"}
     assert not loaded & heavy
     assert not {room for room in ROOMS if f"cloth_sim_ros.{room}" in loaded}
 
