@@ -45,8 +45,8 @@ from cloth_sim_ros.physics.parts import Gridded, Listed
 
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
-#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that what
-#: is chosen by them is the same on any machine.
+#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that
+#: what is chosen by them is the same on any machine.
 MOVE = 2.0
 ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
 GRID_SPRING = 1.3
@@ -367,7 +367,7 @@ class Plan:
         check(status)
 
     def rates(self, x: Array) -> tuple[float, float]:
-        """Return bounds of the squared highest angular frequency [1/s^2] and the highest damping rate c/m [1/s] at x."""
+        """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
         self._sync()
         address, stiff, damped, blocks = doubles("x", x, self._shape), None, None, None
         if self._own:
@@ -426,7 +426,7 @@ class Plan:
         f += out * self.model.masses
 
     def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
-        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i over particles."""
+        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i."""
         self._sync()
         shape = (6, self.model.particle_count)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
