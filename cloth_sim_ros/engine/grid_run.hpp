@@ -47,12 +47,16 @@ public:
           pitch_(tables_.pitch), length_(row_length<T>(grid_.columns)),
           stride_(components<T> * pitch_) {
         const bool more = beside_.needed();
-        if (more) beside_.make(true);
         const std::int64_t most = std::max<std::int64_t>(1, grid_.rows / reach);
-        bands_ = more ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
+        bands_ = beside_.parallel() ? static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most)) : 1;
         levels_ = more ? 1 : levels();
         halo_ = reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
+        if (more) {
+            std::vector<std::int64_t> particles;
+            for (std::int64_t row : border_) particles.push_back(row * grid_.columns);
+            beside_.make(particles);
+        }
         state_.resize(std::max<std::size_t>(bands_, state_.size()));
         ring_.resize(state_.size());
         for (int b = 0; b < bands_; ++b) {
@@ -70,26 +74,23 @@ public:
 
     Done go() {
         const std::int64_t turns = 1 + (run_.steps + levels_ - 1) / levels_;
-        std::atomic<int> trouble{0};
-        const auto work = [&](int first, int last) {
-            for (std::int64_t turn = 0; turn < turns && !trouble; ++turn)
-                for (int b = first; b < last; ++b)
-                    if (take_turn(b, turn, turns) != Done::well) trouble = 1;
-        };
-        const int workers = bands_ == 1 ? 1 : std::min<int>(bands_, std::max(1u, std::thread::hardware_concurrency()));
-        Pool::shared().run(
-            workers, [&](int w) { work(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { work(0, bands_); });
-        if (trouble) return Done::callback_failed;
-        beside_.finish();
-        return Done::well;
+        const Done done = beside_.needed() ? go_together(turns) : go_apart(turns);
+        if (done == Done::well) beside_.finish();
+        return done;
     }
 
     /// One evaluation alone, at x0 and v0: accelerations come out in place of velocities.
     Done evaluate() {
         evaluates_ = true;
         load_band(0);
-        const Done done = sweep(0, -1, 1);
-        if (done == Done::well) unload_band(0);
+        Done done = Done::well;
+        if (beside_.needed()) {
+            export_rows(0);
+            done = beside_.forces(-1, 0);
+        }
+        if (done != Done::well) return done;
+        sweep(0, -1, 1);
+        unload_band(0);
         return done;
     }
 
@@ -120,26 +121,72 @@ private:
     }
     T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
 
-    Done take_turn(int b, std::int64_t turn, std::int64_t turns) {
+    /// Sheets with nothing beside: neighbours alone wait for each other.
+    Done go_apart(std::int64_t turns) {
+        const auto work = [&](int first, int last) {
+            for (std::int64_t turn = 0; turn < turns; ++turn)
+                for (int b = first; b < last; ++b) {
+                    begin(b, turn);
+                    end(b, turn, turns);
+                }
+        };
+        const int workers = std::min<int>(bands_, std::max(1u, std::thread::hardware_concurrency()));
+        Pool::shared().run(
+            workers, [&](int w) { work(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { work(0, bands_); });
+        return Done::well;
+    }
+    /// Listed elements may join any particles: all threads wait until all positions are known, and read.
+    Done go_together(std::int64_t turns) {
+        Done done = Done::well;
+        Barrier barrier(bands_);
+        const auto prepare = [&](int b, std::int64_t turn) {
+            begin(b, turn);
+            export_rows(b);
+        };
+        Pool::shared().run(
+            bands_,
+            [&](int b) {
+                for (std::int64_t turn = 0; turn < turns; ++turn) {
+                    prepare(b, turn);
+                    barrier.wait();
+                    beside_.forces(turn - 1, b);
+                    barrier.wait();
+                    end(b, turn, turns);
+                }
+            },
+            [&] {
+                for (std::int64_t turn = 0; turn < turns && done == Done::well; ++turn) {
+                    for (int b = 0; b < bands_; ++b) prepare(b, turn);
+                    for (int b = 0; b < bands_ && done == Done::well; ++b) done = beside_.forces(turn - 1, b);
+                    for (int b = 0; b < bands_ && done == Done::well; ++b) end(b, turn, turns);
+                }
+            });
+        return done;
+    }
+
+    /// A turn is the start, or one sweep of `levels` steps. First the band is loaded, or its neighbours' rows are taken in.
+    void begin(int b, std::int64_t turn) {
         if (turn == 0) {
             load_band(b);
-            const Done done = start(b);
-            if (done != Done::well) return done;
+            return;
+        }
+        for (int side : {b - 1, b + 1})
+            if (side >= 0 && side < bands_)
+                wait_until([&] { return done_[side].turns.load(std::memory_order_acquire) >= turn; });
+        take_in(b, turn - 1);
+    }
+    void end(int b, std::int64_t turn, std::int64_t turns) {
+        if (turn == 0) {
+            start(b);
         } else {
-            for (int side : {b - 1, b + 1})
-                if (side >= 0 && side < bands_)
-                    wait_until([&] { return done_[side].turns.load(std::memory_order_acquire) >= turn; });
-            take_in(b, turn - 1);
             const std::int64_t begin = (turn - 1) * levels_;
-            const Done done = sweep(b, begin, std::min<std::int64_t>(levels_, run_.steps - begin));
-            if (done != Done::well) return done;
+            sweep(b, begin, std::min<std::int64_t>(levels_, run_.steps - begin));
         }
         if (turn + 1 < turns)
             post(b, turn);
         else
             unload_band(b);
         done_[b].turns.store(turn + 1, std::memory_order_release);
-        return Done::well;
     }
 
     void load_band(int b) {
@@ -175,7 +222,7 @@ private:
     }
 
     /// The first half step: where no velocity has to be predicted, positions alone move.
-    Done start(int b) {
+    void start(int b) {
         if (mode_ == Mode::still) {
             const T half = static_cast<T>(0.5 * run_.step);
             for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
@@ -186,11 +233,11 @@ private:
                     at[j] = sizeof(T) == 4 ? end : fma(half, at[velocity * pitch_ + j], x);
                 }
             }
-            return Done::well;
+            return;
         }
         // Other bands are not known yet: the rows above and below are loaded from where all began.
         if (bands_ > 1) load_around(b);
-        return sweep(b, -1, 1);
+        sweep(b, -1, 1);
     }
     void load_around(int b) {
         const std::int64_t n = plan_.count, columns = grid_.columns;
@@ -208,13 +255,8 @@ private:
 
     /// Steps `begin` to `begin` + `levels` - 1 in one sweep. Next to a neighbour a step also moves the rows, two fewer with
     /// each step, that later ones will look at.
-    Done sweep(int b, std::int64_t begin, std::int64_t levels) {
+    void sweep(int b, std::int64_t begin, std::int64_t levels) {
         std::fill(ring_[b].begin(), ring_[b].end(), T(0));
-        if (beside_.needed()) {
-            export_rows(b);
-            const Done done = beside_.forces(begin);
-            if (done != Done::well) return done;
-        }
         const std::int64_t margin = reach * (levels - 1), first = border_[b], last = border_[b + 1];
         const std::int64_t from = std::max<std::int64_t>(first - margin - reach, 0);
         for (std::int64_t front = from; front < std::min(last, grid_.rows) + margin; ++front)
@@ -224,7 +266,6 @@ private:
                 if (row < std::max<std::int64_t>(top - reach, 0) || row >= std::min(last + here, grid_.rows)) continue;
                 step_row(b, level, row, row >= top, begin + level);
             }
-        return Done::well;
     }
     void step_row(int b, std::int64_t level, std::int64_t row, bool own, std::int64_t step) {
         RowPlace<T> at;
@@ -237,7 +278,7 @@ private:
         at.pitch = pitch_;
         at.length = length_;
         if (own && plan_.held.count()) pull_row(b, row, step, at);
-        if (own && beside_.needed()) add_beside(row, at.ring[0]);
+        if (own && beside_.needed()) add_beside(b, row, at.ring[0]);
         const double weak = weak_factor(run_, step);
         const TakeRow<T> take = weak == 0.0 ? fast_ : whole_;
         take(at, constants_[weak == 1.5 ? 1 : weak == 2.0 ? 2 : 0], evaluates_ ? evaluation<T> : motion_of<T>(run_, step), own);
@@ -257,7 +298,7 @@ private:
     }
 
     void export_rows(int b) {
-        for (std::int64_t row = 0; row < grid_.rows; ++row) {
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
             const T* const from = row_of(b, row);
             for (int what : {position, seen}) {
                 T* const to = (what == position ? beside_.x : beside_.v).data() + 4 * row * grid_.columns;
@@ -271,8 +312,8 @@ private:
             }
         }
     }
-    void add_beside(std::int64_t row, T* ring) {
-        const T* const from = beside_.f.data() + 4 * row * grid_.columns;
+    void add_beside(int b, std::int64_t row, T* ring) {
+        const T* const from = (*beside_.shares)[b].f.data() + 4 * row * grid_.columns;
         for (std::int64_t j = 0; j < grid_.columns; ++j)
             for (int c = 0; c < 3; ++c) ring[c * pitch_ + j] += from[4 * j + c];
     }

@@ -58,10 +58,10 @@ public:
         for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
 
-    /// The elements with particles renumbered by `rank`, in order of their lowest particle, spread; `nobody` is the number
-    /// of a particle that is none.
+    /// The elements with particles renumbered by `rank`, in order of their lowest particle, spread: those that a particle
+    /// from `first` to before `last` is a corner of. `nobody` is the number of a particle that is none.
     template <class T>
-    Elements<T> taken(const std::int64_t* rank, std::int64_t nobody) const {
+    Elements<T> taken(const std::int64_t* rank, std::int64_t nobody, std::int64_t first, std::int64_t last) const {
         std::vector<std::int64_t> lowest(count), order(count);
         for (std::int64_t e = 0; e < count; ++e) {
             lowest[e] = rank[corners[e * width]];
@@ -71,12 +71,19 @@ public:
         std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return lowest[a] < lowest[b]; });
         std::vector<std::int64_t> spread;
         spread.reserve(count);
-        for (std::int64_t first = 0; first < count; first += chunk * apart_by) {
-            const std::int64_t most = std::min(chunk * apart_by, count - first), rows = (most + apart_by - 1) / apart_by;
+        const auto touched = [&](std::int64_t e) {
+            for (int c = 0; c < width; ++c)
+                if (rank[corners[e * width + c]] >= first && rank[corners[e * width + c]] < last) return true;
+            return false;
+        };
+        for (std::int64_t begin = 0; begin < count; begin += chunk * apart_by) {
+            const std::int64_t most = std::min(chunk * apart_by, count - begin), rows = (most + apart_by - 1) / apart_by;
             for (std::int64_t i = 0; i < rows; ++i)
                 for (std::int64_t j = 0; j < apart_by; ++j)
-                    if (j * rows + i < most) spread.push_back(order[first + j * rows + i]);
+                    if (j * rows + i < most && touched(order[begin + j * rows + i]))
+                        spread.push_back(order[begin + j * rows + i]);
         }
+        const std::int64_t count = static_cast<std::int64_t>(spread.size());
         Elements<T> r;
         r.count = (count + 15) / 16 * 16;
         for (int c = 0; c < width; ++c) {

@@ -17,10 +17,20 @@ namespace cloth {
 using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
 
 /// What runs write into, kept from one to the next: memory that is new costs more than a short run.
+/// Particles that one thread looks after, and the listed elements that touch them: those at a border are taken by both
+/// sides, so that every particle's sum runs in one order.
+template <class T>
+struct Share {
+    std::int64_t first = 0, last = 0;  ///< its own particles
+    std::int64_t low = 0, high = 0;    ///< those that its elements touch
+    std::vector<Elements<T>> lists;
+    Array<T> f;
+};
 template <class T>
 struct Rooms {
     std::vector<Array<T>> state, ring, boxes;
-    Array<T> quads[3], more[3];
+    Array<T> quads[2], more[3];
+    std::vector<Share<T>> shares;
 };
 
 struct Plan {
@@ -36,8 +46,6 @@ struct Plan {
     Callback callback = nullptr;
     /// Where particles stand inside runs without a grid: neighbours close together.
     std::vector<std::int64_t> order, rank;
-    std::vector<Elements<double>> elements;
-    std::vector<Elements<float>> narrow_elements;
 
     Rooms<double> rooms;
     Rooms<float> narrow_rooms;
@@ -58,17 +66,51 @@ struct Plan {
             return narrow_tables;
         }
     }
+    /// The lists shared out among threads by borders between particles.
     template <class T>
-    const std::vector<Elements<T>>& taken() {
-        auto& all = [this]() -> auto& {
-            if constexpr (sizeof(T) == 8)
-                return elements;
-            else
-                return narrow_elements;
-        }();
-        for (std::size_t k = all.size(); k < lists.size(); ++k)
-            all.push_back(lists[k].template taken<T>(rank.data(), count));
+    std::vector<Share<T>>& shares(const std::vector<std::int64_t>& borders) {
+        auto& all = room<T>().shares;
+        bool known = all.size() + 1 == borders.size();
+        for (std::size_t k = 0; known && k < all.size(); ++k)
+            known = all[k].first == borders[k] && all[k].last == borders[k + 1] && all[k].lists.size() == lists.size();
+        if (known) return all;
+        all.assign(borders.size() - 1, Share<T>{});
+        for (std::size_t k = 0; k < all.size(); ++k) {
+            Share<T>& share = all[k];
+            share.first = share.low = borders[k];
+            share.last = share.high = borders[k + 1];
+            for (const List& list : lists) {
+                share.lists.push_back(list.template taken<T>(rank.data(), count, share.first, share.last));
+                const Elements<T>& elements = share.lists.back();
+                for (int c = 0; c < list.width; ++c)
+                    for (const std::uint32_t place : elements.corner[c]) {
+                        if (place / 4 == static_cast<std::uint64_t>(count)) continue;
+                        share.low = std::min<std::int64_t>(share.low, place / 4);
+                        share.high = std::max<std::int64_t>(share.high, place / 4 + 1);
+                    }
+            }
+            share.f.assign(4 * (count + 1), T(0));
+        }
         return all;
+    }
+    /// Borders between particles, as they stand inside runs, that share listed elements out evenly.
+    std::vector<std::int64_t> even_borders(int threads) const {
+        std::vector<double> work(count, 1.0);
+        double total = static_cast<double>(count);
+        for (const List& list : lists)
+            for (std::int64_t corner : list.corners) {
+                work[rank[corner]] += list.width;
+                total += list.width;
+            }
+        std::vector<std::int64_t> borders{0};
+        double done = 0.0;
+        for (std::int64_t i = 0; i < count; ++i) {
+            done += work[i];
+            const auto next = static_cast<double>(borders.size());
+            if (static_cast<int>(borders.size()) < threads && done >= total * next / threads) borders.push_back(i + 1);
+        }
+        while (static_cast<int>(borders.size()) <= threads) borders.push_back(count);
+        return borders;
     }
     double push(int axis) const { return gravity[axis] + wind[axis]; }
     /// Whether forces depend on velocities, and how.
@@ -127,37 +169,42 @@ struct Beside {
     Plan& plan;
     const Run& run;
     double origin[3] = {};
-    Array<T>&x, &v, &f;              ///< positions, velocities that damping sees, forces; a quad a particle
+    Array<T>&x, &v;                  ///< positions and velocities that damping sees, a quad a particle
+    std::vector<Share<T>>* shares = nullptr;  ///< with the forces
     std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
     std::vector<Pose> poses;
     std::vector<double> grips;  ///< (grips, booked_numbers)
 
     Beside(Plan& plan, const Run& run)
-        : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]), f(plan.room<T>().quads[2]) {
+        : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         poses = plan.held.poses(run.t, run.step, run.steps);
         grips.assign(plan.held.count() * booked_numbers, 0.0);
     }
     bool needed() const { return !plan.lists.empty() || plan.callback || run.powers; }
-    void make(bool forces) {
+    /// Whether several threads may take part.
+    bool parallel() const { return !plan.callback && !run.powers; }
+    void make(const std::vector<std::int64_t>& borders) {
+        shares = &plan.shares<T>(borders);
         x.assign(4 * (plan.count + 1), T(0));
         v.assign(4 * (plan.count + 1), T(0));
-        if (forces) f.assign(4 * (plan.count + 1), T(0));
         if (plan.callback || run.powers) {
             ox.resize(3 * plan.count);
             ov.resize(3 * plan.count);
             of.resize(3 * plan.count);
         }
     }
-    /// Forces of lists and of the caller at step `step`, in f; powers booked.
-    Done forces(std::int64_t step) {
-        std::fill(f.begin(), f.end(), T(0));
+    /// Forces of lists and of the caller on a share's particles at step `step`, in its f; powers booked.
+    Done forces(std::int64_t step, int number) {
+        Share<T>& share = (*shares)[number];
+        T* const f = share.f.data();
+        std::fill(f + 4 * share.low, f + 4 * share.high, T(0));
+        std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
         const T weak = static_cast<T>(weak_factor(run, step));
-        const auto& all = plan.taken<T>();
-        for (std::size_t k = 0; k < all.size(); ++k) {
+        for (std::size_t k = 0; k < share.lists.size(); ++k) {
             const T factor = plan.lists[k].weak ? weak : T(1);
-            if (factor != T(0)) add_forces<T>(plan.lists[k], all[k], x.data(), v.data(), f.data(), factor);
+            if (factor != T(0)) add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, factor);
         }
         if (!plan.callback && !run.powers) return Done::well;
         const std::int64_t n = plan.count;

@@ -36,6 +36,26 @@ inline void wait_until(F&& done) {
     }
 }
 
+/// Threads that wait for each other.
+class Barrier {
+public:
+    explicit Barrier(int threads) : threads_(threads) {}
+    void wait() {
+        const std::int64_t turn = turn_.load(std::memory_order_acquire);
+        if (come_.fetch_add(1, std::memory_order_acq_rel) + 1 == threads_) {
+            come_.store(0, std::memory_order_relaxed);
+            turn_.store(turn + 1, std::memory_order_release);
+        } else {
+            wait_until([&] { return turn_.load(std::memory_order_acquire) != turn; });
+        }
+    }
+
+private:
+    const int threads_;
+    std::atomic<int> come_{0};
+    std::atomic<std::int64_t> turn_{0};
+};
+
 class Pool {
 public:
     static Pool& shared() {

@@ -55,8 +55,8 @@ NUMPY_FORCE = 100.0
 #: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched
 #: one's.
 _STIFFER = 1.08
-#: Particles of a sheet from which a second thread gains more than meeting it costs. No bit depends on it.
-WORTH_A_THREAD = 3000
+#: Estimated time of a step [ns] from which a second thread gains more than meeting it costs. No bit depends on it.
+WORTH_A_THREAD = 25_000.0
 
 
 class Run(NamedTuple):
@@ -348,11 +348,12 @@ class Plan:
         return runs, (result[0], result[1], Told(self._told[0], *rates))
 
     def _threads(self, wanted: int | None) -> int:
-        if self._gridded is None:
-            return 1
+        """Threads of a run: a second one where a step is long enough to be worth meeting it."""
         if wanted is not None:
             return wanted
-        return min(2, _cores()) if self.model.particle_count >= WORTH_A_THREAD and self._gridded.rows >= 16 else 1
+        if self.step_cost * self.model.particle_count < WORTH_A_THREAD or (self._gridded and self._gridded.rows < 16):
+            return 1
+        return min(2, _cores())
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""

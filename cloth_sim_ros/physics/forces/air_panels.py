@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite, indices
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.parts import Listed, Part
 
 
-class AirPanels(Force):
+class AirPanels(EngineForce):
     """Linear drag of every panel relative to the air, shared evenly by its k corners.
 
         F = -A/k (c_n n n' + c_t (1 - n n')) (v - w)

@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cloth_sim_ros.engine.binding import finite
-from cloth_sim_ros.physics.forces.force import Force
+from cloth_sim_ros.physics.forces.force import EngineForce
 from cloth_sim_ros.physics.parts import Part, Uniform
 
 
-class Drag(Force):
+class Drag(EngineForce):
     """Air at rest slows each particle by the acceleration -rate v.
 
     Args:

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,3 +76,21 @@ class Force:
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
+
+
+class EngineForce(Force):
+    """A force of the engine's: it says what it consists of, and a plan says what that gives."""
+
+    @abstractmethod
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        """Return what the engine is to do.
+
+        Raises:
+            ValueError: if the force does not fit so many particles.
+        """
+
+    def _ask(self, *_: object) -> NoReturn:
+        raise TypeError(f"force '{self.name}' alone gives no numbers; ask compile(Model(masses, [force])), its plan")
+
+    _asked: Any = _ask
+    add_force = energy = dissipation = supply = add_stiffness = add_damping = add_jacobian_product = _asked

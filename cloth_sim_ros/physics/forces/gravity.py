@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.parts import Part, Uniform
 
 
-class Gravity(Force):
+class Gravity(EngineForce):
     """Weight m g of every particle; energy -m g . x.
 
     Args:

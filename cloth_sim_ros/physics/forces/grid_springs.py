@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import FAMILIES, finite
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.parts import Gridded, GridFamily, Part
 
@@ -26,7 +26,7 @@ ENDS = {
 }
 
 
-class GridSprings(Force):
+class GridSprings(EngineForce):
     """Families of springs of a sheet of `rows` times `columns` particles, numbered row * columns + column.
 
     The law is that of `PairSprings`; the engine takes all families of a sheet in one sweep over its rows.

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.parts import Part
 
 
-class Grips(Force):
+class Grips(EngineForce):
     """Zero-length springs between held particles and points fixed to moving grippers.
 
     ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A gripper's path is a

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import KINDS, check, doubles, finite, indices, library
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.parts import Listed, Part
 
 
-class HingeSprings(Force):
+class HingeSprings(EngineForce):
     """Springs on the signed length h [m] of hinges: energy κ̂ (h - h0)²/2, damping force -k_d (∇h·v) ∇h.
 
     `CrossedSprings` (S8) and `AltitudeSprings` (S9) say which length. Neither has forces that push or turn the whole.

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import finite, indices
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.parts import Listed, Part
 
 
-class PairSprings(Force):
+class PairSprings(EngineForce):
     """Damped springs by the lecture's law (S1), joints where the rest length is zero (S4).
 
     F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s| on the far end, s its place seen from the near one; a

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.parts import Part, Uniform
 
 
-class Wind(Force):
+class Wind(EngineForce):
     """Drag relative to the air is the acceleration -rate (v - w): that of `Drag`, and the constant push rate w of this.
 
     A constant force, and yet no potential energy: what it does on the cloth is the wind's work.
