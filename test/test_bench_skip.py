@@ -54,8 +54,8 @@ def test_a_frame_is_one_call_of_the_engine(name):
 
 @pytest.mark.parametrize("presence", ["idle", "active, holding", "active, turning"])
 def test_a_gripper_is_part_of_it(presence):
-    # The engine is told where its path leads, and what it holds.
-    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"plan_held": 1}
+    # The engine is told where its path leads.
+    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"plan_paths": 1}
 
 
 def test_error_control_adds_a_look_at_the_end():

@@ -60,7 +60,8 @@ def test_a_sheet_is_the_same_springs_listed_to_rounding(values):
     swept.plan.accelerations(0.0, x, v, one)
     plain.plan.accelerations(0.0, x, v, two)
     assert one == pytest.approx(two, abs=1e-12 * np.abs(two).max())
-    assert swept.plan.rates(x) == pytest.approx(plain.plan.rates(x), rel=1e-12)
+    # A sheet's bounds are calculated in single precision.
+    assert swept.plan.rates(x) == pytest.approx(plain.plan.rates(x), rel=1e-5)
     assert swept.plan.energies(0.0, x, v) == pytest.approx(plain.plan.energies(0.0, x, v), rel=1e-12)
     assert swept.plan.powers(0.0, x, v) == pytest.approx(plain.plan.powers(0.0, x, v), rel=1e-12)
     dx, dv = np.random.default_rng(5).standard_normal((2, *x.shape))

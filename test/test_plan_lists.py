@@ -192,5 +192,5 @@ def test_a_grip_on_a_particle_that_there_is_not_is_refused():
     grips = simulation.plan.grips
     one = np.ones(1)
     grips.hold(grips.paths, np.array([0, 1]), np.array([400]), np.zeros((1, 3)), one, one)
-    with pytest.raises(ValueError, match=r"grips hold particles \[400\]; there are 400"):
+    with pytest.raises(ValueError, match=r"held particles names particle 400; there are 400"):
         simulation.plan.rates(simulation.state.x)

@@ -123,7 +123,9 @@ def test_it_is_the_same_force(name, force):
     assert a == pytest.approx(b, abs=1e-12 * np.abs(a).max())
     assert f == pytest.approx(g, abs=1e-12 * np.abs(f).max())
     assert out == pytest.approx(other, abs=1e-5 * np.abs(out).max())
-    assert [energies, powers, rates] == [pytest.approx(values, rel=1e-10) for values in rest]
+    assert [energies, powers] == [pytest.approx(values, rel=1e-10) for values in rest[:2]]
+    # A sheet's bounds are calculated in single precision.
+    assert rates == pytest.approx(rest[2], rel=1e-5)
 
 
 @every_sheet

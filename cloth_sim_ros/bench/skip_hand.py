@@ -45,17 +45,10 @@ class HandMadeLoop:
         #: Steps of the newest frame.
         self.steps = 0
         self._counts = np.zeros(1, dtype=np.int64)
-        self._weights, self._told = np.ones(1), np.zeros(3)
-        self._runs = (ctypes.c_void_p * 1)(), (ctypes.c_void_p * 1)()
-        self._ends = np.empty_like(self.x), np.empty_like(self.v)
-        self._frame = Frame(
-            duration=self._period,
-            runs=1,
-            steps=self._counts.ctypes.data,
-            bands=1,
-            run_x=ctypes.addressof(self._runs[0]),
-            run_v=ctypes.addressof(self._runs[1]),
-        )
+        self._told = np.zeros(3)
+        #: Positions and velocities of the run that is made, and of the one before, which the next one starts from.
+        self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
+        self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1)
 
     def frame(self) -> None:
         """One frame: its start kept, as many steps as stability asks for, their end looked at.
@@ -63,8 +56,7 @@ class HandMadeLoop:
         Raises:
             ValueError: if the motion does not stay finite.
         """
-        self._frame.weights, self._frame.told = self._weights.ctypes.data, self._told.ctypes.data
-        self._frame.rates = 1
+        self._frame.told, self._frame.rates = self._told.ctypes.data, 1
         self.bare_frame()
         if not self._told[0] < np.inf:
             raise ValueError("the motion did not stay finite")
@@ -74,7 +66,7 @@ class HandMadeLoop:
         """The steps alone: nothing is kept, nothing is looked at."""
         self._counts[0] = self.steps = steps_for(self._period, SAFETY * self._limit)
         frame = self._frame
-        frame.x0, frame.v0 = self.x.ctypes.data, self.v.ctypes.data
-        self._runs[0][0], self._runs[1][0] = (end.ctypes.data for end in self._ends)
+        frame.x0, frame.v0, frame.out = self.x.ctypes.data, self.v.ctypes.data, self._ends[0].ctypes.data
         check(self._library.cloth_frame(self._handle, ctypes.byref(frame)))
-        (self.x, self.v), self._ends = self._ends, (self.x, self.v)
+        self.x, self.v = self._ends[0][0]
+        self._ends = self._ends[1], self._ends[0]
