@@ -108,15 +108,13 @@ class Pair:
     old: list[dict[str, Any]]
     new: list[dict[str, Any]]
 
-    @property
-    def ratios(self) -> list[float]:
-        """Seconds of the new over those of the old, round by round."""
-        return [b["seconds"] / a["seconds"] for a, b in zip(self.old, self.new, strict=True)]
+    def ratios(self, name: str = "seconds") -> list[float]:
+        """A figure of the new over that of the old, round by round."""
+        return [b[name] / a[name] for a, b in zip(self.old, self.new, strict=True)]
 
-    @property
-    def ratio(self) -> float:
+    def ratio(self, name: str = "seconds") -> float:
         """Median of the ratios."""
-        return statistics.median(self.ratios)
+        return statistics.median(self.ratios(name))
 
 
 def median(figures: Sequence[dict[str, Any]], name: str = "seconds") -> float:
