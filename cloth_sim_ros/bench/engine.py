@@ -97,8 +97,8 @@ def run(options: argparse.Namespace) -> Report:
         measure(first, sides, options, report)
     report.notes.append(
         f"old: {old.commit[:12]} with its own versions; medians of rounds in turns, new/old the median of the rounds' "
-        "ratios with the least and the most; steps and forces by processor time on one core, the rest by the wall clock "
-        "with the ratio of processor times beside it"
+        "ratios with the least and the most; steps and forces by processor time on one core, the rest by the wall "
+        "clock, with the ratio of processor times beside it"
     )
     return report
 
