@@ -213,6 +213,7 @@ def test_an_older_tree_is_made_once_and_anew_where_it_was_interrupted(
         installed.append(tree)
         python = environment / "bin" / "python"
         python.parent.mkdir(parents=True, exist_ok=True)
+        python.unlink(missing_ok=True)
         python.symlink_to(sys.executable)
 
     monkeypatch.setattr(old_tree, "_install", install)
@@ -223,10 +224,14 @@ def test_an_older_tree_is_made_once_and_anew_where_it_was_interrupted(
     assert old_tree.prepare(found.commit, said.append, folder=tmp_path / "kept", repository=repository) == found
     assert len(installed) == 1
     assert any("once" in text for text in said)
+    # It was interrupted before it was whole.
+    (found.tree.parent / "ready").unlink()
+    assert old_tree.prepare("HEAD", said.append, folder=tmp_path / "kept", repository=repository) == found
+    assert len(installed) == 2
     # The user has cleared the cache by hand; git still believes that there is a worktree.
     shutil.rmtree(tmp_path / "kept")
     assert old_tree.prepare("HEAD", said.append, folder=tmp_path / "kept", repository=repository) == found
-    assert len(installed) == 2
+    assert len(installed) == 3
 
 
 def test_without_the_history_the_error_says_how_to_get_it(repository: Path, tmp_path: Path) -> None:
