@@ -1,0 +1,281 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the same scenes give the same bits whatever the processor, C library, numpy or compiler. Run by `make bits`.
+
+Small scenes, which together use every force, both precisions, several orders and all integrators, run in processes that
+differ in what bits must not depend on. Each frame's state and wrenches are compared. Exit status 1 tells that something
+differs, in which scene and from which frame on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import platform
+import runpy
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+ENGINE = ROOT / "cloth_sim_ros" / "engine"
+
+#: Processor features that the C library is told to do without.
+_HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX,-AVX512F,-AVX2_Usable,-FMA_Usable"
+#: Fresh memory is filled with a pattern: what reads it unwritten shows.
+_PERTURB = "glibc.malloc.perturb=165"
+
+_GRID = {"cloth.resolution": [9, 8], "cloth.size": [0.4, 0.35], "gripper.radius": 0.08}
+_BENT = {"material.bending_modulus": 1e-4, "material.stretch_modulus": 100.0, "material.shear_modulus": 10.0}
+#: Parameters of each scene. Positions and turns come from fractions, not from sines: what is asked is what the package
+#: computes, not what the test's own numbers are.
+SCENES: dict[str, dict[str, Any]] = {
+    "axial springs": _GRID,
+    "opposite springs": {**_GRID, "bending.model": "opposite", "bending.stiffness": 0.5},
+    "crossed springs": {**_GRID, **_BENT, "bending.model": "crossed"},
+    "altitude springs": {**_GRID, **_BENT, "bending.model": "altitude", "bending.rest_angle": 0.4},
+    "wind on a surface": {
+        **_GRID,
+        "wind.velocity": [3.0, 1.0, 0.3],
+        "wind.normal_drag": 1.0,
+        "wind.tangential_drag": 0.05,
+        "diagnostics.energy": True,
+    },
+    "implicit": {
+        **_GRID,
+        "cloth.resolution": [6, 7],
+        "integrator": "implicit",
+        "material.stretch_modulus": 3e4,
+        "material.shear_modulus": 3e3,
+    },
+    "loose tolerance": {**_GRID, "cloth.resolution": [24, 24], "cloth.size": [1.0, 1.0], "tolerance": 3e-3},
+    "tight tolerance": {**_GRID, "cloth.resolution": [6, 6], "tolerance": 1e-9},
+    "mesh": {
+        "cloth.mesh": "sheet.obj",
+        "cloth.anchors": ["0", "6"],
+        "bending.model": "opposite",
+        "gripper.radius": 0.1,
+    },
+    "raw springs": {"cloth.springs": "net.yaml", "cloth.anchors": ["0"], "bending.model": "none"},
+    "two threads": {**_GRID, "cloth.resolution": [64, 64], "cloth.size": [1.0, 1.0], "tolerance": 0.0},
+}
+#: Share of the frames that a scene runs where a frame of it takes longer.
+_SHARE = {"two threads": 0.2, "tight tolerance": 0.5}
+
+
+class Way(NamedTuple):
+    """One way to run all scenes."""
+
+    name: str
+    environment: dict[str, str]
+    #: Why this machine can't; empty where it can.
+    why_not: str = ""
+    #: Whether only one processor may be used.
+    alone: bool = False
+
+
+class Difference(NamedTuple):
+    """A scene that two ways do not run alike."""
+
+    scene: str
+    way: str
+    frame: int
+
+    def __str__(self) -> str:
+        return f"{self.scene}: {self.way} differs from frame {self.frame} on"
+
+
+def sheet() -> bytes:
+    """A triangle mesh of 7 x 7 vertices, none exactly where a grid's would be."""
+    lines = []
+    for row in range(7):
+        for column in range(7):
+            away = ((5 * row + 3 * column) % 7 - 3) / 200.0
+            lines.append(f"v {column / 15.0 + away!r} {row / 15.0 - 0.7 * away!r} 0.0")
+    for row in range(6):
+        for column in range(6):
+            a = 7 * row + column + 1
+            lines += [f"f {a} {a + 1} {a + 8}", f"f {a} {a + 8} {a + 7}"]
+    return "\n".join(lines).encode()
+
+
+def net() -> bytes:
+    """Springs in two strands that joints hold together, as a springs file."""
+    places = [[k / 10.0, 0.0, 0.0] for k in range(12)] + [[k / 10.0, 0.1, (k % 3) / 30.0] for k in range(12)]
+    strands = [[k, k + 1] for k in range(11)] + [[k, k + 1] for k in range(12, 23)]
+    cross = [[k, 12 + k] for k in range(1, 12, 2)]
+    joints = [[0, 12], [10, 22]]
+    tables = {
+        "positions": places,
+        "masses": 0.01,
+        "springs": strands + cross + joints,
+        "rest_lengths": [0.1] * (len(strands) + len(cross)) + [0.0] * len(joints),
+        "stiffness": 20.0,
+        "k_d0": 0.1,
+        "velocities": [[0.0, 0.0, k / 50.0] for k in range(24)],
+    }
+    return json.dumps(tables).encode()
+
+
+FILES: dict[str, Callable[[], bytes]] = {"sheet.obj": sheet, "net.yaml": net}
+
+
+def frames_of(scene: str, frames: int) -> Iterator[str]:
+    """Run a scene here; the digest of state and wrenches after each frame."""
+    import xxhash
+
+    from cloth_sim_ros.events import Event, Grasp, SetParameters, Target
+    from cloth_sim_ros.scene import Scene
+    from cloth_sim_ros.simulation import Simulation
+
+    values = SCENES[scene]
+    files = {name: FILES[name]() for name in values.values() if isinstance(name, str) and name in FILES}
+    simulation = Simulation(Scene.from_parameters(values, files=files))
+    held = simulation.positions[-1]
+    count = max(1, round(frames * _SHARE.get(scene, 1.0)))
+    for k in range(count):
+        share = k / count
+        aside = (-0.3 * share, -0.35 * share, 0.3 * share * (1.0 - share))
+        place = tuple(float(a + b) for a, b in zip(held, aside, strict=True))
+        events: list[Event] = [Target("gripper", place, (share / 3.0, 0.0, share, 1.0))]
+        if k == count // 8:
+            events.append(Grasp("gripper", True))
+        if k == count // 2:
+            events.append(SetParameters({"air.drag": 0.7, "wind.velocity": [0.5, 1.0, 0.0]}))
+        if k == 7 * count // 8:
+            events.append(Grasp("gripper", False))
+        frame = simulation.advance(events)
+        wrenches = xxhash.xxh3_64_hexdigest(frame.wrenches.tobytes())
+        yield f"{simulation.state.digest()} {wrenches}"
+
+
+def run_here(scenes: Sequence[str], frames: int) -> None:
+    """Run scenes in this process and print what it is, and their digests, as JSON."""
+    from cloth_sim_ros.engine.binding import engine_name
+
+    told = {"engine": engine_name(), "digests": {scene: list(frames_of(scene, frames)) for scene in scenes}}
+    print(json.dumps(told))
+
+
+def run_apart(way: Way, frames: int, *, scenes: Sequence[str] = tuple(SCENES), python: str = sys.executable) -> Any:
+    """Run scenes in a process of their own; what `run_here` printed.
+
+    Raises:
+        RuntimeError: if the process fails.
+    """
+    command = [python, str(Path(__file__).resolve()), "--frames", str(frames), "--here", *scenes]
+    if way.alone:
+        command = ["taskset", "-c", str(min(os.sched_getaffinity(0))), *command]
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "PYTHONPATH": path, **way.environment}
+    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"{way.name}: {done.stderr[-2000:]}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def compare(first: dict[str, list[str]], other: dict[str, list[str]], way: str) -> list[Difference]:
+    """The scenes that do not come out alike, each with its first frame that differs."""
+    differences = []
+    for scene, digests in first.items():
+        unlike = [k for k, (a, b) in enumerate(zip(digests, other[scene], strict=True), start=1) if a != b]
+        if unlike:
+            differences.append(Difference(scene, way, unlike[0]))
+    return differences
+
+
+def ways() -> list[Way]:
+    """The ways that need nothing but what is installed; the first is that of this machine."""
+    known = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()
+    found = [Way(known[0], {"CLOTH_SIM_ROS_ENGINE": known[0]})]
+    for name in {"x86_64": ("baseline", "avx2", "avx512"), "aarch64": ("neon",)}[platform.machine()]:
+        if name == known[0]:
+            continue
+        why_not = "" if name in known else "this processor has no such vectors"
+        found.append(Way(name, {"CLOTH_SIM_ROS_ENGINE": name}, why_not))
+    features = numpy_features()
+    plain = {
+        "GLIBC_TUNABLES": f"{_HWCAPS}:{_PERTURB}",
+        "NPY_DISABLE_CPU_FEATURES": " ".join(features),
+        "OPENBLAS_CORETYPE": "PRESCOTT",
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONHASHSEED": "1",
+    }
+    found.append(Way("plain C library and numpy", plain))
+    alone = "" if shutil.which("taskset") else "there is no taskset"
+    found.append(Way("one processor", {"PYTHONHASHSEED": "2"}, alone, alone=True))
+    return found
+
+
+def numpy_features() -> list[str]:
+    """What numpy finds in this processor and can do without."""
+    major = int(np.__version__.split(".")[0])
+    inside = importlib.import_module(f"numpy.{'core' if major < 2 else '_core'}._multiarray_umath")
+    return [name for name in inside.__cpu_dispatch__ if inside.__cpu_features__.get(name)]
+
+
+def built_by_other_compilers(folder: Path) -> list[Way]:
+    """The engine built anew by each compiler that is here, with the widest vectors that run here."""
+    name = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()[0]
+    found = []
+    for compiler in ("g++", "clang++"):
+        label = f"{name} by {compiler}"
+        if shutil.which(compiler) is None:
+            found.append(Way(label, {}, f"there is no {compiler}"))
+            continue
+        place = folder / compiler
+        command = [sys.executable, str(ENGINE / "build.py"), "--only", name, "--folder", str(place)]
+        done = subprocess.run(command, env={**os.environ, "CXX": compiler}, check=False, capture_output=True, text=True)
+        why_not = done.stderr.strip()[-300:] if done.returncode else ""
+        found.append(Way(label, {"CLOTH_SIM_ROS_ENGINE": str(place / f"_{name}.so")}, why_not))
+    return found
+
+
+def main() -> int:
+    """Run everything and tell; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=300, help="frames of each scene (default: 300)")
+    parser.add_argument("--python", action="append", default=[], help="another interpreter, with its own numpy")
+    parser.add_argument("--here", nargs="+", metavar="SCENE", help="run scenes in this process and print their digests")
+    options = parser.parse_args()
+    if options.frames < 1:
+        parser.error(f"--frames is {options.frames}; at least 1 is needed")
+    if options.here:
+        run_here(options.here, options.frames)
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        found = [(way, sys.executable) for way in [*ways(), *built_by_other_compilers(Path(folder))]]
+        found += [(Way(python, {}), python) for python in options.python]
+        return tell(found, options.frames)
+
+
+def tell(found: Sequence[tuple[Way, str]], frames: int) -> int:
+    """Run each way, print how it compares with the first, and return the exit status."""
+    first: dict[str, list[str]] | None = None
+    status = 0
+    for way, python in found:
+        if way.why_not:
+            print(f"{way.name}: left out, {way.why_not}", flush=True)
+            continue
+        told = run_apart(way, frames, python=python)
+        first = first or told["digests"]
+        differences = compare(first, told["digests"], way.name)
+        status = 1 if differences else status
+        total = sum(len(digests) for digests in first.values())
+        same = f"{way.name} ({told['engine']}): {total} frames of {len(first)} scenes"
+        print(f"{same}, {len(differences)} scenes differ" if differences else f"{same}, the same bits", flush=True)
+        for difference in differences:
+            print(f"  {difference}", flush=True)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
