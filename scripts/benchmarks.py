@@ -36,7 +36,7 @@ HEAD = """# Benchmarks
 
 Made by `make benchmarks`, which runs the commands below; nothing here is written by hand. Each section names the
 machine, the versions and the commit that it was measured with. NOT MET marks what was demanded and missed. What the
-figures mean: docs/time_stepping.md, docs/kernels.md.
+figures mean: docs/time_stepping.md, docs/engine.md.
 """
 
 

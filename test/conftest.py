@@ -21,7 +21,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# Discovery takes up to 2.6 s, a first import with compiled kernels up to half a minute on a busy machine.
+# Discovery takes up to 2.6 s, a first import some seconds on a busy machine.
 PATIENCE = 60.0
 
 

@@ -288,8 +288,8 @@ import sys
 from cloth_sim_ros.replay.main import main
 assert 'rerun' not in sys.modules
 assert main([{str(session)!r}, '--save', {str(tmp_path / "out.rrd")!r}]) == 0
-rooms = ('physics', 'scene', 'simulation', 'ros')
-foreign = ('rclpy', 'numba', 'scipy', *('cloth_sim_ros.' + room for room in rooms))
+rooms = ('engine', 'physics', 'scene', 'simulation', 'ros')
+foreign = ('rclpy', 'scipy', *('cloth_sim_ros.' + room for room in rooms))
 print([name for name in sys.modules if any(name == other or name.startswith(other + '.') for other in foreign)])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A thread for what may take long, so that a signal is heard meanwhile.
 
-Python handles signals between two instructions of the main thread: while that is inside compiled code, they wait. A
+Python handles signals between two instructions of the main thread: while that is inside the engine, they wait. A
 main thread that waits for another one hears them at once.
 """
 
@@ -72,7 +72,7 @@ class Aside:
                 return self._outcomes.get(timeout=_GLANCE)
 
     def end_process(self, status: int) -> NoReturn:
-        """End the process, although a job that was left may still be inside compiled code.
+        """End the process, although a job that was left may still be inside the engine.
 
         The interpreter's own end would take the ground from under it.
         """

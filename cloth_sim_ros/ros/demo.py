@@ -34,8 +34,8 @@ from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.ros.stopping import StopSignals
 
 _NODE = "/cloth_sim"
-#: The first start compiles the kernels, on a slow machine for long [s].
-_START_LIMIT = 180.0
+#: A busy machine takes long to load everything [s].
+_START_LIMIT = 60.0
 #: The cloth settles for this long after the script has ended [s].
 _SETTLING = 1.0
 _STOP_LIMIT = 10.0

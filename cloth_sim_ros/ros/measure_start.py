@@ -3,8 +3,8 @@
 """Start of a live cloth: from the start of its process to the first cloud at a subscriber that waits for it.
 
 `python -m cloth_sim_ros.ros.measure_start` starts `cloth_sim` so often, each time in a namespace of its own. The first
-start, which may compile kernels, is told apart: the others find them in the cache. Beside the wall time stands the
-processor time that the process had taken by then: where the machine is busy, the wall time is above it.
+start, which reads the libraries from the disk, is told apart: the others find them in memory. Beside the wall time
+stands the processor time that the process had taken by then: where the machine is busy, the wall time is above it.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-#: Longest wait for a first cloud [s]: a first start compiles.
-_PATIENCE = 300.0
-#: What is asked of a start with a warm cache [s].
+#: Longest wait for a first cloud [s].
+_PATIENCE = 60.0
+#: What is asked of a start whose libraries are in memory [s].
 GOAL = 2.0
 
 
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0, or 1 where the median of the warm starts is above the goal.
     """
     parser = argparse.ArgumentParser(prog="python -m cloth_sim_ros.ros.measure_start", description=__doc__)
-    parser.add_argument("--starts", type=int, default=5, help="starts with a warm cache (default: 5)")
+    parser.add_argument("--starts", type=int, default=5, help="starts with the libraries in memory (default: 5)")
     parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
     options = parser.parse_args(arguments)
     if options.starts < 1:

@@ -11,7 +11,7 @@ from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene import Scene
 
-#: Most particle steps in a frame: about a second of the slowest kernels.
+#: Most particle steps in a frame: about a second of the slowest forces.
 MOST_WORK = 20_000_000
 #: Steps that any cloth may take, however large: who asks for a million particles waits.
 ALWAYS = 1000

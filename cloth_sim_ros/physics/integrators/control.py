@@ -47,7 +47,7 @@ ALTERNATE_SHARE = 0.75
 #: Where no more than this part of it is lost by that, the time to the next judgement grows faster.
 QUICK = 0.3
 #: In motion that changes a stretch no less than by this part of the distances within the sheet: where the budget has
-#: no room for it, it is not measured, and its code not compiled.
+#: no room for it, it is not measured.
 ALTERNATE_LEAST = 3e-6
 #: Below this rounding rules [m]: a difference of combinations says nothing.
 ROUNDING = 2e-14
