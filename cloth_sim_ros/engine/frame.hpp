@@ -104,8 +104,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
 /// One evaluation of all forces over masses; zero where anchored.
 inline Done accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     // A step that kicks a cloth at rest for a second and moves nothing: its velocities are the accelerations.
-    std::vector<double> places(3 * plan.count);
-    const Run run{t, 1.0, 0, false, false, 1, x, v, places.data(), out, nullptr, nullptr};
+    const Run run{t, 1.0, 0, false, false, 1, x, v, nullptr, out, nullptr, nullptr};
     return plan.grid ? GridRun<double>(plan, run).evaluate() : evaluate_lists(plan, run);
 }
 

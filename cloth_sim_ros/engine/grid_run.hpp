@@ -60,7 +60,7 @@ public:
         state_.resize(std::max<std::size_t>(bands_, state_.size()));
         ring_.resize(state_.size());
         for (int b = 0; b < bands_; ++b) {
-            state_[b].assign((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T), T(0));
+            state_[b].resize((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T));
             ring_[b].resize(levels_ * 9 * pitch_ + 64 / sizeof(T));
         }
         boxes_.resize(std::max<std::size_t>((bands_ - 1) * 4, boxes_.size()));
@@ -189,20 +189,30 @@ private:
         done_[b].turns.store(turn + 1, std::memory_order_release);
     }
 
+    /// Every number of a band is written, so that what was there before makes no difference.
     void load_band(int b) {
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) load_row(b, row, true);
+        const std::int64_t size = static_cast<std::int64_t>(state_[b].size());
+        T* const begin = state_[b].data();
+        std::fill(begin, row_of(b, border_[b]), T(0));
+        std::fill(row_of(b, border_[b + 1]), begin + size, T(0));
+    }
+    void load_row(int b, std::int64_t row, bool whole) {
         const std::int64_t n = plan_.count, columns = grid_.columns;
-        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
-            T* const to = row_of(b, row);
-            for (int c = 0; c < 3; ++c) {
-                const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
-                const double origin = beside_.origin[c];
-                for (std::int64_t j = 0; j < columns; ++j) {
-                    to[(position + c) * pitch_ + j] = static_cast<T>(x[j] - origin);
-                    to[(velocity + c) * pitch_ + j] = evaluates_ ? T(0) : static_cast<T>(v[j]);
-                    to[(seen + c) * pitch_ + j] = static_cast<T>(v[j]);
-                }
-            }
+        T* const to = row_of(b, row);
+        const auto put = [&](int slot, const double* from, double origin) {
+            T* const at = to + slot * pitch_;
+            for (std::int64_t j = 0; j < columns; ++j) at[j] = static_cast<T>(from[j] - origin);
+            std::fill(at + columns, at + pitch_, T(0));
+        };
+        for (int c = 0; c < 3; ++c) {
+            const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
+            put(position + c, x, beside_.origin[c]);
+            put(seen + c, v, 0.0);
+            if (whole && !evaluates_) put(velocity + c, v, 0.0);
         }
+        if (evaluates_) std::fill(to + velocity * pitch_, to + (velocity + 3) * pitch_, T(0));
+        if (whole) std::fill(to + last * pitch_, to + stride_, T(0));
     }
     void unload_band(int b) {
         const std::int64_t n = plan_.count, columns = grid_.columns;
@@ -211,12 +221,12 @@ private:
             for (int c = 0; c < 3; ++c) {
                 const std::int64_t at = c * n + row * columns;
                 const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
-                const T* const carry = sizeof(T) == 4 ? from + (carried + c) * pitch_ : nullptr;
-                for (std::int64_t j = 0; j < columns; ++j) {
-                    const double x_ = ended<T>(run_.x0[at + j], beside_.origin[c], x[j], carry ? carry[j] : T(0));
-                    if (run_.v) run_.v[at + j] = ended<T>(run_.v0[at + j], 0.0, v[j], T(0));
-                    run_.x[at + j] = x_;
-                }
+                const T* const carry = from + (sizeof(T) == 4 ? carried + c : 0) * pitch_;
+                const double* const x0 = run_.x0 + at;
+                for (std::int64_t j = 0; run_.x && j < columns; ++j)
+                    run_.x[at + j] = ended<T>(x0[j], beside_.origin[c], x[j], sizeof(T) == 4 ? carry[j] : T(0));
+                const double* const v0 = run_.v0 + at;
+                for (std::int64_t j = 0; run_.v && j < columns; ++j) run_.v[at + j] = ended<T>(v0[j], 0.0, v[j], T(0));
             }
         }
     }
@@ -240,17 +250,8 @@ private:
         sweep(b, -1, 1);
     }
     void load_around(int b) {
-        const std::int64_t n = plan_.count, columns = grid_.columns;
-        for (std::int64_t row = border_[b] - reach; row < border_[b + 1] + reach; ++row) {
-            if (row < 0 || row >= grid_.rows || (row >= border_[b] && row < border_[b + 1])) continue;
-            T* const to = row_of(b, row);
-            for (int c = 0; c < 3; ++c)
-                for (std::int64_t j = 0; j < columns; ++j) {
-                    const std::int64_t at = c * n + row * columns + j;
-                    to[(position + c) * pitch_ + j] = static_cast<T>(run_.x0[at] - beside_.origin[c]);
-                    to[(seen + c) * pitch_ + j] = static_cast<T>(run_.v0[at]);
-                }
-        }
+        for (std::int64_t row = border_[b] - reach; row < border_[b + 1] + reach; ++row)
+            if (row >= 0 && row < grid_.rows && (row < border_[b] || row >= border_[b + 1])) load_row(b, row, false);
     }
 
     /// Steps `begin` to `begin` + `levels` - 1 in one sweep. Next to a neighbour a step also moves the rows, two fewer with

@@ -78,7 +78,9 @@ struct Spring {
     template <class V>
     static CLOTH_INLINE Sym3<V> matrix(const Params<V>& p, const Vec3<V>* d, V stiffness, V damping) {
         const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(shortest_square)));
-        const V across = stiffness * larger(fma(-p.ks, inverse, p.k), V{});
+        // Between coincident ends any direction may be the spring's.
+        const V tension = select(norm2(d[0]) > V{}, larger(fma(-p.ks, inverse, p.k), V{}), p.k);
+        const V across = stiffness * tension;
         return outer(stiffness * p.k + damping * p.c - across, inverse * d[0], across);
     }
 };

@@ -118,9 +118,21 @@ inline typename Law::template Params<V> law_params(const V* numbers, const doubl
                 Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
 }
 
-/// Add the forces of all elements at positions x and velocities v to f, all quads by particle; times a factor if Scaled.
-template <class Law, class T, bool Damped, bool Scaled>
-inline void add_forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, T factor) {
+/// Sums of powers that elements lose and are given, each of every sixteenth element, whatever the vectors' width.
+struct Powers {
+    double lost[16] = {}, given[16] = {};
+    double sum(const double (&parts)[16]) const {
+        double total = 0.0;
+        for (double part : parts) total += part;
+        return total;
+    }
+};
+
+/// Add the forces of all elements at positions x and velocities v to f, all quads by particle; times a factor if Scaled,
+/// and with what they lose and are given if Watched.
+template <class Law, class T, bool Damped, bool Scaled, bool Watched>
+inline void add_forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, T factor,
+                       [[maybe_unused]] Powers* powers) {
     using V = vec<T>;
     constexpr int L = lanes<T>, C = Law::corners, given = Law::own_velocities ? C : C - 1;
     const std::uint32_t* corner[C];
@@ -151,7 +163,16 @@ inline void add_forces(const Elements<T>& list, const double* common, const T* x
             }
         V numbers[3];
         for (int p = 0; p < Law::params; ++p) numbers[p] = load(param[p] + e);
-        Law::force(law_params<Law, V>(numbers, common), d, u, g, Damped);
+        const auto params = law_params<Law, V>(numbers, common);
+        Law::force(params, d, u, g, Damped);
+        if constexpr (Watched && Damped) {
+            const V lost = Law::lost(params, d, u);
+            for (int k = 0; k < L; ++k) powers->lost[(e + k) & 15] += static_cast<double>(lost[k]);
+            if constexpr (Law::own_velocities) {
+                const V given_ = Law::given(params, d, u);
+                for (int k = 0; k < L; ++k) powers->given[(e + k) & 15] += static_cast<double>(given_[k]);
+            }
+        }
         quad<T> out[C][L];
         for (int c = 0; c < given; ++c) {
             const Vec3<V> s = Scaled ? scale * g[c] : g[c];
@@ -171,20 +192,24 @@ inline void add_forces(const Elements<T>& list, const double* common, const T* x
 }
 
 template <class T>
-inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor) {
+inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor,
+                       Powers* powers) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
-        const auto add = [&](auto damped, auto scaled) {
-            add_forces<Law, T, damped.value, scaled.value>(taken, list.common, x, v, f, factor);
+        const auto add = [&](auto damped, auto scaled, auto watched) {
+            add_forces<Law, T, damped.value, scaled.value, watched.value>(taken, list.common, x, v, f, factor, powers);
         };
         constexpr std::true_type yes;
         constexpr std::false_type no;
-        if (factor != T(1))
-            add(yes, yes);
-        else if (Law::own_velocities || list.damped)
-            add(yes, no);
+        const bool damped = Law::own_velocities || list.damped;
+        if (powers && damped)
+            add(yes, yes, yes);
+        else if (factor != T(1))
+            add(yes, yes, no);
+        else if (damped)
+            add(yes, no, no);
         else if constexpr (!Law::own_velocities)
-            add(no, no);
+            add(no, no, no);
     });
 }
 

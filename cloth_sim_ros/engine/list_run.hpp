@@ -105,9 +105,8 @@ private:
             for (std::int64_t i = 0; i < n; ++i) {
                 const std::int64_t at = 4 * plan_.rank[i] + c, k = c * n + i;
                 const T carry = sizeof(T) == 4 ? carry_[at] : T(0);
-                const double x = ended<T>(run_.x0[k], beside_.origin[c], beside_.x[at], carry);
+                if (run_.x) run_.x[k] = ended<T>(run_.x0[k], beside_.origin[c], beside_.x[at], carry);
                 if (run_.v) run_.v[k] = ended<T>(run_.v0[k], 0.0, velocity_[at], T(0));
-                run_.x[k] = x;
             }
         beside_.finish();
     }

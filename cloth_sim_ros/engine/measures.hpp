@@ -36,10 +36,9 @@ inline Energy energy_of(const Plan& plan, double t, const double* x, const doubl
     return e;
 }
 
-inline void powers(const Plan& plan, const double* x, const double* v, double& lost, double& given) {
+inline void other_powers(const Plan& plan, const double* x, const double* v, double& lost, double& given) {
     const std::int64_t n = plan.count;
     if (plan.grid) lost += grid_lost(*plan.grid, plan.tables, x, v);
-    for (const List& list : plan.lists) list_power(list, x, v, n, lost, given);
     const Vec3<double> wind{plan.wind[0], plan.wind[1], plan.wind[2]};
     const bool blows = norm2(wind) > 0.0;
     if (plan.drag == 0.0 && !blows) return;
@@ -51,6 +50,11 @@ inline void powers(const Plan& plan, const double* x, const double* v, double& l
     }
     lost += plan.drag * slowed;
     given += pushed;
+}
+
+inline void powers(const Plan& plan, const double* x, const double* v, double& lost, double& given) {
+    for (const List& list : plan.lists) list_power(list, x, v, plan.count, lost, given);
+    other_powers(plan, x, v, lost, given);
 }
 
 /// Wrench, work and loss rates of the joints at time t: (grippers, booked_numbers), summed up.

@@ -160,8 +160,8 @@ inline double weak_factor(const Run& run, std::int64_t step) {
 }
 inline double middle_of(const Run& run, std::int64_t step) { return step < 0 ? run.t : run.t + (step + 0.5) * run.step; }
 
-/// Powers that damping and drag take and that wind gives at x and v, (3, n); joints of grippers aside.
-void powers(const Plan& plan, const double* x, const double* v, double& lost, double& given);
+/// Powers that a sheet's damping and drag take and that wind gives at x and v, (3, n); lists and joints of grippers aside.
+void other_powers(const Plan& plan, const double* x, const double* v, double& lost, double& given);
 
 /// What a run keeps between its steps of the parts that are not a sheet's own springs: particles as quads.
 template <class T>
@@ -202,9 +202,11 @@ struct Beside {
         std::fill(f + 4 * share.low, f + 4 * share.high, T(0));
         std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
         const T weak = static_cast<T>(weak_factor(run, step));
+        const bool booked = run.powers && step >= 0;
+        Powers seen;
         for (std::size_t k = 0; k < share.lists.size(); ++k) {
             const T factor = plan.lists[k].weak ? weak : T(1);
-            if (factor != T(0)) add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, factor);
+            if (factor != T(0)) add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, factor, booked ? &seen : nullptr);
         }
         if (!plan.callback && !run.powers) return Done::well;
         const std::int64_t n = plan.count;
@@ -214,15 +216,14 @@ struct Beside {
                 ox[c * n + i] = origin[c] + static_cast<double>(x[at]);
                 ov[c * n + i] = static_cast<double>(v[at]);
             }
-        double now[2] = {};
-        const bool booked = run.powers && step >= 0;
+        double now[2] = {seen.sum(seen.lost), seen.sum(seen.given)};
         if (plan.callback) {
             std::fill(of.begin(), of.end(), 0.0);
             double* const asked = booked ? now : nullptr;
             if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data(), asked)) return Done::callback_failed;
         }
         if (booked) {
-            powers(plan, ox.data(), ov.data(), now[0], now[1]);
+            other_powers(plan, ox.data(), ov.data(), now[0], now[1]);
             run.powers[0] += run.step * now[0];
             run.powers[1] += run.step * now[1];
         }
