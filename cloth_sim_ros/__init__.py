@@ -8,7 +8,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.events import Grasp, Pause, Relax, Reset, SetParameters, Step, Target
     from cloth_sim_ros.physics.forces.air_panels import AirPanels
     from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
     from cloth_sim_ros.physics.forces.crossed import CrossedSprings
@@ -30,8 +29,9 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.plan import Plan, compile
     from cloth_sim_ros.physics.simulate import Motion, simulate
     from cloth_sim_ros.physics.state import State
-    from cloth_sim_ros.scene import Scene
-    from cloth_sim_ros.simulation import Frame, Simulation
+    from cloth_sim_ros.scene.scene import Scene
+    from cloth_sim_ros.simulation.events import Grasp, Pause, Relax, Reset, SetParameters, Step, Target
+    from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 __version__ = "0.2.0"
 
@@ -44,8 +44,8 @@ _PLACES = {
     "Drag": "physics.forces.drag",
     "Extrapolated": "physics.integrators.extrapolated",
     "Force": "physics.forces.force",
-    "Frame": "simulation",
-    "Grasp": "events",
+    "Frame": "simulation.simulation",
+    "Grasp": "simulation.events",
     "Gravity": "physics.forces.gravity",
     "GridFamily": "physics.parts",
     "GridSprings": "physics.forces.grid_springs",
@@ -56,18 +56,18 @@ _PLACES = {
     "Motion": "physics.simulate",
     "OppositeSprings": "physics.forces.opposite",
     "PairSprings": "physics.forces.pair_springs",
-    "Pause": "events",
+    "Pause": "simulation.events",
     "Plan": "physics.plan",
-    "Relax": "events",
-    "Reset": "events",
-    "Scene": "scene",
-    "SetParameters": "events",
+    "Relax": "simulation.events",
+    "Reset": "simulation.events",
+    "Scene": "scene.scene",
+    "SetParameters": "simulation.events",
     "simulate": "physics.simulate",
-    "Simulation": "simulation",
+    "Simulation": "simulation.simulation",
     "State": "physics.state",
-    "Step": "events",
+    "Step": "simulation.events",
     "SymplecticEuler": "physics.integrators.symplectic_euler",
-    "Target": "events",
+    "Target": "simulation.events",
     "UnstableError": "physics.integrators.base",
     "Wind": "physics.forces.wind",
 }

@@ -132,9 +132,9 @@ def frames_of(scene: str, frames: int) -> Iterator[str]:
     """Run a scene here; the digest of state and wrenches after each frame."""
     import xxhash
 
-    from cloth_sim_ros.events import Event, Grasp, SetParameters, Target
-    from cloth_sim_ros.scene import Scene
-    from cloth_sim_ros.simulation import Simulation
+    from cloth_sim_ros.scene.scene import Scene
+    from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
+    from cloth_sim_ros.simulation.simulation import Simulation
 
     values = SCENES[scene]
     files = {name: FILES[name]() for name in values.values() if isinstance(name, str) and name in FILES}

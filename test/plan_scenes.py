@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay
 
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 def sheet_of_triangles(count: int = 400, seed: int = 0) -> bytes:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from session_maker import SessionMaker
 
-from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target
-from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.writer import WriterOptions
-from cloth_sim_ros.simulation import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target
+from cloth_sim_ros.simulation.simulation import EventError
 
 _ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"], [""])
 

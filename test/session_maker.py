@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros import parameter_file
-from cloth_sim_ros.environment import environment
-from cloth_sim_ros.events import Event, Grasp, Target, to_dict
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import encode, encode_string, message_class
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.layouts import Qos
 from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.simulation.environment import environment
+from cloth_sim_ros.simulation.events import Event, Grasp, Target, to_dict
+from cloth_sim_ros.simulation.simulation import Simulation
 
 NODE = "/cloth_sim"
 #: ROS time of every made session's start [ns]: any fixed number will do.

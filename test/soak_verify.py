@@ -17,8 +17,8 @@ from pathlib import Path
 from random_sessions import make_random_session
 from tqdm import tqdm
 
-from cloth_sim_ros.verify import describe
-from cloth_sim_ros.verify_run import verify
+from cloth_sim_ros.verify.main import describe
+from cloth_sim_ros.verify.run import verify
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -22,8 +22,8 @@ from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.bench.old_tree import OldTree
 from cloth_sim_ros.bench.peer_environment import EnvironmentUnusable
 from cloth_sim_ros.bench.report import Report
-from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.scene.scene import Scene
 
 ROOT = Path(__file__).resolve().parent.parent
 

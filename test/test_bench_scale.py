@@ -7,10 +7,10 @@ import json
 import pytest
 
 from cloth_sim_ros.bench.main import main
-from cloth_sim_ros.physics import automatic
-from cloth_sim_ros.physics.integrators import last_resort, stage_matrix
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.physics.control import automatic, last_resort
+from cloth_sim_ros.physics.integrators import stage_matrix
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 def test_the_cost_of_a_matrix_is_known_before_it_is_made():

@@ -11,8 +11,8 @@ from cloth_sim_ros.bench.skip_counts import bytes_of_a_frame, calls_of_a_frame, 
 from cloth_sim_ros.bench.skip_hand import HandMadeLoop
 from cloth_sim_ros.bench.skip_scenes import BARE, FORCES, Running, swinging, variants
 from cloth_sim_ros.bench.speed_curtain import cores
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Of a frame of fixed work: the steps, whether they stayed finite, and what the next ones may be, in one.
 NEEDED = {"frame": 1}

@@ -11,17 +11,17 @@ from support.alone import force as force_of
 
 from cloth_sim_ros.bench.bending_patterns import grid_patch, plate_of, triangle_patch
 from cloth_sim_ros.bench.bending_recovery import RESTS, rest_shape
-from cloth_sim_ros.physics.bending_calibration import (
+from cloth_sim_ros.physics.forces.hinge_springs import signed_lengths
+from cloth_sim_ros.physics.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.sheets.bending import (
     added_membrane,
     bending_terms,
     grid_hinge_constants,
     mesh_hinge_constants,
     spring_constants,
 )
-from cloth_sim_ros.physics.forces.hinge_springs import signed_lengths
-from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-from cloth_sim_ros.physics.hinge_shape import HingeShape
-from cloth_sim_ros.physics.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
+from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
+from cloth_sim_ros.physics.sheets.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
 
 PAIR = np.array([[0, 1, 2, 3]])
 KINDS = ("crossed", "altitude")

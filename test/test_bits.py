@@ -41,7 +41,7 @@ def test_bits_are_the_same(as_usual: dict[str, list[str]], way: Any) -> None:
 
 def test_scenes_move_and_use_both_precisions_and_all_integrators(monkeypatch: pytest.MonkeyPatch) -> None:
     from cloth_sim_ros.physics.plan import Plan
-    from cloth_sim_ros.simulation import Simulation
+    from cloth_sim_ros.simulation.simulation import Simulation
 
     narrow, orders, integrators = set(), set(), set()
     runs, advance = Plan.runs, Simulation.advance

@@ -8,13 +8,13 @@ from scipy.spatial import Delaunay
 from support.alone import blocks, full, matrix
 
 from cloth_sim_ros.engine.binding import check, library
-from cloth_sim_ros.events import Grasp, Target
 from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Root of single precision's rounding: small beside the 4 % that steps keep from their limit.
 SINGLE = 3e-4

@@ -7,11 +7,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cloth_sim_ros.physics.control.economy import Economy
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts, weights
-from cloth_sim_ros.physics.integrators.economy import Economy
-from cloth_sim_ros.physics.surface import grid_triangles
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 SIDE = 18
 SCENES = {

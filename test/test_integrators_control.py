@@ -11,21 +11,21 @@ from cloth_sim_ros.bench.problems import PERIOD, Problem, curtain, problem
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.tolerance_sweep import measure
-from cloth_sim_ros.events import Grasp, SetParameters, Target
-from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
+from cloth_sim_ros.physics.control.control import Memory
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import MEMORY, UnstableError
-from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 @pytest.fixture(scope="module", params=["chain", "mesh"])

@@ -8,12 +8,12 @@ import pytest
 from scipy.linalg import expm
 from support.alone import alone, force, product
 
-from cloth_sim_ros.physics.chain import Chain, SpringLaw, joint
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw, joint
 from cloth_sim_ros.physics.state import State
 
 LAW = SpringLaw(mass=0.3, rest_length=0.25, stiffness=40.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from cloth_sim_ros import mesh_file
-from cloth_sim_ros.physics.meshes import checked_mesh
-from cloth_sim_ros.physics.surface import SurfaceError, grid_triangles
+from cloth_sim_ros.physics.sheets.meshes import checked_mesh
+from cloth_sim_ros.physics.sheets.surface import SurfaceError, grid_triangles
+from cloth_sim_ros.scene import mesh_file
 
 ROWS, COLUMNS = 4, 5
 TRIANGLES = grid_triangles(ROWS, COLUMNS, "alternating")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from plan_scenes import FILES, SCENES, listed, stir
 
-from cloth_sim_ros.events import Grasp, Reset, Target
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
@@ -17,8 +16,9 @@ from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import MOVE, NUMPY_FORCE, combine, compile
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Reset, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 every_scene = pytest.mark.parametrize("values", SCENES.values(), ids=SCENES.keys())
 GRIDS = {name: values for name, values in SCENES.items() if not {"cloth.mesh", "cloth.springs"} & values.keys()}

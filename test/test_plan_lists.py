@@ -16,15 +16,15 @@ from plan_scenes import FILES, MESH, SCENES, SHEET
 
 from cloth_sim_ros import engine
 from cloth_sim_ros.engine.instruction_set import libraries
-from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.physics.chain import Chain, SpringLaw, joint
 from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
 from cloth_sim_ros.physics.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.ordering import bandwidth, local_order
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw, joint
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 def test_the_order_of_locality_is_seen_nowhere_outside():
@@ -55,9 +55,9 @@ DIGEST = """
 import json, sys
 sys.path.insert(0, sys.argv[2])
 import numpy as np
-from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 from plan_scenes import FILES, stir
 simulation = Simulation(Scene.from_parameters(json.loads(sys.argv[1]), files=FILES))
 stir(simulation)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from plan_scenes import FILES, SCENES, listed, stir
 
-from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
@@ -20,8 +19,9 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import MOVE, NUMPY_FORCE, compile
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 PERIOD = 1 / 60
 

@@ -20,13 +20,13 @@ pytest.importorskip("rosbags")
 from session_maker import NODE, SessionMaker, carried_corner
 
 from cloth_sim_ros import Scene, Simulation, State
-from cloth_sim_ros.environment import differences, environment, recorder_with_other_arithmetic
-from cloth_sim_ros.events import Target, to_dict
 from cloth_sim_ros.session.cdr import decode_string, encode_string
 from cloth_sim_ros.session.main import main as session_command
 from cloth_sim_ros.session.reader import SessionReader
-from cloth_sim_ros.verify import main as verify_command
-from cloth_sim_ros.verify_run import verify
+from cloth_sim_ros.simulation.environment import differences, environment, recorder_with_other_arithmetic
+from cloth_sim_ros.simulation.events import Target, to_dict
+from cloth_sim_ros.verify.main import main as verify_command
+from cloth_sim_ros.verify.run import verify
 
 DATA = Path(__file__).parent / "data"
 SESSION, STATE = DATA / "session_0.1.0.mcap", DATA / "state_0.1.0.npz"
@@ -172,6 +172,6 @@ def test_a_frame_of_a_session_from_before_is_a_state_to_begin_with() -> None:
 
 
 def scene_of(reader: SessionReader) -> Scene:
-    from cloth_sim_ros import parameter_file
+    from cloth_sim_ros.scene import parameter_file
 
     return Scene.from_parameters(parameter_file.parse(reader.scene_yaml, node=reader.node, source="scene.yaml"))

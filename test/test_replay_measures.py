@@ -11,15 +11,15 @@ import pytest
 from random_sessions import random_events, random_scene
 from session_maker import SessionMaker
 
-from cloth_sim_ros import parameter_file
-from cloth_sim_ros.physics.grid_sheet import GridSheet
+from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.replay.colours import strain_colours
 from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.measures import GridMeasures, Measures, MeshMeasures
 from cloth_sim_ros.replay.plots import extra_numbers
 from cloth_sim_ros.replay.scene_text import read_opening
 from cloth_sim_ros.replay.survey import round_up
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader
 

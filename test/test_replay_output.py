@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from session_maker import NODE, SessionMaker, carried_corner, make_grasp
 
-from cloth_sim_ros.events import Grasp, Reset, SetParameters, Target
 from cloth_sim_ros.replay import viewer
 from cloth_sim_ros.replay.main import main
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.writer import WriterOptions
+from cloth_sim_ros.simulation.events import Grasp, Reset, SetParameters, Target
 
 pytest.importorskip("rerun", reason="the viewer is not installed: pip install 'cloth_sim_ros[replay]'")
 

@@ -20,10 +20,10 @@ from ros_client import Client, pose
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import Bool
 
-from cloth_sim_ros import events
-from cloth_sim_ros.events import Grasp, Target
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.simulation import events
+from cloth_sim_ros.simulation.events import Grasp, Target
 
 COMMANDS = ("/cloth_sim/gripper/target", "/cloth_sim/gripper/grasp")
 CLOTH = {"cloth.resolution": [6, 7]}

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
-from cloth_sim_ros.events import Event, Pause, Step
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
@@ -21,6 +20,7 @@ from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.stepper import Stepper
+from cloth_sim_ros.simulation.events import Event, Pause, Step
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND

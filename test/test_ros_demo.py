@@ -57,7 +57,7 @@ def test_the_demonstration_grasps_records_and_ends(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     pytest.importorskip("mcap")
-    from cloth_sim_ros.verify_run import verify
+    from cloth_sim_ros.verify.run import verify
 
     process = run_demo(start_process, tmp_path)
     assert process.wait(limit=110.0) == 0, process.output

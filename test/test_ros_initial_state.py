@@ -17,10 +17,10 @@ pytest.importorskip("rosbags")
 from session_maker import SessionMaker, carried_corner
 
 from cloth_sim_ros import Pause, Scene, SetParameters, Simulation, State
-from cloth_sim_ros.events import Event
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.ros.initial_state import session_state
+from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.session.writer import WriterOptions
+from cloth_sim_ros.simulation.events import Event
 
 GRID = {"cloth.resolution": [5, 6], "gripper.radius": 0.3, "cloth.size": [0.5, 0.6]}
 FRAMES = 40

@@ -21,7 +21,7 @@ from shape_msgs.msg import Mesh
 from std_msgs.msg import Bool
 from visualization_msgs.msg import Marker
 
-from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import ParameterError
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 3 4\nf 2 5 3\n"

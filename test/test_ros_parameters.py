@@ -16,8 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_client import Client
 
-from cloth_sim_ros import Scene, parameter_file
+from cloth_sim_ros import Scene
 from cloth_sim_ros.ros.parameters import declare, describe
+from cloth_sim_ros.scene import parameter_file
 
 DECLARED = {entry.name: entry for entry in Scene.declared()}
 #: A value of another type for each type.

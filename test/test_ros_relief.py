@@ -154,7 +154,7 @@ def test_a_node_relaxes_and_its_session_runs_again(
 ) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.session.reader import SessionReader
-    from cloth_sim_ros.verify_run import verify
+    from cloth_sim_ros.verify.run import verify
 
     watch = SlowWatch()
     monkeypatch.setattr("cloth_sim_ros.ros.node.WallPacer", HandPacer)

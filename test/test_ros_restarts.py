@@ -191,7 +191,7 @@ def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> N
 def check_sessions(folder: Path, count: int) -> None:
     """Every file of a killed node is read to where it goes, and runs again."""
     pytest.importorskip("mcap")
-    from cloth_sim_ros.verify_run import verify
+    from cloth_sim_ros.verify.run import verify
 
     paths = sorted(folder.glob("*.mcap"))
     assert len(paths) == count

@@ -49,7 +49,7 @@ import sys
 import numpy as np
 from cloth_sim_ros import Model, PairSprings, compile
 from cloth_sim_ros.ros.main import main
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Simulation
 
 pair = PairSprings([[0, 1]], rest_length=1.0, stiffness=1.0, damping=0.0)
 plan = compile(Model(np.ones(2), [pair]))
@@ -89,11 +89,9 @@ def test_a_signal_amid_a_frame_of_the_engine(
 
 @pytest.mark.parametrize(
     "loaded",
-    ["cloth_sim_ros.ros.stopping", "rclpy.node", "numpy.linalg", "cloth_sim_ros.simulation"],
+    ["cloth_sim_ros.ros.stopping", "rclpy.node", "numpy.linalg", "cloth_sim_ros.simulation.simulation"],
 )
-def test_a_signal_while_starting_ends_in_order(
-    ros_domain: int, start_process: Callable[..., Any], loaded: str
-) -> None:
+def test_a_signal_while_starting_ends_in_order(ros_domain: int, start_process: Callable[..., Any], loaded: str) -> None:
     # Python says what it has loaded: a moment of the start that is the same on every machine.
     environment = {"PYTHONPROFILEIMPORTTIME": "1"}
     process = start_process(["-m", "cloth_sim_ros.ros.main"], env=environment)

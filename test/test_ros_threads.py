@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from cloth_sim_ros import State
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.parameters import LiveParameters, declare
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_a_service_waits_for_the_frame_under_way(
 
 def test_many_callers_at_once(client: Client, tmp_path: Path) -> None:
     pytest.importorskip("mcap")
-    from cloth_sim_ros.verify_run import verify
+    from cloth_sim_ros.verify.run import verify
 
     with threaded(client, {"cloth.resolution": [8, 8], "rate": 200.0, "record.folder": str(tmp_path)}) as cloth:
         kinds = {

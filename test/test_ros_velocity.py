@@ -22,7 +22,7 @@ def fields(cloud: PointCloud2) -> list[str]:
 
 def test_velocities_come_and_go_on_request(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
     pytest.importorskip("mcap")
-    from cloth_sim_ros.verify_run import verify
+    from cloth_sim_ros.verify.run import verify
 
     process = start_cloth(
         start_process,

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cloth_sim_ros import parameter_file
-from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
 
 CONFIG = Path(__file__).parents[1] / "config"
 

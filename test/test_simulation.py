@@ -7,12 +7,22 @@ import json
 import numpy as np
 import pytest
 
-from cloth_sim_ros.events import Grasp, Pause, Reset, SetParameters, Step, Target, from_dict, ordered, to_dict
-from cloth_sim_ros.physics.automatic import INTEGRATORS
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import EventError, Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import (
+    Grasp,
+    Pause,
+    Reset,
+    SetParameters,
+    Step,
+    Target,
+    from_dict,
+    ordered,
+    to_dict,
+)
+from cloth_sim_ros.simulation.simulation import EventError, Simulation
 
 
 def small(**values):

@@ -5,12 +5,12 @@
 import numpy as np
 import pytest
 
-from cloth_sim_ros.energy_watch import EnergyWatch
-from cloth_sim_ros.events import Grasp, Pause, Reset, SetParameters, Step, Target
-from cloth_sim_ros.physics import sleep
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation import sleep
+from cloth_sim_ros.simulation.energy_watch import EnergyWatch
+from cloth_sim_ros.simulation.events import Grasp, Pause, Reset, SetParameters, Step, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 # Heavy air and little weight, so that it comes to rest within seconds.
 CALM = {

@@ -8,10 +8,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from cloth_sim_ros import springs_file
-from cloth_sim_ros.parameters import ParameterError
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene import springs_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 JOINT = """
 positions: [[0, 0, 0], [0.3, 0, 0], [1.3, 0, 0]]

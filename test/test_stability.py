@@ -19,8 +19,8 @@ from cloth_sim_ros.bench.stability_limits import LARGEST_EXCESS, limit_found, st
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 def test_the_scan_is_as_large_as_it_should_be() -> None:

@@ -7,11 +7,11 @@ import io
 import numpy as np
 import pytest
 
-from cloth_sim_ros.events import Grasp, Target
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 SMALL = {"cloth.resolution": [4, 5], "gripper.radius": 0.6}
 

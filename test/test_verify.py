@@ -14,13 +14,13 @@ import pytest
 from random_sessions import make_random_session
 from session_maker import NODE, Change, SessionMaker, carried_corner, make_grasp
 
-from cloth_sim_ros.environment import environment
-from cloth_sim_ros.events import Event, Grasp, Target
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_string, encode_string
 from cloth_sim_ros.session.writer import WriterOptions
-from cloth_sim_ros.verify import main
-from cloth_sim_ros.verify_run import Verdict, verify
+from cloth_sim_ros.simulation.environment import environment
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.verify.main import main
+from cloth_sim_ros.verify.run import Verdict, verify
 
 SMALL = {"cloth.resolution": [8, 9], "cloth.size": [0.4, 0.45], "material.stretch_modulus": 100.0,
          "material.shear_modulus": 10.0, "bending.stiffness": 0.5}  # fmt: skip

@@ -40,15 +40,11 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 
 def room_of(path: Path) -> str:
     """The room that a file of the package belongs to, or the file's own stem where it is in none."""
-    first = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    return "verify" if first.startswith("verify_") else first
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
 def modules_of(room: str) -> list[str]:
     """Names of all modules of a room."""
-    if not (PACKAGE / room).is_dir():
-        # A room may be a module, with helpers named after it: verify.py, environment.py.
-        return sorted(f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if room_of(path) == room)
     names = []
     for path in sorted((PACKAGE / room).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -103,7 +99,7 @@ def test_of_rclpy_only_what_is_public_is_used() -> None:
                 assert not [name for name in names if name.startswith("_")], f"{path.name}:{node.lineno}"
 
 
-@pytest.mark.parametrize("command", ["session.main", "replay.main", "verify", "bench.main", "ros.gripper_main"])
+@pytest.mark.parametrize("command", ["session.main", "replay.main", "verify.main", "bench.main", "ros.gripper_main"])
 def test_a_command_answers_before_it_loads_what_is_heavy(command: str) -> None:
     skip_without(command.split(".")[0])
     assert not loaded_by([f"cloth_sim_ros.{command}"]) & LATE
@@ -151,10 +147,7 @@ def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
 
 
 def test_rooms_named_here_are_the_ones_there_are() -> None:
-    # Modules outside the rooms (events, parameters, ...) are the core, and the core is below session and ros.
     folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and (path / "__init__.py").is_file()}
-    assert folders <= set(ROOMS)
-    core = [f"cloth_sim_ros.{path.stem}" for path in PACKAGE.glob("*.py") if room_of(path) not in {"__init__", *ROOMS}]
-    loaded = loaded_by(core)
-    assert not loaded & (ROS | LATE | {"mcap", "rosbags"})
-    assert not {room for room in ("ros", "replay", "session", "bench", "verify") if f"cloth_sim_ros.{room}" in loaded}
+    assert folders == set(ROOMS)
+    assert [path.name for path in PACKAGE.glob("*.py")] == ["__init__.py"]
+    assert all((PACKAGE / room / "__init__.py").read_text(encoding="utf-8").count('"""') == 2 for room in ROOMS)

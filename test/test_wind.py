@@ -10,8 +10,8 @@ import pytest
 from support.alone import alone, blocks, force, full, matrix, product
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.forces.air_panels import AirPanels
+from cloth_sim_ros.scene.parameters import ParameterError
 
 TRIANGLES = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [0, 4, 8]]
 #: Nothing but springs and what a test adds; free.

@@ -23,13 +23,13 @@ import numpy as np
 from cloth_sim_ros.bench import engine_jobs, garment
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.bench.speed_turns import Turns, take_turns
-from cloth_sim_ros.events import Event, Grasp, Target
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: AB - base is at most so many times the sum, and this share of base.
 TIMES, SHARE = 1.1, 0.02

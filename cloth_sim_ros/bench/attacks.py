@@ -9,8 +9,8 @@ from collections.abc import Callable
 import attrs
 import numpy as np
 
-from cloth_sim_ros.events import Event, Grasp, SetParameters, Target
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 
 #: Speed at which a gripper is yanked away [m/s].
 YANK = 10.0

@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.engine.binding import library
-from cloth_sim_ros.physics.automatic import make_integrator
+from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.sheets.surface import Surface
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.surface import Surface
 
 _STILL = 1e-9
 _GRAVITY = (0.0, 0.0, -9.81)

@@ -15,9 +15,9 @@ import numpy as np
 from cloth_sim_ros.bench.bending_patterns import Plate, grid_patch, plate_of, triangle_patch
 from cloth_sim_ros.bench.bending_recovery import RESTS, STARTS, recover, rest_shape, starts
 from cloth_sim_ros.bench.elastica import hanging_strip, heavy_elastica
-from cloth_sim_ros.physics.bending_calibration import RATIOS
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.hinge_shape import HingeShape, Length
+from cloth_sim_ros.physics.sheets.bending import RATIOS
+from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape, Length
 
 ANGLES = (0, 15, 30, 45, 60, 75, 90, 105, 120, 135, 150, 165)
 RATIO_SCALE = (0.125, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.chain import Chain, SpringLaw
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
-from cloth_sim_ros.physics.material import grid_threads
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.surface import LAYOUTS
+from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.sheets.material import grid_threads
+from cloth_sim_ros.physics.sheets.surface import LAYOUTS
 
 
 def mode_frequencies(chain: Chain) -> Array:

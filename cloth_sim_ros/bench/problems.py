@@ -17,11 +17,11 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.sheets.surface import Surface
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.surface import Surface
 
 PERIOD = 1.0 / 60.0
 

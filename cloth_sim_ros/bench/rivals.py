@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from cloth_sim_ros.bench.jacobian import SparseJacobian
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.reference import RightSide
-from cloth_sim_ros.physics.automatic import make_integrator
+from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
 

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.surface import grid_triangles
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Steps of a frame: so many that what a frame does once does not count much, at any size.
 STEPS = 40

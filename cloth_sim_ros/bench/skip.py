@@ -20,8 +20,8 @@ from cloth_sim_ros.bench.skip_hand import HandMadeLoop
 from cloth_sim_ros.bench.skip_scenes import BARE, FORCES, Running, Variant, swinging, variants
 from cloth_sim_ros.bench.speed_curtain import cores
 from cloth_sim_ros.bench.speed_turns import take_turns
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: A frame takes at most so many times that of the loop made by hand.
 HAND_PROMISE = 1.02
@@ -30,11 +30,11 @@ SLEEP_PROMISE = 0.03
 PARTS = ("hand", "features", "counts", "outputs", "start")
 #: What a scene that uses a feature loads, and others do not.
 MARKERS = {
-    "mesh files": ("cloth_sim_ros.mesh_file", "trimesh"),
-    "raw springs": ("cloth_sim_ros.springs_file",),
-    "bending springs across hinges": ("cloth_sim_ros.physics.bending_calibration",),
+    "mesh files": ("cloth_sim_ros.scene.mesh_file", "trimesh"),
+    "raw springs": ("cloth_sim_ros.scene.springs_file",),
+    "bending springs across hinges": ("cloth_sim_ros.physics.sheets.bending",),
     "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.integrators.implicit_run"),
-    "energy balance": ("cloth_sim_ros.energy_watch", "cloth_sim_ros.physics.energy_balance"),
+    "energy balance": ("cloth_sim_ros.simulation.energy_watch", "cloth_sim_ros.physics.energy_balance"),
     "recording": ("cloth_sim_ros.session", "mcap", "rosbags"),
     "ROS": ("rclpy", "sensor_msgs"),
     "plots, viewer": ("matplotlib", "rerun"),

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 @contextlib.contextmanager
@@ -82,8 +82,8 @@ def modules_of(values: Mapping[str, Any], *, frames: int = 2) -> set[str]:
     """
     script = (
         "import json, sys\n"
-        "from cloth_sim_ros.scene import Scene\n"
-        "from cloth_sim_ros.simulation import Simulation\n"
+        "from cloth_sim_ros.scene.scene import Scene\n"
+        "from cloth_sim_ros.simulation.simulation import Simulation\n"
         f"simulation = Simulation(Scene.from_parameters(json.loads({json.dumps(dict(values))!r})))\n"
         f"for _ in range({frames}): simulation.advance()\n"
         "print(json.dumps(sorted(sys.modules)))\n"

@@ -12,7 +12,7 @@ from cloth_sim_ros.bench.skip_scenes import swinging
 from cloth_sim_ros.engine.binding import Frame, check, library
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 
 
 class HandMadeLoop:

@@ -9,10 +9,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.events import Event, Grasp, Target
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: A scene in which nothing is used beyond springs that are needed to be a cloth.
 BARE: dict[str, Any] = {

@@ -15,7 +15,7 @@ import attrs
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.speed_turns import take_turns
-from cloth_sim_ros.physics.automatic import make_integrator
+from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
 #: Frames of `PERIOD` after which a scene's error is taken: 0.5 s, and 0.3 s at N = 128, where a kick grows faster.

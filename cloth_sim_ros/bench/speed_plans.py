@@ -12,16 +12,16 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.bench.speed_turns import take_turns
-from cloth_sim_ros.events import Grasp, Target
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.surface import Surface
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: A step so short [s] that nothing moves, however many are timed.
 _STILL = 1e-9

@@ -13,7 +13,7 @@ import numpy as np
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.reference import Reference
 from cloth_sim_ros.bench.speed_turns import take_turns
-from cloth_sim_ros.physics.automatic import make_integrator
+from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
 #: Target of the position error [m], of which the sheet as shipped is held to the whole at the end.

@@ -14,16 +14,16 @@ import numpy as np
 from cloth_sim_ros.bench.attacks import ATTACKS, Moment
 from cloth_sim_ros.bench.problems import irregular_sheet
 from cloth_sim_ros.bench.stability_limits import stretch_of
-from cloth_sim_ros.events import Event, SetParameters
+from cloth_sim_ros.physics.control.energy_guard import own_energy
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.energy_guard import own_energy
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
 
 RESOLUTION = 12
 #: Simulated time of a case [s].

@@ -14,9 +14,9 @@ import numpy as np
 from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.report import Plot, Report, Table
-from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 #: Where accuracy sets the step, the achieved error is at least this share of the tolerance.

@@ -15,7 +15,7 @@ from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.report import Plot, Report, Table
 from cloth_sim_ros.bench.rivals import Solver, TooSlow, library_solvers, our_solvers
 from cloth_sim_ros.bench.tolerance_sweep import LARGEST_RESIDUAL, measure
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 
 #: At these errors [m] the best library solver takes at least so many times our time.
 PROMISES = {1e-5: 10.0, 1e-7: 3.0, 1e-10: 2.0}

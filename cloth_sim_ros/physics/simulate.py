@@ -58,7 +58,7 @@ def simulate(
         ValueError: for times that do not ascend or lie outside, or a state of another number of particles.
         UnstableError: if the motion does not stay finite.
     """
-    from cloth_sim_ros.physics.automatic import make_integrator
+    from cloth_sim_ros.physics.control.automatic import make_integrator
 
     plan = model if isinstance(model, Plan) else compile(model)
     if state.particle_count != plan.model.particle_count:

@@ -74,8 +74,8 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
 
 def _check_steppers(memory: Mapping[str, np.ndarray]) -> None:
     """Refuse what an integrator remembers of its steps where this one could not have written it."""
-    from cloth_sim_ros.physics import automatic
-    from cloth_sim_ros.physics.integrators import base, control
+    from cloth_sim_ros.physics.control import automatic, control
+    from cloth_sim_ros.physics.integrators import base
 
     stepper = memory.get(base.MEMORY)
     if stepper is not None and stepper.size:

@@ -15,13 +15,13 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.events import Event, Grasp, Target
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog, counted
 from cloth_sim_ros.ros.outputs import Tape
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
-from cloth_sim_ros.simulation import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import EventError
 
 #: Best effort, so that any publisher matches; the newest target is what counts.
 TARGETS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cloth_sim_ros.events import Event, Grasp, Target
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import EventError, Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import EventError, Simulation
 
 
 class GripperCompanions:

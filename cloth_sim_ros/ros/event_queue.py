@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import attrs
 
-from cloth_sim_ros.events import Event, Target
-from cloth_sim_ros.grippers import GraspResult
-from cloth_sim_ros.simulation import Frame
+from cloth_sim_ros.simulation.events import Event, Target
+from cloth_sim_ros.simulation.grippers import GraspResult
+from cloth_sim_ros.simulation.simulation import Frame
 
 #: Waiting events, above which targets give way to newer ones and everything else is refused: a second of 1 kHz targets
 #: of a few grippers.

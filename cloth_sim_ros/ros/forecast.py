@@ -13,8 +13,8 @@ import attrs
 from cloth_sim_ros.physics.integrators.base import StepLimitError, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Share of a period that stepping may take: the rest is for messages, the recording and other programs.
 ROOM = 0.8

@@ -14,8 +14,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros import ros_yaml
 from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_vector
+from cloth_sim_ros.scene import ros_yaml
 
 Vector = tuple[float, ...]
 

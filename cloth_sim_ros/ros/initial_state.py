@@ -6,13 +6,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros import events, parameter_file
-from cloth_sim_ros.environment import recorder_with_other_arithmetic
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation import events
+from cloth_sim_ros.simulation.environment import recorder_with_other_arithmetic
+from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.reader import SessionReader

@@ -28,8 +28,8 @@ from sensor_msgs.msg import PointCloud2
 
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Pause after each frame [s]: what is left of a period in which nothing is due, for the recorder's thread and for
 #: whoever listens.

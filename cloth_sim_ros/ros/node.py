@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter_service import ParameterService
 
-from cloth_sim_ros.events import Reset, SetParameters
 from cloth_sim_ros.ros import diagnostics, parameters
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
@@ -34,8 +33,9 @@ from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
 from cloth_sim_ros.ros.workload import refuse_endless_frames
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Reset, SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder import RecorderStatus

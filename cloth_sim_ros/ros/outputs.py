@@ -15,10 +15,10 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
 
 #: Reliable, because RViz's displays ask for it; a subscriber that wants the newest alone takes best effort for itself.
 STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)

@@ -15,10 +15,10 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from cloth_sim_ros.parameters import Parameter, ParameterError
 from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.scene import Scene
-from cloth_sim_ros.without_effect import without_effect
+from cloth_sim_ros.scene.parameters import Parameter, ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.without_effect import without_effect
 
 _TYPES = {
     "bool": RosParameter.Type.BOOL,

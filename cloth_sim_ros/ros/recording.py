@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from cloth_sim_ros import events, parameter_file
-from cloth_sim_ros.environment import environment
-from cloth_sim_ros.simulation import Frame, Simulation
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.simulation import events
+from cloth_sim_ros.simulation.environment import environment
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import statistics
 
-from cloth_sim_ros import relaxation
-from cloth_sim_ros.events import Relax
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.simulation import Frame, Simulation
+from cloth_sim_ros.scene import relaxation
+from cloth_sim_ros.simulation.events import Relax
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: A judgement is over at least so much time [s], and so many frames.
 WINDOW, FEWEST = 0.5, 5

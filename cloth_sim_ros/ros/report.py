@@ -17,7 +17,7 @@ from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.ros.strain import StrainGauge
-from cloth_sim_ros.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Level, summary, values.
 Said = tuple[bytes, str, dict[str, str]]

@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from cloth_sim_ros.events import Event, Grasp, Pause, Reset, Step
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
 from cloth_sim_ros.ros.log import counted
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
 
 #: How long a service waits for the frame that it asked for before it says that none is due [s].
 PATIENCE = 5.0

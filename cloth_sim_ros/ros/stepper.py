@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from cloth_sim_ros.events import Event, Grasp, Pause, SetParameters, Step
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
-from cloth_sim_ros.simulation import Frame, Simulation
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, SetParameters, Step
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class Stepper:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 
 #: Above this many edges the report would hold up frames.
 MOST_EDGES = 400_000

@@ -7,9 +7,9 @@ The library itself has no such bound; a run of millions of steps is a fair thing
 
 from __future__ import annotations
 
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
 
 #: Most particle steps in a frame: about a second of the slowest forces.
 MOST_WORK = 20_000_000

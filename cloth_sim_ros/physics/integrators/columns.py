@@ -16,8 +16,8 @@ from fractions import Fraction
 from functools import lru_cache
 
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.economy import THOROUGH, Economy
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.integrators.economy import THOROUGH, Economy
 from cloth_sim_ros.physics.plan import Plan, Run, Told, combine, largest_distance
 from cloth_sim_ros.physics.state import State
 

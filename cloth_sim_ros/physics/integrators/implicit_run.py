@@ -11,9 +11,9 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.control.control import Memory
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
 from cloth_sim_ros.physics.plan import Plan

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.controlled import ControlledAdvance
 from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
-from cloth_sim_ros.physics.integrators.controlled import ControlledAdvance
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import attrs
 
-from cloth_sim_ros.parameters import parameter
-from cloth_sim_ros.physics.surface import LAYOUTS
+from cloth_sim_ros.physics.sheets.surface import LAYOUTS
+from cloth_sim_ros.scene.parameters import parameter
 
 
 @attrs.frozen(kw_only=True)

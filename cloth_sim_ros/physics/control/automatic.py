@@ -11,11 +11,11 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.control import Memory
+from cloth_sim_ros.physics.control.last_resort import within_reach
 from cloth_sim_ros.physics.integrators.base import CHOICE, Advance, Integrator, UnstableError, restart
-from cloth_sim_ros.physics.integrators.control import Memory
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
-from cloth_sim_ros.physics.integrators.last_resort import within_reach
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import NUMPY_FORCE, Plan

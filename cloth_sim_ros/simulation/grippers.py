@@ -9,13 +9,13 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.events import Target
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
 from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.simulation.events import Target
 
 
 @attrs.frozen

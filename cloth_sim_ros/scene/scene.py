@@ -12,21 +12,20 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros import parameter_file, parameters, relaxation, scene_files
-from cloth_sim_ros.cloth_identity import cloth_of, difference
-from cloth_sim_ros.parameters import ParameterError, parameter, section
-from cloth_sim_ros.physics.automatic import INTEGRATORS, make_integrator
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.grid_sheet import GridSheet
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import Integrator
-from cloth_sim_ros.physics.material import Threads
-from cloth_sim_ros.physics.mesh_sheet import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.raw_springs import RawSprings
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.sheets.material import Threads
+from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, MeshSheet
+from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene_physics import (
+from cloth_sim_ros.scene import files as scene_files
+from cloth_sim_ros.scene import parameter_file, parameters, relaxation
+from cloth_sim_ros.scene.build import (
     Sheet,
     anchored_particles,
     build_model,
@@ -34,7 +33,9 @@ from cloth_sim_ros.scene_physics import (
     build_sheet,
     grid_threads_of,
 )
-from cloth_sim_ros.scene_sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record, Wind
+from cloth_sim_ros.scene.identity import cloth_of, difference
+from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
+from cloth_sim_ros.scene.sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record, Wind
 
 MOST_PARTICLES = 4_000_000
 #: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
@@ -307,7 +308,7 @@ class Scene:
         if self.initial_state:
             self._loaded_state()
         if model in ("axial", "opposite") and modulus:
-            from cloth_sim_ros.physics.bending_calibration import refuse_bending_modulus
+            from cloth_sim_ros.physics.sheets.bending import refuse_bending_modulus
 
             try:
                 refuse_bending_modulus(model)

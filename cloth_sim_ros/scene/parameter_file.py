@@ -7,8 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros import ros_yaml
-from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.scene.parameters import ParameterError
 
 _KEY = "ros__parameters"
 

@@ -8,11 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from cloth_sim_ros.physics.grid_sheet import GridSheet
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
-from cloth_sim_ros.physics.raw_springs import RawSprings
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene_physics import Sheet
+from cloth_sim_ros.scene.build import Sheet
 
 #: A fingerprint fits into a signed number of 64 bits.
 _LARGEST = (1 << 63) - 1

@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.parameters import ParameterError
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.grid_sheet import GridSheet
-from cloth_sim_ros.physics.material import Threads, grid_threads
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.raw_springs import RawSprings
-from cloth_sim_ros.physics.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.sheets.material import Threads, grid_threads
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.sheets.raw import RawSprings
+from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.scene.parameters import ParameterError
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.scene import Scene
+    from cloth_sim_ros.scene.scene import Scene
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -53,10 +53,10 @@ def build_sheet(scene: Scene) -> Sheet:
 @lru_cache(maxsize=8)
 def _parsed(parameter: str, path: str, data: bytes) -> MeshSheet | RawSprings:
     if parameter == "cloth.mesh":
-        from cloth_sim_ros import mesh_file
+        from cloth_sim_ros.scene import mesh_file
 
         return mesh_file.parse(data, name=path)
-    from cloth_sim_ros import springs_file
+    from cloth_sim_ros.scene import springs_file
 
     return springs_file.parse(data)
 
@@ -181,7 +181,7 @@ def _hinge_springs(
     scene: Scene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
 ) -> list[Force]:
     """Build the forces of S7, of S7 and S8, or of S7 and S9."""
-    from cloth_sim_ros.physics import bending_calibration as calibration
+    from cloth_sim_ros.physics.sheets import bending as calibration
 
     model = scene.bending.model
     rest = sheet.positions()

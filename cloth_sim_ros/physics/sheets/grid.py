@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
-from cloth_sim_ros.physics.material import Threads
 from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.surface import Layout, Surface, grid_triangles
+from cloth_sim_ros.physics.sheets.material import Threads
+from cloth_sim_ros.physics.sheets.surface import Layout, Surface, grid_triangles
 
 
 @attrs.frozen(kw_only=True)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.surface import Surface, SurfaceError
+from cloth_sim_ros.physics.sheets.surface import Surface, SurfaceError
 
 #: A triangle whose height over its longest side is below this share of that side has no area.
 FLATNESS = 1e-6

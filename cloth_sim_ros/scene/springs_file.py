@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 from cloth_sim_ros.physics import npz
-from cloth_sim_ros.physics.raw_springs import RawSprings
+from cloth_sim_ros.physics.sheets.raw import RawSprings
 
 
 def parse(data: bytes) -> RawSprings:

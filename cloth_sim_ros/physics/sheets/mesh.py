@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
-from cloth_sim_ros.physics.surface import Surface
+from cloth_sim_ros.physics.sheets.surface import Surface
 
 #: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
 #: the network.

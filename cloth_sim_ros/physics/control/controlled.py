@@ -7,12 +7,8 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, UnstableError, refuse_unstable
-from cloth_sim_ros.physics.integrators.choice import Choice, Options, binds, reason
-from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
-from cloth_sim_ros.physics.integrators.control import (
+from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
+from cloth_sim_ros.physics.control.control import (
     AIM,
     ALTERNATE_SHARE,
     COSTLY,
@@ -33,11 +29,15 @@ from cloth_sim_ros.physics.integrators.control import (
     cheapest,
     hopeless,
 )
-from cloth_sim_ros.physics.integrators.economies import Economies
-from cloth_sim_ros.physics.integrators.economy import THOROUGH, Economy
-from cloth_sim_ros.physics.integrators.energy_guard import EnergyGuard
+from cloth_sim_ros.physics.control.economies import Economies
+from cloth_sim_ros.physics.control.economy import THOROUGH, Economy
+from cloth_sim_ros.physics.control.energy_guard import EnergyGuard
+from cloth_sim_ros.physics.control.last_resort import last_resort, within_reach
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
-from cloth_sim_ros.physics.integrators.last_resort import last_resort, within_reach
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 

@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from cloth_sim_ros import relaxation
-from cloth_sim_ros.cloth_identity import difference
-from cloth_sim_ros.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
-from cloth_sim_ros.grippers import GraspResult, Grippers
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance, restart
-from cloth_sim_ros.physics.sleep import Sleep, is_asleep, wake
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene import relaxation
+from cloth_sim_ros.scene.identity import difference
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
+from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
+from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, wake
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.energy_watch import EnergyReport, EnergyWatch
+    from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
 
 #: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
 REACH = 1e4
@@ -152,7 +152,7 @@ class Simulation:
             EventError: naming the value, the limit and the remedy.
         """
         if not isinstance(event, Event):
-            raise EventError(f"{event!r} is no event; see cloth_sim_ros.events")
+            raise EventError(f"{event!r} is no event; see cloth_sim_ros.simulation.events")
         if isinstance(event, Target | Grasp) and event.gripper not in self.grippers.names:
             known = ", ".join(self.grippers.names) or "none"
             raise EventError(f"there is no gripper '{event.gripper}'; this cloth has {known}")
@@ -329,7 +329,7 @@ class Simulation:
         self._book = Book(self.plan.gripper_count, powers=watches) if self.plan.gripper_count or watches else None
         self._energy: EnergyWatch | None = None
         if scene.diagnostics.energy:
-            from cloth_sim_ros.energy_watch import EnergyWatch
+            from cloth_sim_ros.simulation.energy_watch import EnergyWatch
 
             self._energy = EnergyWatch(self.plan)
         self.energy_report = None

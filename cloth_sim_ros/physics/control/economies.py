@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.integrators.control import (
+from cloth_sim_ros.physics.control.control import (
     ALTERNATE_LEAST,
     ALTERNATE_SHARE,
     FAR,
@@ -25,7 +25,7 @@ from cloth_sim_ros.physics.integrators.control import (
     ROUNDING_PART,
     Memory,
 )
-from cloth_sim_ros.physics.integrators.economy import Economy
+from cloth_sim_ros.physics.control.economy import Economy
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.plan import Plan, largest_distance
 from cloth_sim_ros.physics.state import State

@@ -17,8 +17,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.mesh_sheet import MeshSheet
-from cloth_sim_ros.physics.meshes import CheckedMesh, checked_mesh, triangulated
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.sheets.meshes import CheckedMesh, checked_mesh, triangulated
 
 KINDS = ("obj", "ply", "stl")
 #: Bytes of a binary STL file's header, the count of triangles included, and of each triangle.

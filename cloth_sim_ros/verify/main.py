@@ -14,7 +14,7 @@ from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.verify_run import Verdict
+    from cloth_sim_ros.verify.run import Verdict
 
 #: Exit statuses: all came out the same; something differs; something could not be read; it was recorded with other
 #: arithmetic, and nothing differs that this does not explain.
@@ -94,7 +94,7 @@ def describe(verdict: Verdict) -> str:
 def _verify(paths: Sequence[Path]) -> Verdict:
     from tqdm import tqdm
 
-    from cloth_sim_ros.verify_run import verify
+    from cloth_sim_ros.verify.run import verify
 
     total = sum(path.stat().st_size for path in paths if path.is_file())
     with tqdm(total=total, unit="B", unit_scale=True, desc="verify", delay=1.0, disable=None, leave=False) as bar:

@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-from cloth_sim_ros import parameter_file
-from cloth_sim_ros.environment import differences, recorder_with_other_arithmetic
-from cloth_sim_ros.events import Event, from_dict
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.reader import SessionReader, read_frame
-from cloth_sim_ros.simulation import Frame, Simulation
-from cloth_sim_ros.verify_commands import CommandCheck
+from cloth_sim_ros.simulation.environment import differences, recorder_with_other_arithmetic
+from cloth_sim_ros.simulation.events import Event, from_dict
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.verify.commands import CommandCheck
 
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
 #: What a frame's record tells that other arithmetic can change: the rest it must get right.

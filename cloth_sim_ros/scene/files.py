@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import ParameterError
 
 #: Parameters that name a file.
 NAMES = ("cloth.mesh", "cloth.springs", "initial_state")

@@ -40,8 +40,8 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, gradient_squares
 from cloth_sim_ros.physics.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.hinge_shape import HingeShape
-from cloth_sim_ros.physics.surface import opposite_kept
+from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
+from cloth_sim_ros.physics.sheets.surface import opposite_kept
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 

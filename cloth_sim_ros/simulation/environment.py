@@ -68,8 +68,8 @@ def _source() -> str:
     """Digest of the code that a run's bits come from: between two releases the version alone does not tell."""
     import xxhash
 
-    root = Path(__file__).parent
-    patterns = ("*.py", "physics/**/*.py", "engine/*.py", "engine/*.hpp", "engine/*.cpp")
+    root = Path(__file__).parent.parent
+    patterns = ("physics/**/*.py", "scene/*.py", "simulation/*.py", "engine/*.py", "engine/*.hpp", "engine/*.cpp")
     hasher = xxhash.xxh3_64()
     for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
         hasher.update(path.relative_to(root).as_posix().encode())

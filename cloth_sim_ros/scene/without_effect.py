@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from cloth_sim_ros.scene import Scene
+from cloth_sim_ros.scene.scene import Scene
 
 #: Names, when they have no effect, and why, in words that follow "has no effect:".
 _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (

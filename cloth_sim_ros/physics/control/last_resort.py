@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.control import HOPELESS, Memory
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.physics.integrators.control import HOPELESS, Memory
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 

@@ -1,0 +1,7 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`cloth_verify`: a recorded session is run again from its own snapshot and events, and compared to the last bit.
+
+Begin with `main` (the command) and `run` (frames against the recording); `commands` checks that the frames did what the
+recorded commands asked for.
+"""
