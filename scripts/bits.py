@@ -3,8 +3,9 @@
 """Whether the same scenes give the same bits whatever the processor, C library, numpy or compiler. Run by `make bits`.
 
 Small scenes, which together use every force, both precisions, several orders and all integrators, run in processes that
-differ in what bits must not depend on. Each frame's state and wrenches are compared. Exit status 1 tells that something
-differs, in which scene and from which frame on.
+differ in what bits must not depend on. Each frame's state and wrenches are compared. For 64-bit ARM the engine is built
+by a cross compiler, and makes the engine's calls of a few frames again in an emulator (bits_trace.py, bits_replay.cpp).
+Exit status 1 tells that something differs, in which scene and from which frame or call on.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 ENGINE = ROOT / "cloth_sim_ros" / "engine"
 
+#: The prefix of the cross compiler, and of its libraries' folder.
+_ARM = "aarch64-linux-gnu"
 #: Processor features that the C library is told to do without.
 _HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX,-AVX512F,-AVX2_Usable,-FMA_Usable"
 #: Fresh memory is filled with a pattern: what reads it unwritten shows.
@@ -239,6 +242,35 @@ def built_by_other_compilers(folder: Path) -> list[Way]:
     return found
 
 
+def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iterator[tuple[str, bool]]:
+    """Have an emulated 64-bit ARM processor make the engine's calls again; a line to tell for each scene, and whether
+    its bits are the same.
+    """
+    compiler = next(filter(shutil.which, (f"{_ARM}-g++", f"{_ARM}-g++-12")), None)
+    emulator = next(filter(shutil.which, ("qemu-aarch64-static", "qemu-aarch64")), None)
+    if platform.machine() != "x86_64" or compiler is None or emulator is None:
+        missing = " and ".join(
+            name for name, found in (("g++-aarch64-linux-gnu", compiler), ("qemu-user-static", emulator)) if not found
+        )
+        yield f"neon, emulated: left out, there is no {missing or 'x86-64 to record on'}", True
+        return
+    build = [sys.executable, str(ENGINE / "build.py"), "--only", "neon", "--folder", str(folder)]
+    driver = [compiler, "-std=c++20", "-O1", str(ROOT / "scripts" / "bits_replay.cpp"), "-o", str(folder / "replay")]
+    for command in (build, [*driver, "-ldl"]):
+        subprocess.run(command, env={**os.environ, "CXX": compiler}, check=True, capture_output=True)
+    trace = folder / "trace"
+    replay = [emulator, "-L", f"/usr/{_ARM}", str(folder / "replay"), str(folder / "_neon.so"), str(trace)]
+    for scene in scenes:
+        record = [sys.executable, str(ROOT / "scripts" / "bits_trace.py"), str(trace), "--frames", "4", scene]
+        subprocess.run(record, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
+        done = subprocess.run(replay, check=False, capture_output=True, text=True)
+        trace.unlink()
+        if done.returncode not in (0, 1):
+            raise RuntimeError(f"neon, emulated: {scene}: {done.stderr.strip()}")
+        told = f"{done.stdout.strip()}, the same bits" if done.returncode == 0 else f"differs at {done.stdout.strip()}"
+        yield f"neon, emulated: {scene}: {told}", done.returncode == 0
+
+
 def main() -> int:
     """Run everything and tell; the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -254,7 +286,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         found = [(way, sys.executable) for way in [*ways(), *built_by_other_compilers(Path(folder))]]
         found += [(Way(python, {}), python) for python in options.python]
-        return tell(found, options.frames)
+        status = tell(found, options.frames)
+        for line, same in replayed_on_arm(Path(folder)):
+            print(line, flush=True)
+            status = status if same else 1
+        return status
 
 
 def tell(found: Sequence[tuple[Way, str]], frames: int) -> int:

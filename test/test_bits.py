@@ -7,6 +7,9 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
+import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +22,8 @@ sys.path.insert(0, str(ROOT / "scripts"))
 import bits  # noqa: E402
 
 FRAMES = 40
+#: A scene's, where none is given [m/s^2].
+GRAVITY = -9.81
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +86,40 @@ def test_the_first_frame_that_differs_is_told(
     assert "absent: left out, no such thing" in said
     assert "same (any): 6 frames of 2 scenes, the same bits" in said
     assert "  one: there differs from frame 2 on" in said
+
+
+@pytest.fixture
+def replay(tmp_path: Path) -> Path:
+    """The program that makes the calls of a trace again, on this machine's processor."""
+    compiler = shutil.which("g++")
+    if compiler is None:
+        pytest.skip("there is no g++")
+    program = tmp_path / "replay"
+    source = ROOT / "scripts" / "bits_replay.cpp"
+    subprocess.run(
+        [compiler, "-std=c++20", "-O1", "-Wall", "-Wextra", "-Werror", source, "-o", program, "-ldl"], check=True
+    )
+    return program
+
+
+@pytest.mark.parametrize("scene", ["axial springs", "implicit", "crossed springs", "raw springs"])
+def test_a_trace_of_the_engine_is_made_again(replay: Path, tmp_path: Path, scene: str) -> None:
+    from cloth_sim_ros.engine.instruction_set import libraries
+
+    trace = tmp_path / "trace"
+    recorder = [sys.executable, ROOT / "scripts" / "bits_trace.py", trace, "--frames", "1", scene]
+    subprocess.run(recorder, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
+    library = bits.ENGINE / f"_{libraries()[0]}.so"
+    done = subprocess.run([replay, library, trace], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.fullmatch(r"[1-9]\d* calls of \d+ functions\n", done.stdout)
+    # With gravity changed by its last bit something else comes out.
+    content = bytearray(trace.read_bytes())
+    content[content.index(struct.pack("<d", GRAVITY))] ^= 1
+    trace.write_bytes(content)
+    done = subprocess.run([replay, library, trace], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert re.match(r"call \d+, of cloth_\w+: number \d+ of array \d+: ", done.stdout)
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="an x86-64 C library is switched")

@@ -1,0 +1,269 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A trace of the engine's calls: what each is given and what it leaves, so that another build can be asked the same.
+
+`python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes it; bits_replay.cpp makes the
+calls again. A file is a sequence of calls, numbers in 8 bytes, little-endian: the name's length and the name, the kind
+of what is returned ("i" a status, "n" a number, "h" a plan, "v" nothing) and it, the number of arguments, and each by
+its kind: "h" a plan, "i" a whole number, "d" a double, "0" null, "b" memory by its size and its bytes before and after the
+call, "a" several of these by their number, "f" a frame's request by its bytes and the place, in numbers, and content of
+each array in it, a place of -1 behind the last. Bytes stand by the number of a content, which follows where it is new.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import xxhash
+
+from cloth_sim_ros.engine import binding
+
+#: A call's arguments as plain values, and what is known of its plan, to the number of 8-byte numbers in memory.
+Size = Callable[[Sequence[Any], dict[str, Any]], int]
+
+
+def _particles(factor: int) -> Size:
+    return lambda _, plan: factor * plan["n"]
+
+
+def _given(factor: int, at: int) -> Size:
+    return lambda a, _: factor * a[at]
+
+
+def _fixed(size: int) -> Size:
+    return lambda _a, _p: size
+
+
+def _matrix(count: int, width: int) -> Size:
+    return lambda a, _: 3 * a[count] * binding.library()["cloth_band_stride"](a[width])
+
+
+_X = _particles(3)
+_B = _particles(6)
+_PATHS: Size = lambda _, plan: binding.PATH_NUMBERS * plan["grippers"]  # noqa: E731
+_LISTS = list(binding.KINDS.values())
+
+#: Of each function what is returned, and its arguments: h, i, d, or the size of memory.
+CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
+    "cloth_plan_new": ("h", ("i", _given(1, 0), _given(1, 0))),
+    "cloth_plan_free": ("v", ("h",)),
+    "cloth_plan_grid": ("i", ("h", "i", "i", _fixed(7 * len(binding.FAMILIES)))),
+    "cloth_plan_list": (
+        "i",
+        (
+            "h",
+            "i",
+            "i",
+            lambda a, _: a[2] * _LISTS[a[1]][1],
+            lambda a, _: a[2] * _LISTS[a[1]][2],
+            _fixed(5),
+            "i",
+        ),
+    ),
+    "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),
+    "cloth_plan_order": ("i", ("h", _particles(1))),
+    "cloth_plan_held": (
+        "i",
+        (
+            "h",
+            "i",
+            _given(binding.PATH_NUMBERS, 1),
+            "i",
+            _given(1, 3),
+            _given(1, 3),
+            _given(3, 3),
+            _given(1, 3),
+            _given(1, 3),
+        ),
+    ),
+    "cloth_plan_paths": ("i", ("h", _PATHS)),
+    "cloth_frame": ("i", ("h", "f")),
+    "cloth_accelerations": ("i", ("h", "d", _X, _X, _X)),
+    "cloth_energy": ("i", ("h", "d", _X, _X, _fixed(2))),
+    "cloth_powers": ("i", ("h", _X, _X, _fixed(2))),
+    "cloth_grip_rates": (
+        "i",
+        ("h", "d", _X, _X, "d", lambda _, plan: binding.BOOKED_NUMBERS * plan["grippers"]),
+    ),
+    "cloth_rates": ("i", ("h", _X, _B, _B, _fixed(2))),
+    "cloth_bounds": ("i", ("h", _X, _B, _B)),
+    "cloth_product": ("i", ("h", _X, _X, _X, _X, _X)),
+    "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
+    "cloth_alternation": ("i", ("h", "d", _fixed(1))),
+    "cloth_pose": ("i", (_fixed(binding.PATH_NUMBERS), "d", _fixed(18))),
+    "cloth_lengths": ("i", ("i", "i", _given(4, 1), _given(3, 4), "i", _given(1, 1), _given(4, 1))),
+    "cloth_combine": ("i", ("i", "a", _given(1, 0), "i", _given(1, 3))),
+    "cloth_distance": ("i", (_given(3, 2), _given(3, 2), "i", _fixed(1))),
+    "cloth_weighted_dot": ("i", (_given(1, 3), _given(3, 3), _given(3, 3), "i", _fixed(1))),
+    "cloth_band_stride": ("n", ("i",)),
+    "cloth_band_assemble": (
+        "i",
+        (_matrix(1, 2), "i", "i", _given(1, 4), "i", _given(2, 7), _given(6, 7), "i", _given(1, 9), "i"),
+    ),
+    "cloth_band_assemble_diagonal": (
+        "i",
+        (_matrix(1, 2), "i", "i", _given(1, 4), "i", _given(1, 4), _given(6, 4)),
+    ),
+    "cloth_band_factor": ("i", (_matrix(1, 2), "i", "i", "i")),
+    "cloth_band_forward": ("i", (_matrix(1, 2), "i", "i", "i", _given(3, 1))),
+    "cloth_band_backward": ("i", (_matrix(1, 2), "i", "i", "i", _given(3, 1))),
+    "cloth_band_join": (
+        "i",
+        (_matrix(1, 4), "i", _matrix(3, 4), "i", "i", "i", "i", _matrix(8, 9), "i", "i"),
+    ),
+    "cloth_cuthill_mckee": ("i", ("i", _given(2, 2), "i", _given(1, 0))),
+    "cloth_sum": ("i", (_given(1, 1), "i", _fixed(1))),
+}
+
+
+class Traced:
+    """Stands for the engine's library and writes down every call of it."""
+
+    def __init__(self, library: ctypes.CDLL, file: BinaryIO) -> None:
+        self._library, self._file = library, file
+        self._functions: dict[str, Any] = {}
+        self._plans: dict[int, dict[str, Any]] = {}
+        self._contents: dict[bytes, int] = {}
+        self._ended = False
+
+    def end(self) -> None:
+        """Write no more: plans are given back when the process ends."""
+        self._ended = True
+
+    def __getattr__(self, name: str) -> Any:
+        """A function of the library."""
+        return self[name]
+
+    def __getitem__(self, name: str) -> Any:
+        """A function of the library."""
+        if name not in self._functions:
+            self._functions[name] = getattr(self._library, name) if name == "cloth_engine_name" else _Call(self, name)
+        return self._functions[name]
+
+    def make(self, name: str, arguments: tuple[Any, ...]) -> Any:
+        """Make a call and write it down.
+
+        Raises:
+            RuntimeError: for a function that is not in CALLS.
+        """
+        if name not in CALLS:
+            raise RuntimeError(f"a trace has no place for {name}; add it to CALLS, or leave the scene out")
+        returned, kinds = CALLS[name]
+        real = getattr(self._library, name)
+        if self._ended:
+            return real(*arguments)
+        plan = self._plans.get(arguments[0], {}) if kinds[0] == "h" else {}
+        parts = [self._part(kind, value, arguments, plan) for kind, value in zip(kinds, arguments, strict=True)]
+        result = real(*arguments)
+        self._remember(name, arguments, plan, result)
+        words = [struct.pack("<q", len(name)), name.encode(), returned.encode(), struct.pack("<q", result or 0)]
+        words += [struct.pack("<q", len(parts)), *(part() for part in parts)]
+        self._file.write(b"".join(words))
+        return result
+
+    def _remember(self, name: str, arguments: tuple[Any, ...], plan: dict[str, Any], result: Any) -> None:
+        if name == "cloth_plan_new":
+            self._plans[result] = {"n": arguments[0], "grippers": 0, "lists": []}
+        elif name == "cloth_plan_list":
+            plan["lists"].append(arguments[2])
+        elif name == "cloth_plan_held":
+            plan["grippers"] = arguments[1]
+
+    def _part(self, kind: Any, value: Any, arguments: tuple[Any, ...], plan: dict[str, Any]) -> Callable[[], bytes]:
+        """What is written of an argument, asked for after the call; memory is read now, and then once more."""
+        if kind in ("h", "i"):
+            return lambda: kind.encode() + struct.pack("<q", value)
+        if kind == "d":
+            return lambda: b"d" + struct.pack("<d", value)
+        if kind == "f":
+            return self._frame(value._obj, plan)
+        if kind == "a":
+            places = (ctypes.c_int64 * arguments[0]).from_address(value)
+            several = [self._memory(place, 8 * arguments[3]) for place in places]
+            return lambda: b"a" + struct.pack("<q", len(several)) + b"".join(part() for part in several)
+        return self._memory(value, 8 * kind(arguments, plan)) if value else lambda: b"0"
+
+    def _memory(self, place: int, size: int) -> Callable[[], bytes]:
+        before = ctypes.string_at(place, size)
+
+        def write() -> bytes:
+            contents = self._content(before) + self._content(ctypes.string_at(place, size))
+            return b"b" + struct.pack("<q", size) + contents
+
+        return write
+
+    def _content(self, content: bytes) -> bytes:
+        key = xxhash.xxh3_128_digest(content) + struct.pack("<q", len(content))
+        known = self._contents.get(key)
+        if known is not None:
+            return struct.pack("<q", known)
+        number = self._contents[key] = len(self._contents)
+        return struct.pack("<q", number) + content
+
+    def _frame(self, frame: binding.Frame, plan: dict[str, Any]) -> Callable[[], bytes]:
+        n, runs = plan["n"], frame.runs
+        sizes = {
+            "steps": runs,
+            "weights": runs,
+            "x0": 3 * n,
+            "v0": 3 * n,
+            "out": 6 * n * runs,
+            "result": 6 * n,
+            "notes": runs * (binding.BOOKED_NUMBERS * plan["grippers"] + 2),
+            "told": 3,
+        }
+        names = [name for name, *_ in binding.Frame._fields_]
+        raw = bytes(frame)
+        places = {name: getattr(frame, name) for name in sizes if getattr(frame, name)}
+        arrays = [(names.index(name), self._memory(place, 8 * sizes[name])) for name, place in places.items()]
+
+        def write() -> bytes:
+            inside = b"".join(struct.pack("<q", at) + part() for at, part in arrays)
+            return b"f" + struct.pack("<q", len(raw)) + raw + inside + struct.pack("<q", -1)
+
+        return write
+
+
+class _Call:
+    """A function of the library; its types may be set as those of any."""
+
+    def __init__(self, traced: Traced, name: str) -> None:
+        self._traced, self._name = traced, name
+        self._real = getattr(traced._library, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in ("argtypes", "restype"):
+            setattr(self._real, name, value)
+        else:
+            object.__setattr__(self, name, value)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._traced.make(self._name, arguments)
+
+
+def main() -> None:
+    """Run scenes and write their trace."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--frames", type=int, default=12, help="frames of each scene (default: 12)")
+    parser.add_argument("scenes", nargs="+")
+    options = parser.parse_args()
+    with options.file.open("wb") as file:
+        traced = Traced(binding.library(), file)
+        # Before whoever asks for the library by name is loaded.
+        binding.library = lambda: traced  # type: ignore[assignment]
+        import bits
+
+        for scene in options.scenes:
+            for _ in bits.frames_of(scene, options.frames):
+                pass
+        traced.end()
+
+
+if __name__ == "__main__":
+    main()
