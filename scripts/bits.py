@@ -36,7 +36,13 @@ _HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX,-AVX512F,-AVX2_Usable,-FMA_Usa
 #: Fresh memory is filled with a pattern: what reads it unwritten shows.
 _PERTURB = "glibc.malloc.perturb=165"
 
-_GRID = {"cloth.resolution": [9, 8], "cloth.size": [0.4, 0.35], "gripper.radius": 0.08}
+_GRID = {
+    "cloth.resolution": [9, 8],
+    "cloth.size": [0.4, 0.35],
+    "cloth.position": [0.1, -0.3, 1.7],
+    "cloth.orientation": [0.61, 0.07, -0.13, 0.77],
+    "gripper.radius": 0.08,
+}
 _BENT = {"material.bending_modulus": 1e-4, "material.stretch_modulus": 100.0, "material.shear_modulus": 10.0}
 #: Parameters of each scene. Positions and turns come from fractions, not from sines: what is asked is what the package
 #: computes, not what the test's own numbers are.

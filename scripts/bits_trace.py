@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A trace of the engine's calls: what each is given and what it leaves, so that another build can be asked the same.
 
-`python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes it; bits_replay.cpp makes the
-calls again. A file is a sequence of calls, numbers in 8 bytes, little-endian: the name's length and the name, the kind
-of what is returned ("i" a status, "n" a number, "h" a plan, "v" nothing) and it, the number of arguments, and each by
-its kind: "h" a plan, "i" a whole number, "d" a double, "0" null, "b" memory by its size and its bytes before and after the
-call, "a" several of these by their number, "f" a frame's request by its bytes and the place, in numbers, and content of
-each array in it, a place of -1 behind the last. Bytes stand by the number of a content, which follows where it is new.
+`python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes it; bits_replay.cpp makes
+the calls again. A file is a sequence of calls, numbers in 8 bytes, little-endian: the name's length and the name, the
+kind of what is returned ("i" a status, "n" a number, "h" a plan, "v" nothing) and it, the number of arguments, and
+each by its kind: "h" a plan, "i" a whole number, "d" a double, "0" null, "b" memory by its size and its bytes before
+and after the call, "a" several of these by their number, "f" a frame's request by its bytes and the place, in
+numbers, and content of each array in it, a place of -1 behind the last. Bytes stand by the number of a content, which
+follows where it is new.
 """
 
 from __future__ import annotations

@@ -246,8 +246,13 @@ class Scene:
 
     def initial_positions(self) -> Array:
         """Starting positions [m], shape (particle_count, 3)."""
+        return self._turned(self.sheet.positions()) + np.asarray(self.cloth.position)
+
+    def _turned(self, vectors: Array) -> Array:
+        """Vectors (n, 3) of the sheet's own axes in those of the world, in an order of sums that no library chooses."""
         turn = rotation_matrix(normalised(self.cloth.orientation))
-        return np.einsum("ij,nj->ni", turn, self.sheet.positions()) + np.asarray(self.cloth.position)
+        x, y, z = np.asarray(vectors, dtype=np.float64).T
+        return np.stack([row[0] * x + row[1] * y + row[2] * z for row in turn], axis=1)
 
     def starting_state(self) -> State:
         """Starting state: that of `initial_state`, at frame 0 and running; else at rest, or as a springs file has it.
@@ -260,8 +265,7 @@ class Scene:
         sheet = self.sheet
         velocities = None
         if isinstance(sheet, RawSprings):
-            turn = rotation_matrix(normalised(self.cloth.orientation))
-            velocities = np.einsum("ij,nj->ni", turn, sheet.velocities)
+            velocities = self._turned(sheet.velocities)
         return State(self.initial_positions(), velocities, cloth=cloth_of(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:

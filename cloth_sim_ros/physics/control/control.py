@@ -14,6 +14,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.integrators.base import MEMORY
 from cloth_sim_ros.physics.integrators.columns import RATIOS
+from cloth_sim_ros.physics.powers import root
 from cloth_sim_ros.physics.state import State
 
 #: Most columns whose combination is taken; one more is run to judge it.
@@ -69,7 +70,7 @@ COSTLY = 1.5
 STIFFENED = 1.02
 #: The error of a stretch that is more violent than the one judged last is taken to be larger by this power of the
 #: change of its velocities; where that is too much, it is judged itself.
-LIVELIER = 3.0
+LIVELIER = 3
 
 
 @attrs.define
@@ -139,7 +140,7 @@ def cheapest(errors: Sequence[float], refine: float, budget: float, most: int) -
     """
     best = (1, FINEST, float("inf"))
     for columns, error in enumerate(errors[:most], start=1):
-        scale = (max(error, ROUNDING) / (AIM * budget)) ** (1.0 / (columns + 1))
+        scale = root(max(error, ROUNDING) / (AIM * budget), columns + 1)
         wanted = min(FINEST, max(1.0, refine * scale))
         work = wanted * (sum(RATIOS[:columns]) + RATIOS[columns] / LONGEST_WAIT)
         if work < best[2] and (wanted < FINEST or columns == most):
@@ -149,4 +150,4 @@ def cheapest(errors: Sequence[float], refine: float, budget: float, most: int) -
 
 def hopeless(error: float, refine: float, budget: float) -> bool:
     """Whether the plain leapfrog's error [m] at a refinement says that no step in reach meets the budget [m]."""
-    return refine * (error / (AIM * budget)) ** 0.5 > 4.0 * FINEST
+    return refine * root(error / (AIM * budget), 2) > 4.0 * FINEST

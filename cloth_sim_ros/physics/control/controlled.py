@@ -39,6 +39,7 @@ from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, UnstableErro
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.powers import power
 from cloth_sim_ros.physics.state import State
 
 #: Longest stretch that is extrapolated at once [s]: over longer ones the columns part too far for their combination.
@@ -372,7 +373,7 @@ class ControlledAdvance:
         memory = self._memory
         finer = self._choice.refine / refine
         memory.columns, memory.refine, memory.activity = columns, refine, activity
-        memory.error = errors[columns - 1] * finer ** (columns + 1)
+        memory.error = errors[columns - 1] * power(finer, columns + 1)
         if columns > 1:
             memory.ratio = min(1.0, errors[columns - 1] / errors[columns - 2] * finer) if errors[columns - 2] else 1.0
         calm = memory.error <= AIM * self._budget * 1.01 and error <= self._budget

@@ -28,6 +28,7 @@ from cloth_sim_ros.physics.control.control import (
 from cloth_sim_ros.physics.control.economy import Economy
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.plan import Plan, largest_distance
+from cloth_sim_ros.physics.powers import power
 from cloth_sim_ros.physics.state import State
 
 
@@ -60,7 +61,7 @@ class Economies:
         livelier = max(1.0, activity / memory.activity) if memory.activity else math.inf
         if economy.alternate:
             return memory.alternating * livelier
-        error = max(memory.error, ROUNDING) * livelier**LIVELIER
+        error = max(memory.error, ROUNDING) * power(livelier, LIVELIER)
         return error + (memory.rounding if economy.narrow else 0.0)
 
     def prepare(self, t: float, state: State, limit: float) -> None:

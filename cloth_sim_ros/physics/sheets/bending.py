@@ -33,6 +33,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cloth_sim_ros.engine.band import fixed_sum
 from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
 from cloth_sim_ros.physics.forces.crossed import CrossedSprings
@@ -206,10 +207,10 @@ def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -
     """
     x = np.asarray(positions, dtype=np.float64)[:, :2]
     along = x[springs.pairs[:, 1]] - x[springs.pairs[:, 0]]
-    per_length2 = springs.rigidity / np.einsum("ij,ij->i", along, along) / area
-    products = np.stack((along[:, 0] ** 4, along[:, 1] ** 4, (along[:, 0] * along[:, 1]) ** 2))
-    added: Array = products @ per_length2
-    return added
+    square, product = along * along, along[:, 0] * along[:, 1]
+    per_length2 = springs.rigidity / (square[:, 0] + square[:, 1]) / area
+    parts = (square[:, 0] * square[:, 0], square[:, 1] * square[:, 1], product * product)
+    return np.array([fixed_sum(np.ascontiguousarray(part * per_length2)) for part in parts])
 
 
 def refuse_bending_modulus(model: str) -> None:

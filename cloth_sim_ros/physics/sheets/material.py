@@ -60,16 +60,19 @@ def grid_threads(
         ValueError: if no edge springs of positive stiffness give these moduli.
     """
     hx, hy = spacing
-    diagonal = math.hypot(hx, hy)
+    # Products, not powers: a library's pow and hypot differ in the last bit from machine to machine.
+    diagonal = math.sqrt(hx * hx + hy * hy)
     families = 2.0 if layout == "both" else 1.0
-    k_diagonal = shear_modulus * diagonal**3 / (families * hx * hy)
+    k_diagonal = shear_modulus * (diagonal * diagonal * diagonal) / (families * hx * hy)
     if layout in ("left", "right"):
         axial_x = axial_y = stretch_modulus
         poisson = 0.0
     else:
-        axial = 0.5 * (stretch_modulus + math.sqrt(stretch_modulus**2 + 4.0 * shear_modulus**2))
-        axial_x = axial - shear_modulus * (hx / hy) ** 2
-        axial_y = axial - shear_modulus * (hy / hx) ** 2
+        axial = 0.5 * (
+            stretch_modulus + math.sqrt(stretch_modulus * stretch_modulus + 4.0 * (shear_modulus * shear_modulus))
+        )
+        axial_x = axial - shear_modulus * (hx / hy * (hx / hy))
+        axial_y = axial - shear_modulus * (hy / hx * (hy / hx))
         poisson = shear_modulus / axial
     axial_x -= 2.0 * bend_stiffness
     axial_y -= 2.0 * bend_stiffness

@@ -1,0 +1,39 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Powers and roots by arithmetic alone: a library's pow differs in the last bit from machine to machine."""
+
+from __future__ import annotations
+
+import math
+
+
+def power(base: float, exponent: int) -> float:
+    """Return base to a whole exponent of at least 0, by as many multiplications."""
+    product = 1.0
+    for _ in range(exponent):
+        product *= base
+    return product
+
+
+def root(value: float, degree: int) -> float:
+    """Return the root of a value of at least 0, to a few roundings; infinity stays.
+
+    Newton's iteration from above falls until rounding stops it.
+
+    Args:
+        value: what to take the root of.
+        degree: of the root, at least 1.
+    """
+    if degree == 1 or value in (0.0, math.inf):
+        return value
+    if degree == 2:
+        return math.sqrt(value)
+    # Taken apart, so that no power overflows: value = scaled 2^(degree whole), scaled from 1/2 to below 2^degree.
+    mantissa, exponent = math.frexp(value)
+    whole, rest = divmod(exponent, degree)
+    scaled, guess = math.ldexp(mantissa, rest), 2.0
+    while True:
+        better = guess - (guess - scaled / power(guess, degree - 1)) / degree
+        if not better < guess:
+            return math.ldexp(guess, whole)
+        guess = better
