@@ -45,8 +45,9 @@ help:
 run: $(DEMO) engine
 	@$(BIN)/python -m cloth_sim_ros.ros.demo $(ARGS)
 
+# A process a core; a file's tests stay together. ARGS="-n 0" runs them in one process.
 test: $(DEV) engine
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
 check: $(DEV) engine
 	$(BIN)/ruff format --check .

@@ -65,7 +65,7 @@ EXTRAS = {
     "export": ["pyarrow>=18.0"],
     "mesh": ["trimesh>=4.0"],
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
-    "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98", "psutil>=5.9"],
+    "test": ["pytest>=7.4", "pytest-timeout>=2.2", "pytest-xdist>=3.5", "hypothesis>=6.98", "psutil>=5.9"],
 }
 # What `make run` installs, and what `make test` and `make check` install.
 EXTRAS["demo"] = [*EXTRAS["ros"], *EXTRAS["record"], *EXTRAS["replay"]]

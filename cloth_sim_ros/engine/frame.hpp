@@ -51,7 +51,8 @@ struct Frame {
     std::int64_t runs;               ///< how many, each with its steps
     const std::int64_t* steps;
     const double* weights;           ///< of the runs in the combination
-    std::int64_t narrow, alternate;  ///< of the first run
+    std::int64_t narrow;             ///< whether runs calculate in single precision
+    std::int64_t alternate;          ///< whether the first takes weak springs at every second step
     std::int64_t bands;
     const double *x0, *v0;
     double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
@@ -70,7 +71,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
         const Run run{frame.t,
                       frame.duration / static_cast<double>(frame.steps[k]),
                       frame.steps[k],
-                      frame.narrow && k == 0,
+                      frame.narrow != 0,
                       frame.alternate && k == 0 && plan.has_weak(),
                       static_cast<int>(frame.bands),
                       frame.x0,

@@ -296,8 +296,8 @@ class Plan:
             start: positions and velocities; they stay as they are.
             steps: of each run, at least 1.
             weights: of the runs in a combination that is wanted too; None where it is not.
-            narrow: whether the first run calculates in single precision.
-            alternate: whether it takes weak springs at every second step; its steps must be odd then.
+            narrow: whether they calculate in single precision.
+            alternate: whether the first one takes weak springs at every second step; its steps must be odd then.
             powers: whether powers are noted.
             threads: of a sheet; None chooses. No bit depends on it.
 

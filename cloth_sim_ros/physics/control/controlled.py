@@ -36,7 +36,7 @@ from cloth_sim_ros.physics.control.last_resort import last_resort, within_reach
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.integrators.base import MEMORY, Advance, UnstableError, refuse_unstable
-from cloth_sim_ros.physics.integrators.columns import Columns, step_counts
+from cloth_sim_ros.physics.integrators.columns import Columns, amplification, step_counts
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.powers import power
@@ -284,8 +284,12 @@ class ControlledAdvance:
         return columns
 
     def _economy(self) -> Economy:
-        """What the first run of the next attempt saves on; combinations save on nothing."""
+        """What the runs of the next attempt save on."""
         choice = self._choice
+        if choice.columns > 1 and self._options.tolerance is not None:
+            # A judgement looks at combinations of two runs more.
+            most = min(choice.columns + 2, MOST_COLUMNS + 1) if choice.judge else choice.columns
+            return self._economies.of_combined(self._state, amplification(most))
         # A thorough judgement alone makes steps larger again.
         refined = choice.judge and choice.refine > 1.0
         if choice.columns > 1 or choice.thorough or refined or self._options.tolerance is None:
@@ -312,7 +316,7 @@ class ControlledAdvance:
             if choice.columns == 1 and memory.wait > 0 and hopeless(memory.error, choice.refine, self._budget):
                 self._flagged += 1
                 return estimate
-        if columns.economy != THOROUGH:
+        if choice.columns == 1 and columns.economy != THOROUGH:
             return self._judge_economy(columns, activity)
         errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
         error = errors[-1]

@@ -46,8 +46,12 @@ class Economies:
         self._plan, self._memory, self._stretch, self._budget = plan, memory, stretch, budget
 
     def of(self, state: State) -> Economy:
-        """Return what a run from this state saves on."""
-        return Economy(self._narrows(state), self._alternates())
+        """Return what a single run from this state saves on."""
+        return Economy(self._narrows(state, 1.0), self._alternates())
+
+    def of_combined(self, state: State, amplified: float) -> Economy:
+        """Return what runs from this state save on whose combination amplifies rounding by a factor."""
+        return Economy(narrow=self._narrows(state, amplified))
 
     def share(self, economy: Economy, otherwise: float) -> float:
         """Return the share of the step limit that runs take, `otherwise` where they save on no springs."""
@@ -81,11 +85,11 @@ class Economies:
         if waited and not self._alternates() and self._may_alternate(extent):
             memory.alternating = 0.0
 
-    def _narrows(self, state: State) -> bool:
-        """Whether single precision is taken: one run of which it was measured what rounding does, of a motion that is
-        large against that: what comes to rest has to find its place.
+    def _narrows(self, state: State, amplified: float) -> bool:
+        """Whether single precision is taken: it was measured what rounding does, and the motion is large against that:
+        what comes to rest has to find its place.
         """
-        rounding = self._memory.rounding
+        rounding = amplified * self._memory.rounding
         if not 0.0 <= rounding <= NARROW_SHARE * self._budget:
             return False
         fastest = max(float(state.v.max()), -float(state.v.min()))

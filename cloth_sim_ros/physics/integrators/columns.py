@@ -35,6 +35,13 @@ def step_counts(first: int, columns: int) -> tuple[int, ...]:
     return tuple(counts)
 
 
+@lru_cache(maxsize=16)
+def amplification(columns: int) -> float:
+    """Return by how much a combination of so many columns amplifies rounding: the sum of |w|."""
+    # Twenty steps are the fewest whose counts keep the ratios.
+    return sum(abs(weight) for weight in weights(step_counts(20, columns)))
+
+
 @lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
     """Return the weights of T_K for K columns of these step counts: found in fractions, rounded once."""
@@ -64,7 +71,7 @@ class Columns:
         duration: length of the stretch [s].
         counts: step counts of the columns that may be asked for.
         powers: whether runs note what damping takes and wind gives.
-        economy: what the first run saves on; all others save on nothing.
+        economy: what the runs save on; weak springs are left out by the first alone.
     """
 
     def __init__(
@@ -149,15 +156,14 @@ class Columns:
         if made >= columns:
             return
         steps, whole = self.counts[made:columns], made == 0
-        economy = self.economy if whole else THOROUGH
         runs, result = self._plan.runs(
             self._t,
             self._duration,
             (self._start.x, self._start.v),
             steps,
             weights=weights(self.counts[:columns]) if whole else None,
-            narrow=economy.narrow,
-            alternate=economy.alternate,
+            narrow=self.economy.narrow,
+            alternate=whole and self.economy.alternate,
             powers=self._powers,
         )
         self._runs.extend(runs)
