@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.arrays import combine, largest_distance, weighted_dot
 from cloth_sim_ros.physics.forces.air_panels import AirPanels
 from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
 from cloth_sim_ros.physics.forces.crossed import CrossedSprings
@@ -23,7 +24,7 @@ from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.forces.wind import Wind
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import combine, compile, largest_distance, weighted_dot
+from cloth_sim_ros.physics.plan import compile
 
 N = 8
 NAN, INF = math.nan, math.inf

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from plan_scenes import FILES, SCENES, listed, stir
 
+from cloth_sim_ros.physics.arrays import combine
+from cloth_sim_ros.physics.assembly import MOVE, NUMPY_FORCE
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
@@ -15,7 +17,7 @@ from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import MOVE, NUMPY_FORCE, combine, compile
+from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Reset, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from plan_scenes import FILES, SCENES, listed, stir
 
+from cloth_sim_ros.physics.assembly import MOVE, NUMPY_FORCE
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
@@ -17,7 +18,7 @@ from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import MOVE, NUMPY_FORCE, compile
+from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target

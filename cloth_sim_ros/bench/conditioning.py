@@ -10,8 +10,8 @@ import numpy as np
 
 from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 from cloth_sim_ros.bench.report import Report, Table
+from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
-from cloth_sim_ros.physics.plan import largest_distance
 
 #: Largest kick of a particle's position [m].
 KICK = 1e-9

@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.right_side import IndependentRightSide
+from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan, largest_distance
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 #: Relative and absolute tolerance of the reference, and of the run that it is checked against.

@@ -15,18 +15,15 @@ import ctypes
 import math
 import os
 import weakref
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
     CALLBACK,
-    FAMILIES,
-    KINDS,
     MOST_RUNS,
     PATH_NUMBERS,
     Frame,
@@ -37,51 +34,20 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.assembly import Assembly
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import Gridded, Listed
+from cloth_sim_ros.physics.runs import Run, Told
 
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
-#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that
-#: what is chosen by them is the same on any machine.
-MOVE = 2.0
-ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
-GRID_SPRING = 1.3
-#: The same of a force in numpy [ns a particle].
-NUMPY_FORCE = 100.0
 #: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched
 #: one's.
 _STIFFER = 1.08
 #: Estimated time of a step [ns] from which a second thread gains more than meeting it costs. No bit depends on it.
 WORTH_A_THREAD = 25_000.0
-
-
-class Run(NamedTuple):
-    """One run of the leapfrog over a stretch of time."""
-
-    x: Array
-    v: Array
-    #: What was noted for each gripper, shape (grippers, BOOKED_NUMBERS), and powers' integrals [J], shape (2,).
-    grips: Array
-    powers: Array
-
-
-class Told(NamedTuple):
-    """What a frame's call tells of the result."""
-
-    #: Largest change of a particle's velocity [m/s]; infinite where a number is none.
-    activity: float
-    #: Bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] there.
-    omega2: float
-    damping: float
-
-    @property
-    def finite(self) -> bool:
-        """Whether every number of the result is one."""
-        return self.activity < float("inf")
 
 
 def compile(model: Model) -> Plan:
@@ -104,15 +70,23 @@ class Plan:
         self.model = model
         self._library = library()
         self._shape = (3, model.particle_count)
-        self._own: list[Force] = []
-        self._grips: Grips | None = None
+        parts = Assembly.of(model)
+        self._own, self._grips, self._drag, self._gridded = parts.own, parts.grips, parts.drag, parts.gridded
+        #: Estimated time of a step for one particle [ns].
+        self.step_cost = parts.step_cost()
+        self._pair_counts = parts.pair_counts()
         self._seen = self._moved = -1
         # The engine's request, made once: what a frame asks for is written into it.
         self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
         self._told = (ctypes.c_double * 3)()
         self._frame = Frame(steps=ctypes.addressof(self._steps), weights=ctypes.addressof(self._weights))
         self._frame_at = ctypes.byref(self._frame)
-        self._handle = self._make(model)
+        count, masses = model.particle_count, (model.masses.ctypes.data, model.inverse_masses.ctypes.data)
+        self._handle = self._library.cloth_plan_new(count, *masses)
+        if not self._handle:
+            check(2)
+        weakref.finalize(self, self._library.cloth_plan_free, self._handle)
+        parts.hand_over(self._handle)
         self._frame.rates = not self._own
         self._callback: Any = None
         self._trouble: BaseException | None = None
@@ -120,104 +94,6 @@ class Plan:
             # Kept: ctypes does not.
             self._callback = CALLBACK(_caller(weakref.ref(self)))
             check(self._library.cloth_plan_callback(self._handle, self._callback))
-
-    def _make(self, model: Model) -> int:
-        count = model.particle_count
-        handle = self._library.cloth_plan_new(count, model.masses.ctypes.data, model.inverse_masses.ctypes.data)
-        if not handle:
-            check(2)
-        weakref.finalize(self, self._library.cloth_plan_free, handle)
-        gravity, wind, drag = np.zeros(3), np.zeros(3), 0.0
-        gridded: list[Gridded] = []
-        listed: list[Listed] = []
-        for force in model.forces:
-            if isinstance(force, Grips):
-                if self._grips is not None:
-                    raise ValueError(
-                        f"two forces hold particles, '{self._grips.name}' and '{force.name}'; make them one"
-                    )
-                self._grips = force
-            parts = force.parts(count)
-            if parts is None:
-                self._own.append(force)
-                continue
-            for part in parts:
-                if isinstance(part, Gridded):
-                    gridded.append(part)
-                elif isinstance(part, Listed):
-                    listed.append(part)
-                else:
-                    gravity, wind, drag = gravity + part.gravity, wind + part.wind, drag + part.drag
-        check(self._library.cloth_plan_uniform(handle, gravity.ctypes.data, wind.ctypes.data, drag))
-        self._drag = drag
-        self._gridded = self._add_grid(handle, gridded)
-        #: Elements of each list; 0 where it is none of springs or joints.
-        self._pair_counts = [len(part.particles) if part.kind in ("spring", "joint") else 0 for part in listed]
-        for part in listed:
-            self._add_list(handle, part)
-        if listed and not gridded:
-            self._order(handle, count, listed)
-        self.step_cost = self._estimate(listed) / count
-        return int(handle)
-
-    def _add_grid(self, handle: int, gridded: Sequence[Gridded]) -> Gridded | None:
-        """All families of a sheet in one sweep."""
-        if not gridded:
-            return None
-        rows, columns = gridded[0].rows, gridded[0].columns
-        families = [family for part in gridded for family in part.families]
-        table = np.zeros((len(FAMILIES), 7))
-        table[:, 3], table[:, 6] = 1.0, -1.0
-        for part in gridded:
-            if (part.rows, part.columns) != (rows, columns):
-                raise ValueError(
-                    f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles"
-                )
-        for family in families:
-            row = table[FAMILIES.index(family.name)]
-            if row[0]:
-                raise ValueError(f"two forces have springs '{family.name}' of one sheet; make them one")
-            parity = -1 if family.parity is None else family.parity
-            row[:] = 1, family.weak, family.stiffness, family.rest_length, family.damping, family.border, parity
-        check(self._library.cloth_plan_grid(handle, rows, columns, table.ctypes.data))
-        return Gridded(rows=rows, columns=columns, families=tuple(families))
-
-    def _add_list(self, handle: int, part: Listed) -> None:
-        kind, width, numbers = KINDS[part.kind]
-        particles = np.ascontiguousarray(part.particles, dtype=np.int64)
-        values = np.ascontiguousarray(part.numbers, dtype=np.float64)
-        if particles.shape[1] != width or values.shape != (len(particles), numbers):
-            raise ValueError(f"a list of kind '{part.kind}' has shapes {particles.shape} and {values.shape}")
-        common = None if part.common is None else np.ascontiguousarray(part.common, dtype=np.float64)
-        check(
-            self._library.cloth_plan_list(
-                handle,
-                kind,
-                len(particles),
-                particles.ctypes.data,
-                values.ctypes.data,
-                None if common is None else common.ctypes.data,
-                int(part.weak),
-            )
-        )
-
-    def _order(self, handle: int, count: int, listed: Iterable[Listed]) -> None:
-        """Let neighbours lie close together inside runs; nobody outside sees that order."""
-        from cloth_sim_ros.physics.ordering import local_order
-
-        order = local_order(count, np.concatenate([_pairs(part.particles) for part in listed]))
-        if order is not None:
-            rank = np.empty(count, dtype=np.int64)
-            rank[order] = np.arange(count)
-            check(self._library.cloth_plan_order(handle, rank.ctypes.data))
-
-    def _estimate(self, listed: Iterable[Listed]) -> float:
-        """Estimated time of a step [ns]."""
-        count = self.model.particle_count
-        total = MOVE * count + NUMPY_FORCE * count * len(self._own)
-        if self._gridded is not None:
-            total += GRID_SPRING * count * len(self._gridded.families)
-        return total + sum(ELEMENT[part.kind] * len(part.particles) for part in listed)
 
     # What follows is called in every frame.
 
@@ -505,47 +381,12 @@ class Plan:
         return 0
 
 
-def largest_distance(x: Array, y: Array) -> float:
-    """Return the largest distance between particles of two arrays (3, n) [m]; infinite if any entry is not finite."""
-    out, shape = ctypes.c_double(), (3, *x.shape[1:2])
-    addresses = doubles("x", x, shape), doubles("y", y, shape)
-    check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
-    return float(out.value)
-
-
-def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
-    """Return the weighted sum of arrays of one shape."""
-    if not arrays or len(arrays) != len(weights):
-        raise ValueError(f"{len(weights)} weights for {len(arrays)} arrays; give one an array, at least one")
-    out = np.empty_like(arrays[0])
-    places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
-    factors = np.array(weights, dtype=np.float64)
-    check(
-        library().cloth_combine(len(arrays), ctypes.addressof(places), factors.ctypes.data, out.size, out.ctypes.data)
-    )
-    return out
-
-
-def weighted_dot(masses: Array, a: Array, b: Array) -> float:
-    """Return the sum over particles of m a . b, shapes (n,) and (3, n), in the order of the particles."""
-    out, shape = ctypes.c_double(), (3, len(masses))
-    addresses = doubles("masses", masses, (len(masses),)), doubles("a", a, shape), doubles("b", b, shape)
-    check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))
-    return float(out.value)
-
-
 def _caller(plan: weakref.ref[Plan]) -> Any:
     def call(t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
         alive = plan()
         return 1 if alive is None else alive.call_own(t, x, v, f, powers)
 
     return call
-
-
-def _pairs(groups: NDArray[np.int64]) -> NDArray[np.int64]:
-    """All pairs of particles within each row."""
-    width = groups.shape[1]
-    return np.concatenate([groups[:, [i, j]] for i in range(width) for j in range(i + 1, width)])
 
 
 def _cores() -> int:

@@ -10,6 +10,7 @@ from functools import cached_property
 import attrs
 import numpy as np
 
+from cloth_sim_ros.physics.assembly import NUMPY_FORCE
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control.control import Memory
 from cloth_sim_ros.physics.control.last_resort import within_reach
@@ -18,7 +19,7 @@ from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.fixed import SAFETY
 from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.plan import NUMPY_FORCE, Plan
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
 #: Integrators by the name that a scene gives.

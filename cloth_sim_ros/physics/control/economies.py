@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.control.control import (
     ALTERNATE_LEAST,
     ALTERNATE_SHARE,
@@ -27,7 +28,7 @@ from cloth_sim_ros.physics.control.control import (
 )
 from cloth_sim_ros.physics.control.economy import Economy
 from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
-from cloth_sim_ros.physics.plan import Plan, largest_distance
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.powers import power
 from cloth_sim_ros.physics.state import State
 

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from cloth_sim_ros.physics.arrays import weighted_dot
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan, weighted_dot
+from cloth_sim_ros.physics.plan import Plan
 
 #: Energy that may be made in all, relative to the kinetic energy, and to all energy (rounding).
 _SHARE, _ROUNDING = 2e-3, 1e-12

@@ -15,10 +15,12 @@ from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 
+from cloth_sim_ros.physics.arrays import combine, largest_distance
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control.economy import THOROUGH, Economy
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan, Run, Told, combine, largest_distance
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.state import State
 
 #: Step counts of the columns, relative to the first. Wider ones cost more, narrower ones amplify rounding and what

@@ -1,0 +1,42 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is asked of arrays of particles and reaches decisions: calculated by the engine, in one order."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import check, doubles, library
+from cloth_sim_ros.physics.forces.force import Array
+
+
+def largest_distance(x: Array, y: Array) -> float:
+    """Return the largest distance between particles of two arrays (3, n) [m]; infinite if any entry is not finite."""
+    out, shape = ctypes.c_double(), (3, *x.shape[1:2])
+    addresses = doubles("x", x, shape), doubles("y", y, shape)
+    check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
+    return float(out.value)
+
+
+def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
+    """Return the weighted sum of arrays of one shape."""
+    if not arrays or len(arrays) != len(weights):
+        raise ValueError(f"{len(weights)} weights for {len(arrays)} arrays; give one an array, at least one")
+    out = np.empty_like(arrays[0])
+    places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
+    factors = np.array(weights, dtype=np.float64)
+    check(
+        library().cloth_combine(len(arrays), ctypes.addressof(places), factors.ctypes.data, out.size, out.ctypes.data)
+    )
+    return out
+
+
+def weighted_dot(masses: Array, a: Array, b: Array) -> float:
+    """Return the sum over particles of m a . b, shapes (n,) and (3, n), in the order of the particles."""
+    out, shape = ctypes.c_double(), (3, len(masses))
+    addresses = doubles("masses", masses, (len(masses),)), doubles("a", a, shape), doubles("b", b, shape)
+    check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))
+    return float(out.value)

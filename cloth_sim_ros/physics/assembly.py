@@ -1,0 +1,151 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A model put together for the engine: its parts, what each is, and what a step of them is estimated to take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import FAMILIES, KINDS, check, library
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import Gridded, Listed
+
+#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that
+#: what is chosen by them is the same on any machine.
+MOVE = 2.0
+ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
+GRID_SPRING = 1.3
+#: The same of a force in numpy [ns a particle].
+NUMPY_FORCE = 100.0
+
+
+@attrs.define(eq=False)
+class Assembly:
+    """What a model's forces consist of."""
+
+    model: Model
+    #: Forces in numpy.
+    own: list[Force] = attrs.field(factory=list)
+    grips: Grips | None = None
+    gravity: Array = attrs.field(factory=lambda: np.zeros(3))
+    wind: Array = attrs.field(factory=lambda: np.zeros(3))
+    drag: float = 0.0
+    #: All springs of the model's sheet, if it has one.
+    gridded: Gridded | None = None
+    listed: list[Listed] = attrs.field(factory=list)
+
+    @classmethod
+    def of(cls, model: Model) -> Assembly:
+        """Look at a model's forces.
+
+        Raises:
+            ValueError: if a force does not fit the model, or two of them are to be one.
+        """
+        found = cls(model)
+        sheets: list[Gridded] = []
+        for force in model.forces:
+            if isinstance(force, Grips):
+                if found.grips is not None:
+                    raise ValueError(
+                        f"two forces hold particles, '{found.grips.name}' and '{force.name}'; make them one"
+                    )
+                found.grips = force
+            parts = force.parts(model.particle_count)
+            if parts is None:
+                found.own.append(force)
+                continue
+            for part in parts:
+                if isinstance(part, Gridded):
+                    sheets.append(part)
+                elif isinstance(part, Listed):
+                    found.listed.append(part)
+                else:
+                    found.gravity, found.wind = found.gravity + part.gravity, found.wind + part.wind
+                    found.drag += part.drag
+        found.gridded = _one_sheet(sheets)
+        return found
+
+    def hand_over(self, handle: int) -> None:
+        """Tell the engine's plan of it."""
+        engine, uniform = library(), (self.gravity.ctypes.data, self.wind.ctypes.data, self.drag)
+        check(engine.cloth_plan_uniform(handle, *uniform))
+        if self.gridded is not None:
+            table = _table(self.gridded)
+            check(engine.cloth_plan_grid(handle, self.gridded.rows, self.gridded.columns, table.ctypes.data))
+        for part in self.listed:
+            _add_list(handle, part)
+        if self.listed and self.gridded is None:
+            self._order(handle)
+
+    def pair_counts(self) -> list[int]:
+        """Elements of each list; 0 where it is none of springs or joints."""
+        return [len(part.particles) if part.kind in ("spring", "joint") else 0 for part in self.listed]
+
+    def step_cost(self) -> float:
+        """Estimated time of a step for one particle [ns]."""
+        count = self.model.particle_count
+        total = MOVE * count + NUMPY_FORCE * count * len(self.own)
+        if self.gridded is not None:
+            total += GRID_SPRING * count * len(self.gridded.families)
+        return (total + sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed)) / count
+
+    def _order(self, handle: int) -> None:
+        """Let neighbours lie close together inside runs; nobody outside sees that order."""
+        from cloth_sim_ros.physics.ordering import local_order
+
+        count = self.model.particle_count
+        order = local_order(count, np.concatenate([_pairs(part.particles) for part in self.listed]))
+        if order is not None:
+            rank = np.empty(count, dtype=np.int64)
+            rank[order] = np.arange(count)
+            check(library().cloth_plan_order(handle, rank.ctypes.data))
+
+
+def _one_sheet(parts: Sequence[Gridded]) -> Gridded | None:
+    """All families of a sheet together: they are taken in one sweep."""
+    if not parts:
+        return None
+    rows, columns = parts[0].rows, parts[0].columns
+    names: set[str] = set()
+    for part in parts:
+        if (part.rows, part.columns) != (rows, columns):
+            raise ValueError(f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles")
+        for family in part.families:
+            if family.name in names:
+                raise ValueError(f"two forces have springs '{family.name}' of one sheet; make them one")
+            names.add(family.name)
+    return Gridded(rows=rows, columns=columns, families=tuple(family for part in parts for family in part.families))
+
+
+def _table(sheet: Gridded) -> Array:
+    """The engine's row of numbers for each family."""
+    table = np.zeros((len(FAMILIES), 7))
+    table[:, 3], table[:, 6] = 1.0, -1.0
+    for family in sheet.families:
+        parity = -1 if family.parity is None else family.parity
+        numbers = (1, family.weak, family.stiffness, family.rest_length, family.damping, family.border, parity)
+        table[FAMILIES.index(family.name)] = numbers
+    return table
+
+
+def _add_list(handle: int, part: Listed) -> None:
+    kind, width, numbers = KINDS[part.kind]
+    particles = np.ascontiguousarray(part.particles, dtype=np.int64)
+    values = np.ascontiguousarray(part.numbers, dtype=np.float64)
+    if particles.shape[1] != width or values.shape != (len(particles), numbers):
+        raise ValueError(f"a list of kind '{part.kind}' has shapes {particles.shape} and {values.shape}")
+    common = None if part.common is None else np.ascontiguousarray(part.common, dtype=np.float64)
+    addresses = particles.ctypes.data, values.ctypes.data, None if common is None else common.ctypes.data
+    check(library().cloth_plan_list(handle, kind, len(particles), *addresses, int(part.weak)))
+
+
+def _pairs(groups: NDArray[np.int64]) -> NDArray[np.int64]:
+    """All pairs of particles within each row."""
+    width = groups.shape[1]
+    return np.concatenate([groups[:, [i, j]] for i in range(width) for j in range(i + 1, width)])
