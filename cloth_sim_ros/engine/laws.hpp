@@ -96,8 +96,9 @@ struct Joint {
     };
 
     template <class V>
-    static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool) {
-        f[0] = -(p.k * d[0] + p.c * u[0]);
+    static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
+        f[0] = -(p.k * d[0]);
+        if (damped) f[0] = f[0] - p.c * u[0];
     }
     template <class V>
     static CLOTH_INLINE V energy(const Params<V>& p, const Vec3<V>* d) {
