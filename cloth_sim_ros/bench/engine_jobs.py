@@ -122,7 +122,7 @@ def bending_step(*, resolution: int, bending: str, updates: int) -> Job:
 
 def carried(*, tolerance: float, resolution: int, warm: int, frames: int, share: bool = False) -> Job:
     """A frame of the default cloth whose corner a gripper carries round; with `share`, how much of it is Python's."""
-    from cloth_sim_ros.simulation.events import Grasp, Target
+    from cloth_sim_ros import Grasp, Target
 
     values = {**DEFAULT_CLOTH, "cloth.resolution": [resolution, resolution], "tolerance": tolerance}
     corner = _simulation(values).positions[-1]
@@ -162,9 +162,7 @@ def curtain(*, resolution: int, tolerance: float, frames: int) -> Job:
 
 def garment(*, vertices: int, bending: str, tolerance: float, warm: int, frames: int) -> Job:
     """A frame of a T-shirt that two grippers swing."""
-    from cloth_sim_ros.scene.scene import Scene
-    from cloth_sim_ros.simulation.events import Grasp, Target
-    from cloth_sim_ros.simulation.simulation import Simulation
+    from cloth_sim_ros import Grasp, Scene, Simulation, Target
 
     shirt = importlib.import_module("garment")
     values = shirt.parameters(bending=bending, tolerance=tolerance)
@@ -197,8 +195,7 @@ JOBS: dict[str, Callable[..., Job]] = {
 
 
 def _simulation(values: dict[str, Any]) -> Any:
-    from cloth_sim_ros.scene.scene import Scene
-    from cloth_sim_ros.simulation.simulation import Simulation
+    from cloth_sim_ros import Scene, Simulation
 
     return Simulation(Scene.from_parameters(values))
 

@@ -67,12 +67,12 @@ inline void take_row(const RowPlace<T>& at, const GridConstants<T>& constants, c
     Vec3<V> before01{none, none, none}, before02 = before01, before11 = before01;
 
     for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
-        const auto point = [&](int row, int column, int slot) {
+        const auto point = [&](int row, int column, int slot) CLOTH_INLINED {
             const T* from = at.row[row] + slot * pitch + j + column;
             return Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)};
         };
         // Force on the first end of a family's springs.
-        const auto pull = [&](Family family, Vec3<V> x0, Vec3<V> p0) {
+        const auto pull = [&](Family family, Vec3<V> x0, Vec3<V> p0) CLOTH_INLINED {
             const Ends e = family_ends[family];
             const Vec3<V> d = point(e.row1, e.column1, position) - x0;
             Vec3<V> u{none, none, none};
@@ -82,12 +82,12 @@ inline void take_row(const RowPlace<T>& at, const GridConstants<T>& constants, c
             const V q = Spring::factor(params, d, u, damped) * load(at.entry + (weights + family) * pitch + j);
             return q * d;
         };
-        const auto add = [&](T* to, Vec3<V> f) {
+        const auto add = [&](T* to, Vec3<V> f) CLOTH_INLINED {
             store(to + j, load(to + j) + f.x);
             store(to + pitch + j, load(to + pitch + j) + f.y);
             store(to + 2 * pitch + j, load(to + 2 * pitch + j) + f.z);
         };
-        const auto moved = [&]<int N>(Vec3<V>& last_, Vec3<V> now, std::integral_constant<int, N>) {
+        const auto moved = [&]<int N>(Vec3<V>& last_, Vec3<V> now, std::integral_constant<int, N>) CLOTH_INLINED {
             const Vec3<V> r{shift<N>(last_.x, now.x), shift<N>(last_.y, now.y), shift<N>(last_.z, now.z)};
             last_ = now;
             return r;
@@ -147,7 +147,7 @@ inline void take_row(const RowPlace<T>& at, const GridConstants<T>& constants, c
         const V mass = load(at.entry + inverse_mass * pitch + j), free = load(at.entry + freedom * pitch + j);
         const V drag = splat<V>(constants.drag);
         const V kick = splat<V>(motion.kick), drift = splat<V>(motion.drift);
-        const auto finish = [&](int c, V f, V seen_) {
+        const auto finish = [&](int c, V f, V seen_) CLOTH_INLINED {
             T* const here = at.row[0] + c * pitch + j;
             V field = splat<V>(constants.push[c]);
             if constexpr (moving) field = fma(-drag, seen_, field);

@@ -144,7 +144,7 @@ inline void add_forces(const Elements<T>& list, const double* common, const T* x
     for (std::int64_t e = 0; e < count; e += L) {
         Vec3<V> d[C - 1], u[C], g[C];
         quad<T> rows[L];
-        const auto ways = [&](const T* from, int c) {
+        const auto ways = [&](const T* from, int c) CLOTH_INLINED {
             for (int k = 0; k < L; ++k)
                 rows[k] = load4(from + std::size_t{corner[c][e + k]}) - load4(from + std::size_t{corner[0][e + k]});
         };

@@ -23,6 +23,8 @@
 
 /// What the inner loops consist of: left to itself the compiler calls some of it, and passes vectors through memory.
 #define CLOTH_INLINE inline __attribute__((always_inline))
+/// The same behind the parameters of a lambda.
+#define CLOTH_INLINED __attribute__((always_inline))
 
 namespace cloth {
 
@@ -169,7 +171,7 @@ template <int N, class V>
 CLOTH_INLINE V shift(V last, V next) {
     using T = scalar<V>;
     constexpr int L = sizeof(V) / sizeof(T);
-    return [&]<int... I>(std::integer_sequence<int, I...>) {
+    return [&]<int... I>(std::integer_sequence<int, I...>) CLOTH_INLINED {
         return V(__builtin_shufflevector(last, next, (L - N + I)...));
     }(std::make_integer_sequence<int, L>{});
 }
@@ -187,7 +189,7 @@ constexpr int half_of(int lane, int first) {
 template <class V>
 CLOTH_INLINE void transpose(V& a, V& b, V& c, V& d) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);
-    [&]<int... I>(std::integer_sequence<int, I...>) {
+    [&]<int... I>(std::integer_sequence<int, I...>) CLOTH_INLINED {
         const V even_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 0)...);
         const V odd_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 1)...);
         const V even_cd = __builtin_shufflevector(c, d, interleaved<L>(I, 0)...);
