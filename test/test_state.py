@@ -210,7 +210,7 @@ def test_what_another_version_remembered_of_its_steps_is_refused(name, change, w
         State.from_bytes(archive(arrays))
 
 
-@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (0, 99.0), (1, 0.5), (2, -1.0), (3, 0.0)])
+@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (0, 99.0), (1, 0.5), (3, 0.0)])
 def test_senseless_numbers_of_a_stepper_are_refused(place, value):
     arrays = stepped()
     arrays["memory.stepper"][place] = value

@@ -80,11 +80,12 @@ def _check_steppers(memory: Mapping[str, np.ndarray]) -> None:
     stepper = memory.get(base.MEMORY)
     if stepper is not None and stepper.size:
         _check_one(base.MEMORY, stepper, _FLOAT, (len(attrs.fields(control.Memory)),))
-        columns, refine, wait, interval = stepper[:4].tolist()
-        if not (1 <= columns <= control.MOST_COLUMNS and refine >= 1.0 and wait >= 0.0 and interval >= 1.0):
+        columns, refine, _, interval = stepper[:4].tolist()
+        # 0.1.0 counted the third below zero where no tolerance was set.
+        if not (1 <= columns <= control.MOST_COLUMNS and refine >= 1.0 and interval >= 1.0):
             raise ValueError(
-                f"memory '{base.MEMORY}' begins with {[columns, refine, wait, interval]}; they must be at least 1, 1, "
-                f"0 and 1, the first at most {control.MOST_COLUMNS}"
+                f"memory '{base.MEMORY}' begins with columns {columns}, refinement {refine} and, in the fourth place, "
+                f"interval {interval}; they must be at least 1, the first at most {control.MOST_COLUMNS}"
             )
     choice = memory.get(base.CHOICE)
     if choice is not None:

@@ -116,7 +116,7 @@ class Memory:
         if stored is None or not stored.size:
             return cls()
         columns, refine, wait, interval, *rest = stored.tolist()
-        return cls(int(columns), refine, int(wait), int(interval), *rest)
+        return cls(int(columns), refine, max(0, int(wait)), int(interval), *rest)
 
     def store(self, state: State) -> None:
         """Write the memory into a state."""

@@ -162,7 +162,8 @@ class ControlledAdvance:
         if self._choice.judge:
             self._choice = Choice(self._choice.columns, self._choice.refine, False)
         else:
-            self._memory.wait -= 1
+            # Without a tolerance nothing is judged, and nothing counted below zero.
+            self._memory.wait = max(0, self._memory.wait - 1)
         return total
 
     def _part(self, part: int, start: State) -> float | None:
