@@ -12,7 +12,7 @@ from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.tolerance_sweep import measure
 from cloth_sim_ros.physics.book import Book, note
-from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, Choice, make_integrator
 from cloth_sim_ros.physics.control.control import Memory
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
@@ -214,3 +214,18 @@ def test_a_motion_that_calms_down_goes_back_to_fewer_runs() -> None:
         columns.append(Memory.of(state).columns)
     assert max(columns) == 2
     assert columns[40:] == [1] * 20
+
+
+def test_auto_tells_where_implicit_steps_found_no_way():
+    class Stuck:
+        def advance(self, *_: object) -> None:
+            raise UnstableError("no way")
+
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [4, 4]}))
+    automatic = Automatic(tolerance=1e-3)
+    vars(automatic)["_implicit"] = Stuck()
+    state = simulation.state
+    Choice(implicit=1.0, wait=5.0, cost=1.0, explicit=1.0).store(state)
+    done = automatic.advance(simulation.plan, state, 0.0, 1 / 60)
+    assert "found no way" in done.reason
+    assert "affordable" not in done.reason

@@ -118,6 +118,7 @@ class Automatic(Integrator):
         memory = Choice.of(state)
         self._choose(memory, plan, state, duration)
         memory.wait -= 1.0
+        stuck = False
         if memory.implicit:
             start = state.share()
             try:
@@ -125,7 +126,7 @@ class Automatic(Integrator):
             except UnstableError:
                 # Its iterations find no way through some folds; explicit steps only need to be short enough.
                 state.restore(start)
-                memory.implicit = 0.0
+                memory.implicit, stuck = 0.0, True
                 done = self._explicit.advance(plan, state, t, duration, book)
         else:
             done = self._explicit.advance(plan, state, t, duration, book)
@@ -139,7 +140,9 @@ class Automatic(Integrator):
                 # Small steps that miss the tolerance are worth no more than large ones that do.
                 memory.vain, memory.wait = cost, 0.0
         memory.store(state)
-        if memory.implicit:
+        if stuck:
+            why = "implicit steps found no way through this fold, explicit ones may not hold real time"
+        elif memory.implicit:
             why = "too stiff for explicit steps in real time"
         else:
             why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
