@@ -139,12 +139,10 @@ def test_a_sheet_that_is_carried_moves_and_pulls_the_same(name, force):
         turned = (0.0, 0.0, np.sin(0.05), np.cos(0.05))
         frames.append([simulation.advance([Target("one", corner + 0.003 * k, turned)]) for k in range(1, 4)])
     assert [frame.advance.steps for frame in frames[0]] == [frame.advance.steps for frame in frames[1]]
-    # A fiftieth of the tolerance: within three frames rounding, which a mesh multiplies. The engine's own forces run
-    # in single precision where that is so.
-    assert engine.positions == pytest.approx(own.positions, abs=2e-2 * engine.scene.tolerance)
+    assert engine.positions == pytest.approx(own.positions, abs=1e-9)
     scale = np.abs(frames[0][-1].wrenches).max()
     assert scale > 0.0
-    assert frames[0][-1].wrenches == pytest.approx(frames[1][-1].wrenches, abs=1e-4 * max(1.0, scale))
+    assert frames[0][-1].wrenches == pytest.approx(frames[1][-1].wrenches, abs=1e-7 * max(1.0, scale))
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)

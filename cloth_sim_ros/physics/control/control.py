@@ -34,7 +34,7 @@ FINEST = 32.0
 HOPELESS = 8.0
 #: Share of the budget that rounding in single precision may take, amplified by a combination's weights. Small, because
 #: rounding shares no symmetry with the motion: it feeds whatever grows, as the error of the steps as a rule does not.
-NARROW_SHARE = 0.1
+NARROW_SHARE = 0.02
 #: Least way of the fastest particle over a stretch, relative to what rounding does there.
 NARROW_MOTION = 1e3
 #: A stretch of single precision changes no less than this part of the distances within the sheet.
