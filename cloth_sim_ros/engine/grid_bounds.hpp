@@ -14,8 +14,9 @@ class GridBounds {
 public:
     /// In single precision blocks are in units of the largest k_s / l0 and c, so that no square is out of range.
     GridBounds(const Grid& grid, const Tables<T>& tables, const double* x)
-        : damped(grid.damped()), grid_(grid), tables_(tables), places_(grid, x, nullptr), pitch_(tables.pitch),
-          length_(row_length<T>(grid.columns)) {
+        : damped(grid.damped()), grid_(grid), tables_(tables), places_(grid, x, nullptr),
+          length_(row_length<T>(grid.columns)), table_pitch_(tables.pitch),
+          pitch_(length_ + reach <= tables.pitch ? tables.pitch : tables.pitch + room) {
         for (const GridFamily& family : grid.families) {
             if (sizeof(T) == 8 || !family.present) continue;
             unit_stiffness = std::max(unit_stiffness, family.stiffness / family.rest);
@@ -36,7 +37,7 @@ public:
                                                     splat<V>(T(family.stiffness / family.rest / unit_stiffness)),
                                                     splat<V>(T(family.damping / unit_damping))};
             const Ends e = family_ends[f];
-            const T* const weight = tables_.of(row) + (weights + f) * pitch_;
+            const T* const weight = tables_.of(row) + (weights + f) * table_pitch_;
             T* const to = numbers(row, f);
             for (std::int64_t j = 0; j < length_; j += lanes<T>) {
                 const auto d = padded_point(places_, row + e.row1, j + e.column1, 0) -
@@ -67,7 +68,8 @@ public:
     double unit_stiffness = 0.0, unit_damping = 0.0;
 
 private:
-    /// Unit vector, along, across and damping of each spring; room for columns left of the first.
+    /// Unit vector, along, across and damping of each spring; room for columns left of the first. Between parts too: there
+    /// zeros are read, whatever springs of no weight beyond the last column are like.
     static constexpr std::int64_t parts = 6, room = 16;
 
     T* numbers(std::int64_t row, int f) {
@@ -101,7 +103,7 @@ private:
     const Grid& grid_;
     const Tables<T>& tables_;
     const Padded<T> places_;
-    std::int64_t pitch_, length_;
+    std::int64_t length_, table_pitch_, pitch_;
     Array<T> numbers_;
 };
 

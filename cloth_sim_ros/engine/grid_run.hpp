@@ -69,7 +69,7 @@ public:
         const unsigned shape = grid_.shape(true);
         whole_ = row_taker<T>(shape, mode_);
         fast_ = row_taker<T>(grid_.shape(false), mode_);
-        for (int k = 0; k < 3; ++k) constants_[k] = constants_of(k == 0 ? 1.0 : k == 1 ? 1.5 : 2.0);
+        for (int k = 0; k < 4; ++k) constants_[k] = constants_of(weak_factors[k]);
     }
 
     Done go() {
@@ -282,7 +282,9 @@ private:
         if (own && beside_.needed()) add_beside(b, row, at.ring[0]);
         const double weak = weak_factor(run_, step);
         const TakeRow<T> take = weak == 0.0 ? fast_ : whole_;
-        take(at, constants_[weak == 1.5 ? 1 : weak == 2.0 ? 2 : 0], evaluates_ ? evaluation<T> : motion_of<T>(run_, step), own);
+        // What is left out has no strength either: a row taker may know families only together.
+        const auto factor = std::find(std::begin(weak_factors), std::end(weak_factors), weak) - weak_factors;
+        take(at, constants_[factor], evaluates_ ? evaluation<T> : motion_of<T>(run_, step), own);
     }
     void pull_row(int b, std::int64_t row, std::int64_t step, const RowPlace<T>& at) {
         const auto& particles = plan_.held.particle;
@@ -346,7 +348,8 @@ private:
     std::vector<std::int64_t> border_;
     std::vector<Counter> done_;
     TakeRow<T> whole_ = nullptr, fast_ = nullptr;
-    GridConstants<T> constants_[3];
+    static constexpr double weak_factors[4] = {1.0, 1.5, 2.0, 0.0};  ///< see weak_factor
+    GridConstants<T> constants_[4];
 };
 
 }  // namespace cloth

@@ -1,0 +1,106 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where rows end, families are missing, runs are watched, and processes end: what only some sheets and uses meet."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import compile
+
+REST = {"right": 0.01, "down": 0.01, "diagonal": 0.014, "antidiagonal": 0.014, "right2": 0.02, "down2": 0.02}
+
+
+def springs(rows, columns, names, *, weak=False, name="grid"):
+    families = [GridFamily(name=n, stiffness=5.0, rest_length=REST[n], damping=0.001, weak=weak) for n in names]
+    return GridSprings(rows, columns, families, name=name)
+
+
+def crumpled(rows, columns):
+    rng = np.random.default_rng(4)
+    i, j = np.divmod(np.arange(rows * columns), columns)
+    x = np.stack([0.01 * j, 0.01 * i, 0.0 * i]) + 0.002 * rng.standard_normal((3, rows * columns))
+    return x, 0.1 * rng.standard_normal(x.shape)
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+@pytest.mark.parametrize("weak", [("right",), ("down",), ("right2",), ("down2",), ("down", "diagonal"), tuple(REST)])
+def test_any_family_may_be_weak_alone(weak, narrow):
+    """Some families are known to a row only together; those left out must not be taken with the others."""
+    rows, columns = 9, 8
+    x, v = crumpled(rows, columns)
+    strong = [name for name in REST if name not in weak]
+    left_out = springs(rows, columns, weak, weak=True, name="weak")
+    kept = [springs(rows, columns, strong)] if strong else []
+    masses = np.full(rows * columns, 1e-4)
+    ends = [
+        compile(Model(masses, [*kept, other])).runs(0.0, 5e-4, (x, v), [5], narrow=narrow, alternate=True)[0][0].x
+        for other in (left_out, left_out.listed)
+    ]
+    assert np.abs(ends[0] - ends[1]).max() < (1e-8 if narrow else 1e-15)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 5, 6, 13, 14, 22])
+def test_bounds_at_a_row_s_begin_look_at_its_springs_alone(columns):
+    """Rows whose padding is just filled by whole vectors: what lies beyond the last column belongs to no spring."""
+    rows = 7
+    x, _ = crumpled(rows, columns)
+    sheet = springs(rows, columns, REST)
+    # The first column decides.
+    masses = np.where(np.arange(rows * columns) % columns == 0, 1e-5, 1e-4)
+    grid, listed = (compile(Model(masses, [force])) for force in (sheet, sheet.listed))
+    found, expected = (np.zeros((2, 6, rows * columns)) for _ in range(2))
+    grid.add_bounds(x, *found)
+    listed.add_bounds(x, *expected)
+    assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
+    np.testing.assert_allclose(grid.rates(x), listed.rates(x), rtol=3e-6)
+
+
+def test_what_weak_springs_lose_counts_as_often_as_they_do():
+    x, v = crumpled(4, 4)
+    pairs = PairSprings(np.array([[0, 1], [1, 2], [2, 3]]), 0.01, 5.0, 0.01, weak=True)
+    plan = compile(Model(np.ones(16), [pairs]))
+    lost = [
+        plan.runs(0.0, 0.01, (x, v), [101], powers=True, alternate=alternate)[0][0].powers[0]
+        for alternate in (False, True)
+    ]
+    assert lost[1] == pytest.approx(lost[0], rel=0.01)
+
+
+RUN_ON = """
+import threading
+import numpy as np
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import compile
+
+family = GridFamily(name="right", stiffness=1.0, rest_length=0.01, damping=0.001)
+plan = compile(Model(np.ones(90_000), [GridSprings(300, 300, [family])]))
+x, v = np.random.default_rng(1).standard_normal((2, 3, 90_000))
+begun = threading.Event()
+
+
+def work():
+    begun.set()
+    plan.runs(0.0, 1e-3, (x, v), [10**6])
+
+
+threading.Thread(target=work, daemon=True).start()
+begun.wait()
+for _ in range(30):
+    plan.energy(0.0, x, v)  # long enough for the run to be under way
+"""
+
+
+def test_a_process_may_end_while_a_thread_is_at_work():
+    done = subprocess.run([sys.executable, "-c", RUN_ON], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
