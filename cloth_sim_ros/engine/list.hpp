@@ -166,10 +166,10 @@ inline void add_forces(const Elements<T>& list, const double* common, const T* x
         const auto params = law_params<Law, V>(numbers, common);
         Law::force(params, d, u, g, Damped);
         if constexpr (Watched && Damped) {
-            const V lost = Law::lost(params, d, u);
+            const V lost = scale * Law::lost(params, d, u);
             for (int k = 0; k < L; ++k) powers->lost[(e + k) & 15] += static_cast<double>(lost[k]);
             if constexpr (Law::own_velocities) {
-                const V given_ = Law::given(params, d, u);
+                const V given_ = scale * Law::given(params, d, u);
                 for (int k = 0; k < L; ++k) powers->given[(e + k) & 15] += static_cast<double>(given_[k]);
             }
         }
