@@ -66,8 +66,10 @@ public:
     /// no thread can be had, `alone` in their place.
     template <class Job, class Alone>
     void run(int workers, Job&& job, Alone&& alone) {
-        std::unique_lock lock(mutex_, std::try_to_lock);
-        if (workers <= 1 || !lock || !grow(workers - 1)) {
+        // Who works alone keeps nobody from the threads.
+        std::unique_lock lock(mutex_, std::defer_lock);
+        if (workers <= 1 || !lock.try_lock() || !grow(workers - 1)) {
+            if (lock) lock.unlock();
             alone();
             return;
         }
