@@ -85,7 +85,8 @@ class Plan:
         self._handle = self._library.cloth_plan_new(count, *masses)
         if not self._handle:
             check(2)
-        weakref.finalize(self, self._library.cloth_plan_free, self._handle)
+        # Not at exit: a daemon's thread may still be at work with it.
+        weakref.finalize(self, self._library.cloth_plan_free, self._handle).atexit = False
         parts.hand_over(self._handle)
         self._frame.rates = not self._own
         self._callback: Any = None
