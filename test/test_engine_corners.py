@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model import Model
@@ -104,3 +105,28 @@ for _ in range(30):
 def test_a_process_may_end_while_a_thread_is_at_work():
     done = subprocess.run([sys.executable, "-c", RUN_ON], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+class AsksBack(Force):
+    """A force that lets its own plan run while a run asks for it."""
+
+    name = "asks back"
+
+    def __init__(self):
+        self.plan = None
+
+    def add_force(self, t, x, v, f):
+        if self.plan is not None:
+            plan, self.plan = self.plan, None
+            plan.runs(t, 0.01, (x.copy(), v.copy()), [1, 2])
+
+
+def test_a_plan_at_work_refuses_a_second_run():
+    x, v = crumpled(4, 4)
+    force = AsksBack()
+    plan = compile(Model(np.ones(16), [force]))
+    force.plan = plan
+    with pytest.raises(RuntimeError, match="at work already"):
+        plan.runs(0.0, 0.01, (x, v), [3])
+    # The refusal leaves it as it was.
+    assert np.isfinite(plan.runs(0.0, 0.01, (x, v), [3])[0][0].x).all()

@@ -14,6 +14,7 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import threading
 import weakref
 from collections.abc import Sequence
 from functools import cached_property
@@ -40,6 +41,7 @@ from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.runs import Run, Told
+from cloth_sim_ros.physics.turn import one_at_a_time
 
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
@@ -76,6 +78,7 @@ class Plan:
         self.step_cost = parts.step_cost()
         self._pair_counts = parts.pair_counts()
         self._seen = self._moved = -1
+        self.turn = threading.Lock()
         # The engine's request, made once: what a frame asks for is written into it.
         self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
         self._told = (ctypes.c_double * 3)()
@@ -152,6 +155,7 @@ class Plan:
         """Rate of linear drag on every particle [1/s]."""
         return self._drag
 
+    @one_at_a_time
     def runs(
         self,
         t: float,
@@ -232,6 +236,7 @@ class Plan:
             return 1
         return min(2, _cores())
 
+    @one_at_a_time
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""
         self._sync()

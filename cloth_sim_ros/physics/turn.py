@@ -1,0 +1,45 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calls that must not meet: two threads in one plan, or a force that lets its plan run while it is asked by a run."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
+
+
+class Taken(Protocol):
+    """What one call at a time may use."""
+
+    turn: threading.Lock
+
+
+_Self = TypeVar("_Self", bound=Taken)
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+
+def one_at_a_time(
+    method: Callable[Concatenate[_Self, _Arguments], _Result],
+) -> Callable[Concatenate[_Self, _Arguments], _Result]:
+    """Refuse a second call while one is at work: both would write into the same memory.
+
+    Raises:
+        RuntimeError: for that call.
+    """
+
+    @functools.wraps(method)
+    def alone(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
+        if not self.turn.acquire(blocking=False):
+            raise RuntimeError(
+                "this plan is at work already, for another thread or for a force that asks it while it is asked; "
+                "compile the model once more for a second call at the same time"
+            )
+        try:
+            return method(self, *arguments, **named)
+        finally:
+            self.turn.release()
+
+    return alone
