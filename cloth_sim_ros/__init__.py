@@ -8,6 +8,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+    from cloth_sim_ros.physics.control.leapfrog import Leapfrog
     from cloth_sim_ros.physics.forces.air_panels import AirPanels
     from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
     from cloth_sim_ros.physics.forces.crossed import CrossedSprings
@@ -20,9 +22,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.pair_springs import PairSprings
     from cloth_sim_ros.physics.forces.wind import Wind
     from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-    from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
     from cloth_sim_ros.physics.integrators.implicit import Implicit
-    from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
     from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
     from cloth_sim_ros.physics.model import Model
     from cloth_sim_ros.physics.parts import GridFamily
@@ -42,7 +42,7 @@ _PLACES = {
     "compile": "physics.plan",
     "CrossedSprings": "physics.forces.crossed",
     "Drag": "physics.forces.drag",
-    "Extrapolated": "physics.integrators.extrapolated",
+    "Extrapolated": "physics.control.extrapolated",
     "Force": "physics.forces.force",
     "Frame": "simulation.simulation",
     "Grasp": "simulation.events",
@@ -51,7 +51,7 @@ _PLACES = {
     "GridSprings": "physics.forces.grid_springs",
     "Grips": "physics.forces.grips",
     "Implicit": "physics.integrators.implicit",
-    "Leapfrog": "physics.integrators.leapfrog",
+    "Leapfrog": "physics.control.leapfrog",
     "Model": "physics.model",
     "Motion": "physics.simulate",
     "OppositeSprings": "physics.forces.opposite",

@@ -12,8 +12,8 @@ from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.control import SHARE_PER_SECOND, Memory
-from cloth_sim_ros.physics.integrators.base import restart
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 
 

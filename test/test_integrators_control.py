@@ -14,12 +14,12 @@ from cloth_sim_ros.bench.tolerance_sweep import measure
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, Choice, make_integrator
 from cloth_sim_ros.physics.control.control import Memory
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.integrators.base import MEMORY, UnstableError
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference import RightSide
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.base import Integrator
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State

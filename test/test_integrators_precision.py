@@ -8,9 +8,9 @@ import numpy as np
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.physics.control.control import NARROW_SHARE, SHARE_PER_SECOND, Memory
-from cloth_sim_ros.physics.integrators.base import restart
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 
 PERIOD = 1 / 60

@@ -8,9 +8,9 @@ import pytest
 from scipy.linalg import expm
 from support.alone import alone, force, product
 
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw, joint

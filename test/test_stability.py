@@ -16,8 +16,8 @@ from cloth_sim_ros.bench.case_pool import run_cases
 from cloth_sim_ros.bench.stability import LARGEST_GAIN
 from cloth_sim_ros.bench.stability_cases import Case, every_case, run_case
 from cloth_sim_ros.bench.stability_limits import LARGEST_EXCESS, limit_found, stretched_sheet
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -11,7 +11,7 @@ import numpy as np
 from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 
 #: Largest kick of a particle's position [m].
 KICK = 1e-9

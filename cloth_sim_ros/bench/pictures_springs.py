@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw
 from cloth_sim_ros.physics.sheets.grid import GridSheet

@@ -10,7 +10,8 @@ import numpy as np
 
 from cloth_sim_ros.bench.skip_scenes import swinging
 from cloth_sim_ros.engine.binding import Frame, check, library
-from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.scene.scene import Scene
 
@@ -64,7 +65,7 @@ class HandMadeLoop:
 
     def bare_frame(self) -> None:
         """The steps alone: nothing is kept, nothing is looked at."""
-        self._counts[0] = self.steps = steps_for(self._period, SAFETY * self._limit)
+        self._counts[0] = self.steps = steps_for(self._period, CONSTANTS.safety * self._limit)
         frame = self._frame
         frame.x0, frame.v0, frame.out = self.x.ctypes.data, self.v.ctypes.data, self._ends[0].ctypes.data
         check(self._library.cloth_frame(self._handle, ctypes.byref(frame)))

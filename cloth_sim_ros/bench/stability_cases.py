@@ -14,11 +14,11 @@ import numpy as np
 from cloth_sim_ros.bench.attacks import ATTACKS, Moment
 from cloth_sim_ros.bench.problems import irregular_sheet
 from cloth_sim_ros.bench.stability_limits import stretch_of
-from cloth_sim_ros.physics.control.energy_guard import own_energy
+from cloth_sim_ros.physics.control.energy import own_energy
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene

@@ -13,11 +13,11 @@ import numpy as np
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.report import Table
 from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.integrators.leapfrog import Leapfrog
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 

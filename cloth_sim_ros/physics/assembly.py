@@ -11,18 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import FAMILIES, KINDS, check, library
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import Gridded, Listed
 
-#: Estimated time of one step for a particle [ns], and for an element of each kind. Measured once; constants, so that
-#: what is chosen by them is the same on any machine.
-MOVE = 2.0
-ELEMENT = {"spring": 2.5, "joint": 2.0, "crossed": 8.0, "altitude": 8.0, "triangle": 6.0, "quad": 8.0}
-GRID_SPRING = 1.3
-#: The same of a force in numpy [ns a particle].
-NUMPY_FORCE = 100.0
+#: Operations of a step: to move a particle, of a spring of a grid, of an element of a list, gathering included. What is
+#: chosen by them is the same on any machine.
+MOVE, GRID_SPRING = 40, 26
+ELEMENT = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 
 
 @attrs.define(eq=False)
@@ -90,10 +88,11 @@ class Assembly:
     def step_cost(self) -> float:
         """Estimated time of a step for one particle [ns]."""
         count = self.model.particle_count
-        total = MOVE * count + NUMPY_FORCE * count * len(self.own)
+        total = MOVE * count
         if self.gridded is not None:
             total += GRID_SPRING * count * len(self.gridded.families)
-        return (total + sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed)) / count
+        total += sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed)
+        return CONSTANTS.operation * total / count + CONSTANTS.own * len(self.own)
 
     def _order(self, handle: int) -> None:
         """Let neighbours lie close together inside runs; nobody outside sees that order."""

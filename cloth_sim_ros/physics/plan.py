@@ -36,6 +36,7 @@ from cloth_sim_ros.engine.binding import (
     writable,
 )
 from cloth_sim_ros.physics.assembly import Assembly
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
@@ -48,8 +49,6 @@ MOST_STEPS = 2**31 - 1
 #: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched
 #: one's.
 _STIFFER = 1.08
-#: Estimated time of a step [ns] from which a second thread gains more than meeting it costs. No bit depends on it.
-WORTH_A_THREAD = 25_000.0
 
 
 def compile(model: Model) -> Plan:
@@ -232,7 +231,9 @@ class Plan:
         """Threads of a run: a second one where a step is long enough to be worth meeting it."""
         if wanted is not None:
             return wanted
-        if self.step_cost * self.model.particle_count < WORTH_A_THREAD or (self._gridded and self._gridded.rows < 16):
+        if self.step_cost * self.model.particle_count < 1e3 * CONSTANTS.thread or (
+            self._gridded and self._gridded.rows < 16
+        ):
             return 1
         return min(2, _cores())
 

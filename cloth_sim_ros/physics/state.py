@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics import npz, state_memory
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.remembered import BEFORE
 
 _FRAME = "frame"
 _POSITION = "position"
@@ -63,6 +64,8 @@ class State:
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
         self.cloth = cloth
+        #: Names of memory of another version's rules, which a file had and this state has not: those begin anew.
+        self.left_out: tuple[str, ...] = ()
 
     @property
     def particle_count(self) -> int:
@@ -101,6 +104,7 @@ class State:
         twin.x, twin.v = self.x, self.v
         twin.frame = self.frame
         twin.cloth = self.cloth
+        twin.left_out = self.left_out
         twin.memory = dict(self.memory)
         return twin
 
@@ -150,8 +154,11 @@ class State:
                 if not name.startswith(_MEMORY):
                     raise ValueError(f"array '{name}' is none of a state's")
             memory = {name.removeprefix(_MEMORY): array for name, array in arrays.items()}
+            left_out = tuple(name for name in BEFORE if memory.pop(name, None) is not None)
             state_memory.check(memory, x.shape[1])
-            return cls(x.T, v.T, memory=memory, frame=int(frame), cloth=cloth)
+            state = cls(x.T, v.T, memory=memory, frame=int(frame), cloth=cloth)
+            state.left_out = left_out
+            return state
         except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import attrs
 import numpy as np
+
+from cloth_sim_ros.physics.remembered import RULES, SLEEP_ARRAYS, SLEEP_VELOCITY, Remembered, Sleep
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
@@ -46,9 +47,15 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         _check_one("relaxed", memory["relaxed"], _FLOAT, (1,))
         if not memory["relaxed"][0] >= 1.0:
             raise ValueError(f"memory 'relaxed' is {memory['relaxed'][0]}; it must be at least 1")
-    if "sleep" in memory:
-        _check_one("sleep", memory["sleep"], _INT, (2,))
-    _check_steppers(memory)
+    for name in SLEEP_ARRAYS:
+        if name in memory:
+            _check_one(name, memory[name], _FLOAT, (3, particle_count))
+    if SLEEP_VELOCITY in memory and Sleep.key not in memory:
+        raise ValueError(f"memory '{Sleep.key}' is missing; a state that sleeps has it")
+    rules: list[type[Remembered]] = [*RULES, Sleep]
+    for rule in rules:
+        if rule.key in memory:
+            rule.check(memory[rule.key])
     if not any(name in memory for name in _GRIPPERS):
         return
     for name in _GRIPPERS:
@@ -70,26 +77,6 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         raise ValueError(
             f"memory 'grip.particles' names particle {particles[wrong[0]]}; there are {particle_count}, counted from 0"
         )
-
-
-def _check_steppers(memory: Mapping[str, np.ndarray]) -> None:
-    """Refuse what an integrator remembers of its steps where this one could not have written it."""
-    from cloth_sim_ros.physics.control import automatic, control
-    from cloth_sim_ros.physics.integrators import base
-
-    stepper = memory.get(base.MEMORY)
-    if stepper is not None and stepper.size:
-        _check_one(base.MEMORY, stepper, _FLOAT, (len(attrs.fields(control.Memory)),))
-        columns, refine, _, interval = stepper[:4].tolist()
-        # 0.1.0 counted the third below zero where no tolerance was set.
-        if not (1 <= columns <= control.MOST_COLUMNS and refine >= 1.0 and interval >= 1.0):
-            raise ValueError(
-                f"memory '{base.MEMORY}' begins with columns {columns}, refinement {refine} and, in the fourth place, "
-                f"interval {interval}; they must be at least 1, the first at most {control.MOST_COLUMNS}"
-            )
-    choice = memory.get(base.CHOICE)
-    if choice is not None:
-        _check_one(base.CHOICE, choice, _FLOAT, (len(attrs.fields(automatic.Choice)),))
 
 
 def _check_one(name: str, array: np.ndarray, dtype: np.dtype, shape: tuple[int, ...]) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import attrs
 
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import StepLimitError, UnstableError
-from cloth_sim_ros.physics.integrators.fixed import SAFETY
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -134,7 +134,7 @@ class Forecaster:
         scene, plan = self._simulation.scene, self._simulation.plan
         if not scene.step and scene.integrator in ("implicit", "symplectic_euler"):
             return None
-        step = scene.step or SAFETY * leapfrog_limit(*plan.rates(self._simulation.state.x))
+        step = scene.step or CONSTANTS.safety * leapfrog_limit(*plan.rates(self._simulation.state.x))
         return forecast(
             period=scene.period,
             step=step,

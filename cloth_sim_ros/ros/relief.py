@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import statistics
 
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.integrators.fixed import SAFETY, steps_for
+from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.simulation.events import Relax
@@ -139,5 +140,5 @@ class Relief:
 
 def accuracy_binds(advance: Advance, duration: float) -> bool:
     """Whether a frame of some length [s] took more steps than stability, or one step a frame, asks for."""
-    longest = min(SAFETY * advance.limit, duration)
+    longest = min(CONSTANTS.safety * advance.limit, duration)
     return advance.steps > _MORE * steps_for(duration, longest)

@@ -15,7 +15,7 @@ import numpy as np
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
-from cloth_sim_ros.physics.integrators.base import Integrator
+from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Integrator
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.sheets.grid import GridSheet
@@ -98,6 +98,15 @@ class Scene:
         unit="s",
         least=0.0,
         most=1.0,
+        live=True,
+    )
+    work_limit: float = parameter(
+        "double",
+        WORK_LIMIT,
+        "Most work of a frame by the estimated cost, in real time: a count, no clock. A frame that would need more "
+        "misses the tolerance, is flagged and says so; 0 sets no limit",
+        least=0.0,
+        most=1e6,
         live=True,
     )
     overload: str = parameter(
@@ -271,7 +280,7 @@ class Scene:
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:
         """The integrator that the scene asks for, its tolerance relaxed by a factor."""
         tolerance = relaxation.relaxed(self.tolerance, factor) or None
-        return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance)
+        return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance, work=self.work_limit)
 
     def _loaded_state(self) -> State:
         what = f"initial_state '{self.initial_state}'"

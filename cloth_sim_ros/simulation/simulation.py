@@ -14,14 +14,15 @@ import numpy as np
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised
-from cloth_sim_ros.physics.integrators.base import Advance, restart
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.identity import difference
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
-from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, wake
+from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
@@ -179,7 +180,7 @@ class Simulation:
             EventError: for an event that can't take effect.
             UnstableError: if the motion does not stay finite.
         """
-        if self._slept is not None and not events:
+        if self._slept is not None and not events and self.frame < sleeps_until(self.state):
             return self._sleep_on(self._slept)
         self._slept = None
         in_order = ordered(list(events))
@@ -254,7 +255,7 @@ class Simulation:
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._scene.period
         done: Advance | None = None
-        if is_asleep(state) and self._known_to_rest and self.grippers.settled:
+        if is_asleep(state) and self._known_to_rest and self.grippers.settled and self.frame < sleeps_until(state):
             done = self._sleep.frame(self._integrator.name)
         else:
             self._plan_grippers(start)

@@ -1,18 +1,15 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a sheet has come to rest, so that its frames need not be computed any more.
+"""When a sheet has come to rest, so that its frames need not be computed any more, and for how long.
 
-The tolerance in force is what licenses it: without one nothing sleeps. A sheet falls asleep at the end of a frame if
-for a whole second nothing moved what it hangs on, and no particle was faster than ``tolerance min(0.1 / s, c / 2)``
-with the air's drag rate c, and if at its end no particle that was let go there at rest would be accelerated by more
-than ``0.2 tolerance / s^2``.
-
-Why that bounds the error: on a mode of angular frequency w the residual force moves the place of rest by a / w^2 and
-the speed overshoots it by v / w at most, whatever the damping is, since the residual is taken at zero velocity; for w
-from 1.5 rad/s (a pendulum of 4 m) up that is less than a sixth of the tolerance. Motion without any restoring force
-is stopped by the air within v / c, half of the tolerance. A turning point is no rest: there the speed vanishes and the
-residual does not. Slower modes than 1 rad/s, of sheets of more than ten metres or hardly stretched ones without
-weight, are held to the same drift in a second, not to the same distance.
+The tolerance in force is what licenses it: without one nothing sleeps. What sleep leaves out is bounded by what the
+sheet did while it was watched for a second before: let d be the furthest that a particle got in it. A particle whose
+velocity and acceleration hardly change had at most the speed d / s, and at most the acceleration 8 d / s^2 (at a
+turning point it moves by a / 8 in a second), so in T more seconds it gets no further than d (T + 4 T^2). The sheet
+sleeps while that is within what is left of a quarter of the tolerance. Then it wakes with the velocities that it had,
+and is watched again: what the sleep left out is booked, d T with the larger d of before and after, twice for caution.
+A sheet at rest moves by rounding in a second, and sleeps for hours; one that creeps uses up what it may and is computed
+from then on, until an event touches it.
 """
 
 from __future__ import annotations
@@ -21,23 +18,21 @@ import math
 
 import numpy as np
 
+from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.integrators.base import Advance, restart
+from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import SLEEP_FROM as FROM
+from cloth_sim_ros.physics.remembered import SLEEP_VELOCITY as VELOCITY
+from cloth_sim_ros.physics.remembered import Sleep as Memory
+from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 
-#: Name in ``State.memory``: calm frames in a row, and whether the sheet sleeps, shape (2,), int64. It is not there
-#: while the sheet moves.
-MEMORY = "sleep"
-#: Part of the tolerance that may be lost by one second of sleep instead of motion.
-DRIFT = 0.1
-#: How long a sheet has to be calm [s].
-CALM = 1.0
-#: Least rate at which motion is taken to die out [1/s]: what is slower than the tolerance in a day is rest even
-#: without air.
-_LEAST_RATE = 1.0 / 86400.0
 #: An acceleration of so many roundings of a coordinate, times the largest squared frequency, is none.
 _ROUNDINGS = 4.0
+#: Longest sleep [frames]: what rounds to no motion at all sleeps for good.
+_FOR_GOOD = 2.0**53
 
 
 class Sleep:
@@ -50,33 +45,53 @@ class Sleep:
     """
 
     def __init__(self, plan: Plan, *, tolerance: float | None, period: float) -> None:
-        self._plan = plan
+        self._plan, self._period = plan, period
         self._tolerance = tolerance or 0.0
-        self._frames = max(2, math.ceil(CALM / period))
-        self._speed = self._tolerance * min(DRIFT, max(0.5 * plan.drag, _LEAST_RATE))
-        self._error = DRIFT * self._tolerance * period
+        self._room = CONSTANTS.drift * self._tolerance
+        self._frames = max(2, math.ceil(CONSTANTS.calm / period))
 
     def follow(self, state: State, t: float) -> bool:
-        """Look at a frame that moved and ended at time t [s]; put the sheet to sleep, velocities zero, if it may.
+        """Look at a frame that moved and ended at time t [s]; put the sheet to sleep if it may.
 
         Returns:
             Whether it fell asleep.
         """
         if not self._calm(state):
-            state.memory.pop(MEMORY, None)
+            state.memory.pop(FROM, None)
             return False
-        frames = 1 + int(state.memory[MEMORY][0]) if MEMORY in state.memory else 1
-        falls = frames >= self._frames
-        if falls:
-            if not self.rests(state, t):
-                state.memory.pop(MEMORY, None)
-                return False
-            state.v = np.zeros_like(state.v)
-        state.memory[MEMORY] = np.array([frames, falls], dtype=np.int64)
-        return falls
+        memory = Memory.of(state)
+        if FROM not in state.memory:
+            # Watched from here on.
+            state.memory[FROM], memory.frames = state.x, 0.0
+            memory.store(state)
+            return False
+        memory.frames += 1.0
+        if memory.frames < self._frames:
+            memory.store(state)
+            return False
+        moved = largest_distance(state.x, state.memory.pop(FROM)) * CONSTANTS.calm / (memory.frames * self._period)
+        memory.used += 2.0 * max(moved, memory.moved) * memory.slept
+        memory.slept, memory.moved, memory.frames = 0.0, moved, 0.0
+        frames = self._most(moved, self._room - memory.used)
+        if frames >= self._frames and self.rests(state, t):
+            memory.until = min(_FOR_GOOD, float(state.frame + 1 + frames))
+            memory.slept = frames * self._period
+            state.memory[VELOCITY], state.v = state.v, np.zeros_like(state.v)
+        memory.store(state)
+        return is_asleep(state)
+
+    def _most(self, moved: float, room: float) -> int:
+        """Return for how many frames a sheet may sleep that moved so far in a second [m], with room for more [m]."""
+        if room <= 0.0:
+            return 0
+        if moved == 0.0:
+            return int(_FOR_GOOD)
+        # d (T + 4 T^2) = room, without cancellation.
+        ratio = room / moved
+        return int(min(_FOR_GOOD, 2.0 * ratio / (1.0 + math.sqrt(1.0 + 16.0 * ratio)) / self._period))
 
     def rests(self, state: State, t: float) -> bool:
-        """Whether the state would stay where it is, let go at rest at time t [s], by the rule above."""
+        """Whether a state that is let go where it is, at rest, at time t [s], is hardly accelerated."""
         model = self._plan.model
         if not self._tolerance or not self._steady() or state.v[:, model.anchors].any():
             return False
@@ -85,14 +100,19 @@ class Sleep:
         coordinate = max(float(state.x.max()), -float(state.x.min()))
         omega2, _ = self._plan.rates(state.x)
         rounding = _ROUNDINGS * float(np.finfo(np.float64).eps) * omega2 * coordinate
-        return bool(all_below(acceleration, max(2.0 * DRIFT * self._tolerance, rounding)))
+        return bool(all_below(acceleration, max(self._room, rounding)))
 
     def goes_on(self, state: State) -> bool:
-        """Whether a sheet that sleeps may sleep on: nothing moves what it hangs on. Otherwise it is woken."""
-        if self._steady():
-            return True
-        wake(state)
-        return False
+        """Whether a sheet that sleeps may sleep on: its time is not up, and nothing moves what it hangs on. Otherwise
+        it is woken.
+        """
+        if not self._steady():
+            wake(state)
+            return False
+        if state.frame >= Memory.of(state).until:
+            _rise(state)
+            return False
+        return True
 
     def frame(self, integrator: str) -> Advance:
         """What is told of a frame that was slept through."""
@@ -103,7 +123,7 @@ class Sleep:
             limit=math.inf,
             integrator=integrator,
             binds="rest",
-            error=self._error,
+            error=self._room * self._period / CONSTANTS.calm,
             reason=f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth",
         )
 
@@ -111,20 +131,31 @@ class Sleep:
         return self._plan.steady()
 
     def _calm(self, state: State) -> bool:
-        return bool(self._tolerance) and bool(all_below(state.v, self._speed)) and self._steady()
+        return bool(self._tolerance) and bool(all_below(state.v, self._room / CONSTANTS.calm)) and self._steady()
 
 
 def is_asleep(state: State) -> bool:
     """Whether the sheet of a state sleeps."""
-    memory = state.memory.get(MEMORY)
-    return memory is not None and bool(memory[1])
+    return VELOCITY in state.memory
+
+
+def sleeps_until(state: State) -> float:
+    """Return the number of the frame at which a sheet that sleeps wakes by itself."""
+    return Memory.of(state).until
 
 
 def wake(state: State) -> None:
     """Let the sheet move on from where it is, if it sleeps, and forget how calm it was."""
     if is_asleep(state):
+        _rise(state)
         restart(state)
-    state.memory.pop(MEMORY, None)
+    for name in (Memory.key, FROM):
+        state.memory.pop(name, None)
+
+
+def _rise(state: State) -> None:
+    """Let a sheet that sleeps go on with the velocities that it had."""
+    state.v = state.memory.pop(VELOCITY).copy()
 
 
 def all_below(vectors: Array, limit: float) -> bool:

@@ -16,6 +16,8 @@ class Options(Protocol):
     tolerance: float | None
     step: float | None
     columns: int
+    #: Most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
+    work: float
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         """Largest stable step [s]."""
@@ -23,12 +25,11 @@ class Options(Protocol):
 
 @attrs.frozen
 class Choice:
-    """Columns and refinement of an attempt, whether another run judges it, and whether it saves on nothing."""
+    """Runs and refinement of an attempt, and whether another run judges it."""
 
     columns: int
     refine: float
     judge: bool
-    thorough: bool = False
 
 
 def binds(options: Options, choice: Choice, steps: int, step: float) -> str:

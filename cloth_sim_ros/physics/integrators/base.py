@@ -8,8 +8,6 @@ import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-import numpy as np
-
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
@@ -20,8 +18,11 @@ class UnstableError(RuntimeError):
 
 
 #: What may bind a step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (a frame is one step
-#: already), `step` (the user's fixed step), `rest` (the sheet sleeps: there is none).
-BINDING = ("accuracy", "stability", "frame", "step", "rest")
+#: already), `step` (the user's fixed step), `work` (the cap of a frame's work), `rest` (the sheet sleeps: there is
+#: none).
+BINDING = ("accuracy", "stability", "frame", "step", "work", "rest")
+#: Most work of a frame, where nothing else is asked for: in real time by the plan's estimated cost.
+WORK_LIMIT = 10.0
 
 
 class Advance(NamedTuple):
@@ -68,28 +69,11 @@ class Integrator(ABC):
         """Advance ``state`` from time t [s] by duration [s].
 
         Its arrays of positions and velocities are replaced, not written into: who holds them holds the state before.
-        What a controller remembers from one call to the next lies in ``state.memory`` under `MEMORY`.
+        What a controller remembers from one call to the next lies in ``state.memory``.
 
         Raises:
             UnstableError: if the motion does not stay finite.
         """
-
-
-#: Names under which a controller, and the choice of integrator, keep their memory in ``State.memory``.
-MEMORY, CHOICE = "stepper", "automatic"
-
-
-def restart(state: State, *, entirely: bool = False) -> None:
-    """Forget both: after an event the next advance judges its step, and `auto` its integrator, anew.
-
-    A fixed step above the limit is refused where nothing is remembered, not even that something was forgotten: at the
-    start of a run, and after a restart ``entirely``, for new parameters. Later it is made smaller.
-    """
-    if entirely:
-        state.memory.pop(MEMORY, None)
-    elif MEMORY in state.memory:
-        state.memory[MEMORY] = np.empty(0)
-    state.memory.pop(CHOICE, None)
 
 
 def check_step(step: float | None) -> float | None:
@@ -101,6 +85,17 @@ def check_step(step: float | None) -> float | None:
     if step is not None and not (math.isfinite(step) and step > 0.0):
         raise ValueError(f"step is {step} s; it must be finite and above 0")
     return step
+
+
+def check_work(work: float) -> float:
+    """Return a work limit as it is.
+
+    Raises:
+        ValueError: if it is not finite and at least 0.
+    """
+    if not (math.isfinite(work) and work >= 0.0):
+        raise ValueError(f"work limit is {work}; it must be finite and at least 0, which is none")
+    return work
 
 
 def check_tolerance(tolerance: float | None) -> float | None:

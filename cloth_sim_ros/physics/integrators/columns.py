@@ -17,7 +17,6 @@ from functools import lru_cache
 
 from cloth_sim_ros.physics.arrays import combine, largest_distance
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.control.economy import THOROUGH, Economy
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.runs import Run, Told
@@ -73,7 +72,8 @@ class Columns:
         duration: length of the stretch [s].
         counts: step counts of the columns that may be asked for.
         powers: whether runs note what damping takes and wind gives.
-        economy: what the runs save on; weak springs are left out by the first alone.
+        narrow: whether they calculate in single precision.
+        omega: highest angular frequency [1/s], see `difference`.
     """
 
     def __init__(
@@ -85,12 +85,14 @@ class Columns:
         counts: Sequence[int],
         *,
         powers: bool = False,
-        economy: Economy = THOROUGH,
+        narrow: bool = False,
+        omega: float = math.inf,
     ) -> None:
-        self._plan, self._start, self._t, self._duration = plan, start, t, duration
+        self._plan, self._start, self._t, self.duration = plan, start, t, duration
         self._powers = powers
         self.counts = tuple(counts)
-        self.economy = economy
+        self.narrow = narrow
+        self._omega = omega
         self.evaluations = 0
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
@@ -119,38 +121,26 @@ class Columns:
         return self._told[columns]
 
     def difference(self, columns: int) -> float:
-        """Return the largest distance of a particle in T_(K+1) from the same in T_K [m], K = columns; the error of
-        T_K.
-        """
-        return largest_distance(self.combine(columns + 1)[0], self.combine(columns)[0])
+        """Return how far T_(K+1) is from T_K, K = columns [m]: the error of T_K.
 
-    def check(self) -> float:
-        """Return the error of the first run [m], which saves on something, by a run by the steps of the second that
-        saves on nothing but precision: what leaving springs out lost, and what its steps did.
+        That is the largest distance of a particle's positions, or of its velocities over the highest angular frequency:
+        the error of a wave that swings may lie in its velocity alone when it is looked at.
         """
-        self._make(1)
-        counts = self.counts[:2]
-        runs, _ = self._plan.runs(
-            self._t, self._duration, (self._start.x, self._start.v), counts[1:], narrow=self.economy.narrow
-        )
-        self.evaluations += counts[1] + 1
-        away = largest_distance(runs[0].x, self._runs[0].x)
-        # Steps alone: the combination of both is w of the way from the one to the other, and beyond. What leaving out
-        # springs lost is the way itself.
-        return away if self.economy.alternate else weights(counts)[1] * away
+        (x, v), (y, w) = self.combine(columns + 1), self.combine(columns)
+        return max(largest_distance(x, y), largest_distance(v, w) / self._omega)
 
-    def work_of_grippers(self, columns: int) -> float:
-        """Return the work [J] that grippers did over T_K, K = columns."""
-        book = Book(self._plan.gripper_count)
+    def work(self, columns: int) -> float:
+        """Return the work [J] that grippers did over T_K, K = columns, and moving air where powers are noted."""
+        book = Book(self._plan.gripper_count, powers=self._powers)
         self.note(columns, book)
-        return book.work
+        return book.work + book.given
 
     def note(self, columns: int, book: Book) -> None:
         """Note T_K, K = columns: what was noted along the runs is extrapolated as the state is."""
         self._make(columns)
         runs = self._runs[:columns]
         factors = weights(self.counts[:columns])
-        book.add_runs(factors, [run.grips for run in runs], [run.powers for run in runs], self._duration)
+        book.add_runs(factors, [run.grips for run in runs], [run.powers for run in runs], self.duration)
 
     def _make(self, columns: int) -> None:
         """Make the runs that are missing; all at once, and combined, where none is there yet."""
@@ -160,12 +150,11 @@ class Columns:
         steps, whole = self.counts[made:columns], made == 0
         runs, result = self._plan.runs(
             self._t,
-            self._duration,
+            self.duration,
             (self._start.x, self._start.v),
             steps,
             weights=weights(self.counts[:columns]) if whole else None,
-            narrow=self.economy.narrow,
-            alternate=whole and self.economy.alternate,
+            narrow=self.narrow,
             powers=self._powers,
         )
         self._runs.extend(runs)

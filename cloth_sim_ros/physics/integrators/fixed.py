@@ -10,12 +10,11 @@ from collections.abc import Callable
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, Integrator, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
-#: Fraction of the step limit that is used: room for stiffening by stretch within one advance.
-SAFETY = 0.96
 #: How often an advance is repeated with a smaller step before it is given up.
 ATTEMPTS = 12
 
@@ -34,7 +33,7 @@ def advance_fixed(
     step: float | None,
     book: Book | None,
 ) -> Advance:
-    """Run an explicit method with equal steps; without a given step take `SAFETY` of its limit, smaller if the motion
+    """Run an explicit method with equal steps; without a given step take a safe part of its limit, less if the motion
     stiffens.
 
     Args:
@@ -53,7 +52,7 @@ def advance_fixed(
     limit = integrator.step_limit(*plan.rates(state.x))
     if step is not None:
         refuse_unstable(step, limit, integrator.name)
-    h_most = SAFETY * limit if step is None else step
+    h_most = CONSTANTS.safety * limit if step is None else step
     start = state.share()
     state.x, state.v = state.x.copy(), state.v.copy()
     evaluations = 0
@@ -77,7 +76,9 @@ def advance_fixed(
         if rejected == ATTEMPTS:
             raise UnstableError(f"no step down to {h:.3g} s kept the motion within its stability limit")
     binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
-    why = f"fixed step of {h:.3g} s" if step is not None else f"{SAFETY:g} of the stability limit {limit:.3g} s"
+    why = (
+        f"fixed step of {h:.3g} s" if step is not None else f"{CONSTANTS.safety:g} of the stability limit {limit:.3g} s"
+    )
     return Advance(
         steps=steps,
         evaluations=evaluations,

@@ -7,7 +7,14 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
+from cloth_sim_ros.physics.integrators.base import (
+    WORK_LIMIT,
+    Advance,
+    Integrator,
+    check_step,
+    check_tolerance,
+    check_work,
+)
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
@@ -33,6 +40,7 @@ class Implicit(Integrator):
     Args:
         step: fixed largest step [s].
         tolerance: target of the largest particle position error at frames [m]. Without either a frame is one step.
+        work: most work of a frame, in real time by the estimated cost; 0 for no limit.
 
     Raises:
         ValueError: if one of them is not positive, or both are set.
@@ -43,13 +51,13 @@ class Implicit(Integrator):
     evaluations_per_step = 6
     suits = "any stiffness and damping: sheets too stiff for real time by explicit steps"
 
-    def __init__(self, step: float | None = None, *, tolerance: float | None = None) -> None:
+    def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
         if tolerance is not None and step is not None:
             raise ValueError(
                 f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
             )
         self.step = check_step(step)
-        self.tolerance = check_tolerance(tolerance)
+        self.tolerance, self.work = check_tolerance(tolerance), check_work(work)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf

@@ -11,21 +11,18 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book, note
-from cloth_sim_ros.physics.control.control import Memory
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.integrators.stage_matrix import stage_matrix
+from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import Implicit as Memory
 from cloth_sim_ros.physics.state import State
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
-#: Share of the tolerance that the estimates may add up to in one second, and the part of it that steps aim at.
-SHARE_PER_SECOND, AIM = 0.7, 0.7
-#: Newton's iteration ends when a correction moves no particle by more than this share of a step's budget.
-CONVERGED = 0.2
 #: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
 _MARGIN = 0.1
 #: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.
@@ -36,18 +33,15 @@ _ATTEMPTS = 12
 CONVERGED_DISTANCE = 1e-9
 #: A stage that takes more iterations is given up, and the step made smaller.
 MOST_ITERATIONS = 30
-#: So is one whose corrections shrink by less than this factor from this iteration on: compression's negative stiffness,
+#: So is one whose corrections shrink slowly from this iteration on: compression's negative stiffness,
 #: which the matrix leaves out, makes the iteration converge linearly at best.
-_SLOW, _SLOW_FROM = 0.5, 6
+_SLOW_FROM = 6
 #: Iterations of a last resort: eight of them take all but a few thousandths of what can be lowered.
 _LAST_ITERATIONS = 8
 #: Energy that a step may make, relative to what it moves: the error of a good one is of either sign.
 _GAIN = 1e-4
 #: Rounding of a sum of energies, relative to it.
 _ROUNDING = 1e-12
-#: Steps of a frame from which errors are accepted, flagged and counted; from fewer on, so are stages that do not
-#: converge: what has no solution within reach has none for smaller steps either, down to those of an explicit method.
-MOST_STEPS, LAST_STEPS = 32, 8
 
 
 @attrs.frozen
@@ -77,34 +71,44 @@ class ImplicitAdvance:
         self._integrator, self._plan, self._state, self._book = integrator, plan, state, book
         self._t, self._duration = t, duration
         tolerance = integrator.tolerance
-        self._budget = math.inf if tolerance is None else SHARE_PER_SECOND * duration * tolerance
+        self._budget = math.inf if tolerance is None else CONSTANTS.share * duration * tolerance
         self._memory = Memory.of(state)
         self._matrix = stage_matrix(plan.model)
         self._evaluations = 0
+        self._most = math.inf
+        if integrator.work and integrator.step is None:
+            self._most = integrator.work * duration * 1e9 / iteration_cost(plan.model)
+        #: Whether nothing finer is tried any more.
+        self._spent = False
 
     def run(self) -> Advance:
         """Do it."""
         state, memory, integrator = self._state, self._memory, self._integrator
         least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
-        steps = max(least, steps_for(self._duration, memory.stretch)) if memory.stretch > 0.0 else least
+        steps = max(least, steps_for(self._duration, memory.step)) if memory.step > 0.0 else least
         start, rejected = state.share(), 0
         while True:
             if self._book is not None:
                 self._book.restart()
-            self._last_resort = steps >= LAST_STEPS
+            # What has no solution within reach has none for smaller steps either, down to those of an explicit method.
+            self._safe = steps >= CONSTANTS.last_steps
+            before = self._evaluations
             error = self._steps(steps)
-            if error is not None and (error <= self._budget or steps >= MOST_STEPS or self._unsolved):
+            if error is not None and (error <= self._budget or self._spent or self._unsolved):
+                break
+            grow = 2.0 if error is None else math.sqrt(error / (CONSTANTS.aim * self._budget))
+            finer = max(steps + 1, math.ceil(steps * min(grow, 2.0 * CONSTANTS.finer)))
+            self._spent = self._evaluations + (self._evaluations - before) / steps * finer > self._most
+            if self._spent and error is not None:
                 break
             state.restore(start)
             rejected += 1
             if rejected > _ATTEMPTS:
                 raise UnstableError(f"implicit: steps of {self._duration / steps:.3g} s did not stay finite")
-            grow = 2.0 if error is None else math.sqrt(error / (AIM * self._budget))
-            finer = max(steps + 1, math.ceil(steps * min(grow, 8.0)))
-            steps = min(finer, MOST_STEPS) if steps < MOST_STEPS else 2 * steps
+            steps = max(steps, round(CONSTANTS.last_steps)) if self._spent else finer
         flagged = int(error > self._budget) + self._unsolved
         h = self._duration / steps
-        memory.stretch = self._duration / self._steps_next(steps, least, error)
+        memory.step = self._duration / self._steps_next(steps, least, error)
         memory.store(state)
         return Advance(
             steps=steps,
@@ -113,21 +117,26 @@ class ImplicitAdvance:
             limit=math.inf,
             rejected=rejected,
             integrator=integrator.name,
-            binds="step" if integrator.step is not None else ("frame" if steps == least else "accuracy"),
+            binds=self._binds(steps, least),
             error=error,
             flagged=flagged,
             reason=self._reason(h, steps),
         )
 
+    def _binds(self, steps: int, least: int) -> str:
+        if self._integrator.step is not None:
+            return "step"
+        return "work" if self._spent else ("frame" if steps == least else "accuracy")
+
     def _steps_next(self, steps: int, least: int, error: float) -> int:
-        """Steps for the next advance, after one with so many: at most half as many, at most `MOST_STEPS`."""
+        """Steps for the next advance, after one with so many: half as many at least."""
         if self._integrator.tolerance is None:
             return max(least, steps // 2)
         if self._unsolved:
             return steps
-        wanted = math.ceil(min(2.0 * MOST_STEPS, steps * math.sqrt(max(error, 1e-30) / (AIM * self._budget))))
+        wanted = math.ceil(steps * math.sqrt(max(error, 1e-30) / (CONSTANTS.aim * self._budget)))
         # What no step can hold is not remembered: the motion may be calm again in the next frame.
-        return max(1, steps // 2, min(wanted, max(steps, MOST_STEPS)))
+        return max(1, steps // 2, min(wanted, steps) if self._spent else wanted)
 
     def _reason(self, h: float, steps: int) -> str:
         tolerance = self._integrator.tolerance
@@ -140,7 +149,7 @@ class ImplicitAdvance:
     def _steps(self, steps: int) -> float | None:
         """Take equal steps; return the sum of their errors, or None if a stage did not converge."""
         h = self._duration / steps
-        self._close = CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
+        self._close = CONSTANTS.converged * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._unsolved = math.inf, 0
         state, total = self._state, 0.0
         guess = np.empty_like(state.x)
@@ -148,7 +157,7 @@ class ImplicitAdvance:
         for k in range(steps):
             t = self._t + k * h
             done = self._step(t, h, guess)
-            if self._last_resort and (done is None or self._makes_energy(t, h, done)):
+            if self._safe and (done is None or self._makes_energy(t, h, done)):
                 # Better unsolved than unstable.
                 self._unsolved += 1
                 done = self._safe_step(t, h, guess)
@@ -230,7 +239,7 @@ class ImplicitAdvance:
                 correction *= self._share(t, x, v, d, u, correction)
             u += correction
             size = d * _largest(correction)
-            if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > _SLOW * last):
+            if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > CONSTANTS.slow * last):
                 return None
             if last < math.inf:
                 self._curvature = max(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
@@ -89,6 +90,13 @@ def stage_matrix(model: Model) -> StageMatrix:
     if model not in _MATRICES:
         _MATRICES[model] = StageMatrix(model)
     return _MATRICES[model]
+
+
+def iteration_cost(model: Model) -> float:
+    """Return the estimated cost of one iteration of the implicit method [ns]."""
+    rows, width = stage_matrix(model).size
+    # Half of the products of 3 x 3 blocks within the band.
+    return CONSTANTS.factor * 4.5 * rows * width * width + CONSTANTS.own * model.particle_count
 
 
 def _split(model: Model) -> tuple[list[Force], list[Force]]:

@@ -5,8 +5,15 @@
 from __future__ import annotations
 
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.control.controlled import ControlledAdvance
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
+from cloth_sim_ros.physics.control.explicit import ExplicitAdvance
+from cloth_sim_ros.physics.integrators.base import (
+    WORK_LIMIT,
+    Advance,
+    Integrator,
+    check_step,
+    check_tolerance,
+    check_work,
+)
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
@@ -27,6 +34,7 @@ class Leapfrog(Integrator):
         step: fixed largest step [s]; None takes 0.96 of the stability limit.
         tolerance: target of the largest particle position error at frames [m]: the step follows the error, which a
             second run with smaller steps judges every few frames.
+        work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
 
     Raises:
         ValueError: if one of them is not positive, or both are set.
@@ -38,15 +46,15 @@ class Leapfrog(Integrator):
     suits = "loose tolerances, long undamped runs; explicit, damping well below critical"
     columns = 1
 
-    def __init__(self, step: float | None = None, *, tolerance: float | None = None) -> None:
+    def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
         if tolerance is not None and step is not None:
             raise ValueError(
                 f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
             )
-        self.step, self.tolerance = check_step(step), check_tolerance(tolerance)
+        self.step, self.tolerance, self.work = check_step(step), check_tolerance(tolerance), check_work(work)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return leapfrog_limit(omega2, damping_rate)
 
     def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
-        return ControlledAdvance(self, plan, state, t, duration, book).run()
+        return ExplicitAdvance(self, plan, state, t, duration, book).run()

@@ -5,9 +5,16 @@
 from __future__ import annotations
 
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.control.control import MOST_COLUMNS
-from cloth_sim_ros.physics.control.controlled import ControlledAdvance
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step, check_tolerance
+from cloth_sim_ros.physics.control.explicit import ExplicitAdvance
+from cloth_sim_ros.physics.control.stability import MOST_COLUMNS
+from cloth_sim_ros.physics.integrators.base import (
+    WORK_LIMIT,
+    Advance,
+    Integrator,
+    check_step,
+    check_tolerance,
+    check_work,
+)
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
@@ -31,6 +38,7 @@ class Extrapolated(Integrator):
         tolerance: target of the largest particle position error at frames [m]; None takes fixed columns and steps.
         step: largest step of the first column without a tolerance [s]; None takes 0.96 of the stability limit.
         columns: most columns, 1 to 4; without a tolerance, the columns.
+        work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
 
     Raises:
         ValueError: for a value out of range, or a step together with a tolerance.
@@ -40,7 +48,12 @@ class Extrapolated(Integrator):
     suits = "tight tolerances on sheets with damping; explicit, so for stiffness that the step limit allows"
 
     def __init__(
-        self, *, tolerance: float | None = None, step: float | None = None, columns: int = MOST_COLUMNS
+        self,
+        *,
+        tolerance: float | None = None,
+        step: float | None = None,
+        columns: int = MOST_COLUMNS,
+        work: float = WORK_LIMIT,
     ) -> None:
         if not 1 <= columns <= MOST_COLUMNS:
             raise ValueError(f"columns is {columns}; it must be 1 to {MOST_COLUMNS}")
@@ -49,7 +62,7 @@ class Extrapolated(Integrator):
                 f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
             )
         self.tolerance = check_tolerance(tolerance)
-        self.step = check_step(step)
+        self.step, self.work = check_step(step), check_work(work)
         self.columns = columns
         self.order = columns + 1
         self.evaluations_per_step = columns
@@ -58,4 +71,4 @@ class Extrapolated(Integrator):
         return leapfrog_limit(omega2, damping_rate)
 
     def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
-        return ControlledAdvance(self, plan, state, t, duration, book).run()
+        return ExplicitAdvance(self, plan, state, t, duration, book).run()

@@ -1,0 +1,64 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every tuned number of step control, choice of integrator, cost model and sleep.
+
+What half and double of each does to error and work is measured by `cloth_bench constants`; coefficients of methods are
+not tuned and stand with their method.
+"""
+
+from __future__ import annotations
+
+import attrs
+
+
+def _number(value: float, meaning: str) -> float:
+    field: float = attrs.field(default=value, metadata={"meaning": meaning})
+    return field
+
+
+@attrs.define(slots=False)
+class Constants:
+    """The table; a bench may set its numbers, nobody else does."""
+
+    # Stability.
+    safety: float = _number(0.96, "part of the step limit that explicit steps take, so that stretching has room")
+    damped: float = _number(2.0, "decay of the fastest waves over a frame from which they count as damped")
+    part: float = _number(0.04, "longest part of a frame that is extrapolated at once [s]")
+
+    # Error.
+    share: float = _number(0.6, "part of the tolerance that the frames of a second may lose")
+    aim: float = _number(0.5, "part of its budget that a frame aims at")
+    wait: float = _number(16.0, "most frames between two judgements; four times as many where the error is far below")
+    far: float = _number(0.05, "part of the budget below which an error is far below")
+    trust: float = _number(2.0, "factor by which an estimate may be off before it is made anew or acted upon")
+    finer: float = _number(4.0, "most by which one rejection makes steps finer")
+    work: float = _number(8.0, "least cap of a frame's work, in runs by the longest stable steps")
+
+    # Single precision.
+    rounding: float = _number(0.02, "part of the budget that single precision may change")
+    motion: float = _number(1e3, "least way of the fastest particle in a frame, in changes by single precision")
+
+    # Energy.
+    gain: float = _number(2e-3, "part of the moved energy that steps may make")
+    swing: float = _number(5e-3, "part of the moved energy that a first frame may end above where it began")
+    stiffened: float = _number(1.02, "stiffening from which energy is looked at")
+
+    # Implicit steps and the choice of integrator.
+    converged: float = _number(0.2, "part of a step's budget at which its iteration ends")
+    slow: float = _number(0.5, "part of a correction that the next one may be, else the iteration is given up")
+    last_steps: float = _number(8.0, "steps of a frame that is finished by implicit steps")
+    affordable: float = _number(0.5, "part of real time that explicit steps may cost before implicit ones come in")
+
+    # Estimated cost, so that no clock is read.
+    operation: float = _number(0.05, "time of an arithmetic operation in the engine's loops [ns]")
+    own: float = _number(100.0, "time of a force in numpy [ns a particle]")
+    factor: float = _number(0.35, "time of a multiply-add in the implicit method's factorisation [ns]")
+    thread: float = _number(25.0, "time of a step from which a second thread takes part [us]; no bit depends on it")
+
+    # Sleep.
+    drift: float = _number(0.25, "part of the tolerance within which a cloth at rest may still get")
+    calm: float = _number(1.0, "time for which it must have been calm [s]")
+
+
+#: The numbers in force.
+CONSTANTS = Constants()

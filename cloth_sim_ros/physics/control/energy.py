@@ -1,0 +1,97 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rule of the energy: what a run of leapfrog steps makes of it, beside what the leapfrog's own energy does.
+
+The leapfrog does not keep the energy E of its positions and velocities but, for linear springs exactly, E - h^2/8 v'Kv:
+E swings by that with the motion and comes back. What makes this energy grow is an instability: a spring that was
+pushed nearly to a point within the run turned faster than the step follows. Smaller steps follow it.
+
+The swing itself is harmless while the step stays. Where it changes, E goes on from where the swing has brought it, for
+good. So the first run, which may begin with all fast waves at once and in step, may not swing far either.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.arrays import weighted_dot
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import Energy
+
+#: Rounding of a sum of energies, relative to it; coordinates of a sheet at rest are off by so many roundings.
+_ROUNDING, _ROUNDINGS = 1e-12, 8.0
+
+#: Time [s], positions and velocities (3, n).
+Moment = tuple[float, Array, Array]
+
+
+class EnergyRule:
+    """Judges the runs of one advance.
+
+    Args:
+        plan: equations of motion.
+        memory: of the rule.
+    """
+
+    def __init__(self, plan: Plan, memory: Energy) -> None:
+        self._plan, self.memory = plan, memory
+        self._begins = memory.softest < 0.0
+        self._boundless = any(force.boundless for force in plan.model.forces)
+
+    def looks(self, before: float, after: float, *, combined: bool) -> bool:
+        """Whether the energy of a run whose error is unknown is looked at: a single run's only where stiffness changed
+        or may have.
+
+        Args:
+            before: bound of the squared frequency at its start [1/s^2].
+            after: the same at its end.
+            combined: whether it is a combination of runs.
+        """
+        memory = self.memory
+        least, most = min(before, after), max(before, after)
+        memory.softest = least if memory.softest < 0.0 else min(memory.softest, least)
+        stiffened = most > CONSTANTS.stiffened * memory.softest
+        return combined or self._begins or self._boundless or stiffened
+
+    def exceeds(self, start: Moment, end: Moment, step: float, work: float) -> bool:
+        """Book a run with steps of a length [s]; return whether it made more energy than it may.
+
+        Args:
+            start: where it began.
+            end: where it ended.
+            step: length of its steps [s].
+            work: done by grippers and moving air over the run [J].
+        """
+        plan, memory = self._plan, self.memory
+        before = own_energy(plan, *start, step)
+        rise = own_energy(plan, *end, step) - before - work
+        moved = max(self._kinetic(start), self._kinetic(end)) + abs(work)
+        little = _ROUNDING * abs(before) + self._noise(end[1])
+        made, most = max(0.0, memory.made + rise), CONSTANTS.gain * moved + little
+        if not np.isfinite(rise):
+            return True
+        if self._begins and plan.energy(*end) - plan.energy(*start) - work > CONSTANTS.swing * moved + little:
+            return True
+        if rise > 0.0 and made > most:
+            return True
+        memory.made, self._begins = made, False
+        return False
+
+    def _noise(self, x: Array) -> float:
+        """Energy [J] of a sheet at rest that rounding of its coordinates leaves: w^2 / 2 times their squares."""
+        place = _ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
+        omega2, _ = self._plan.rates(x)
+        return 0.5 * self._plan.model.mass * omega2 * place * place
+
+    def _kinetic(self, moment: Moment) -> float:
+        return self._plan.energies(*moment)[0]
+
+
+def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
+    """Return the leapfrog's own energy [J] at steps of a length [s]; v'Kv by the forces half a step ahead and back."""
+    still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
+    plan.accelerations(t, x + 0.5 * step * v, still, ahead)
+    plan.accelerations(t, x - 0.5 * step * v, still, back)
+    return plan.energy(t, x, v) + 0.125 * step * weighted_dot(plan.model.masses, v, ahead - back)

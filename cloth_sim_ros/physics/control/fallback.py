@@ -1,0 +1,70 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rule of the fallback: the cap of a frame's work, and the steps that finish a frame which explicit ones can't
+follow within it.
+
+Some forces grow beyond all bounds next to a place where they are not defined, as S8's does where its two lines become
+parallel. A motion that meets such a place is kicked by whatever the step makes of it. The implicit method's safe steps
+only go where the energy falls.
+"""
+
+from __future__ import annotations
+
+import math
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import restart
+from cloth_sim_ros.physics.state import State
+
+#: Sheets of more particles are always stepped explicitly: one implicit frame would take half a minute and gigabytes.
+MOST_IMPLICIT = 50_000
+
+
+def within_reach(plan: Plan) -> bool:
+    """Whether the implicit method comes into question for a sheet of this size."""
+    return plan.model.particle_count <= MOST_IMPLICIT
+
+
+def work_cap(plan: Plan, work: float, duration: float, longest: float) -> float:
+    """Return the most force evaluations of an advance; a count, never a clock.
+
+    Args:
+        plan: equations of motion.
+        work: limit in real time by the plan's estimated cost; 0 for none.
+        duration: of the advance [s].
+        longest: longest stable step since the last restart [s].
+    """
+    if work == 0.0:
+        return math.inf
+    evaluation = 1e-9 * plan.step_cost * plan.model.particle_count
+    return max(work * duration / evaluation, CONSTANTS.work * duration / longest)
+
+
+def finish(plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str) -> Advance:
+    """Advance by a few implicit steps; at least one is flagged.
+
+    Args:
+        plan: equations of motion.
+        state: advanced in place.
+        t: time at the start [s].
+        duration: time to advance [s].
+        book: notes the motion.
+        instead_of: name of the integrator whose steps were given up.
+
+    Raises:
+        UnstableError: if the motion does not stay finite.
+    """
+    if not math.isfinite(plan.energy(t, state.x, state.v)):
+        raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
+    from cloth_sim_ros.physics.integrators.implicit import Implicit
+
+    done = Implicit(duration / CONSTANTS.last_steps).advance(plan, state, t, duration, book)
+    # What was known of the motion is true no longer.
+    restart(state)
+    why = f"{instead_of}: finer steps exceed the frame's work limit"
+    return done._replace(
+        flagged=max(1, done.flagged), reason=f"{why}: implicit, order 2, step {done.step:.3g} s for this frame"
+    )

@@ -1,0 +1,61 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where runs calculate in single precision: where it was measured what that changes, and the budget has room for it."""
+
+from __future__ import annotations
+
+from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.choice import Choice
+from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import Precision
+from cloth_sim_ros.physics.state import State
+
+#: Spacing of single precision's numbers: a stretch changes no less than a few tenths of it, relative to the sheet.
+_SPACING = 2.0**-24
+#: What is measured over this part of a frame's steps stands for all of them: positions carry what rounding takes, and
+#: what is left is a last bit of the sheet's extent, whatever the number of steps.
+_PART = 8
+
+
+class PrecisionRule:
+    """The choice of one advance.
+
+    Args:
+        plan: equations of motion.
+        memory: what was measured.
+        duration: of the advance [s].
+        budget: error that it may have [m].
+    """
+
+    def __init__(self, plan: Plan, memory: Precision, duration: float, budget: float) -> None:
+        self._plan, self.memory, self._duration = plan, memory, duration
+        self._room = CONSTANTS.rounding * budget
+
+    def measure(self, t: float, state: State, step: float, choice: Choice) -> int:
+        """Measure what single precision changes over steps of a length [s], where that is not known and might fit;
+        return the force evaluations that it took.
+        """
+        memory = self.memory
+        extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
+        if memory.rounding >= 0.0 or choice.columns > 1 or _SPACING * extent > self._room or not self._plan.narrows():
+            return 0
+        steps = max(1, steps_for(self._duration, step) // _PART)
+        ends = [
+            self._plan.runs(t, steps * step, (state.x, state.v), [steps], narrow=narrow)[0][0].x
+            for narrow in (False, True)
+        ]
+        # Twice, since it is measured once.
+        memory.rounding = 2.0 * largest_distance(*ends)
+        return 2 * (steps + 1)
+
+    def narrows(self, state: State, amplified: float) -> bool:
+        """Whether runs from a state take it whose combination amplifies rounding: what comes to rest has to find its
+        place, so the motion must be large against it.
+        """
+        rounding = amplified * self.memory.rounding
+        if not 0.0 <= rounding <= self._room:
+            return False
+        fastest = max(float(state.v.max()), -float(state.v.min()))
+        return fastest * self._duration > CONSTANTS.motion * rounding
