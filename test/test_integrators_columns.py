@@ -7,7 +7,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.control.economy import Economy
 from cloth_sim_ros.physics.integrators.columns import Columns, step_counts, weights
 from cloth_sim_ros.physics.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
@@ -90,6 +89,14 @@ def test_what_is_told_is_so(values):
 
 
 @every_scene
+def test_the_error_of_a_wave_counts_where_it_lies_in_the_velocity_alone(values):
+    simulation = started(values)
+    runs = columns(simulation, omega=1e-3)
+    away = np.linalg.norm(runs.combine(2)[1] - runs.combine(1)[1], axis=0).max()
+    assert runs.difference(1) == pytest.approx(1e3 * away, rel=1e-12)
+
+
+@every_scene
 @pytest.mark.parametrize("number", [1, 3])
 def test_a_motion_that_is_not_finite_is_told(values, number):
     simulation = started(values)
@@ -98,10 +105,10 @@ def test_a_motion_that_is_not_finite_is_told(values, number):
 
 
 @every_scene
-def test_single_precision_is_the_first_runs_alone(values):
+def test_single_precision_changes_what_it_rounds(values):
     simulation = started(values)
-    narrow, wide = columns(simulation, economy=Economy(narrow=True)), columns(simulation)
+    narrow, wide = columns(simulation, narrow=True), columns(simulation)
     away = np.abs(narrow.combine(1)[0] - wide.combine(1)[0]).max()
     assert 0.0 < away < 1e-5
-    # The error is that of its steps; rounding, which is measured apart, is multiplied by the second's weight.
-    assert narrow.check() == pytest.approx(wide.difference(1), abs=4.0 * weights(step_counts(60, 2))[1] * away)
+    # The error is that of its steps; rounding is multiplied by the second's weight.
+    assert narrow.difference(1) == pytest.approx(wide.difference(1), abs=4.0 * weights(step_counts(60, 2))[1] * away)

@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
-from cloth_sim_ros.physics.control.control import NARROW_SHARE, SHARE_PER_SECOND, Memory
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import restart
+from cloth_sim_ros.physics.remembered import Precision, restart
 from cloth_sim_ros.physics.state import State
 
 PERIOD = 1 / 60
@@ -52,14 +52,14 @@ def test_a_loose_tolerance_takes_it_between_judgements() -> None:
     assert each[0] == [False, True, False, False]
     assert each[1] == [True]
     assert sum(runs == [True] for runs in each) > 12
-    rounding = Memory.of(state).rounding
-    assert 1e-9 < rounding < NARROW_SHARE * SHARE_PER_SECOND * PERIOD * 1e-2
+    rounding = Precision.of(state).rounding
+    assert 1e-9 < rounding < CONSTANTS.rounding * CONSTANTS.share * PERIOD * 1e-2
 
 
 def test_a_tight_tolerance_never_does() -> None:
     each, state = frames(1e-6, 24)
     assert not any(any(runs) for runs in each)
-    assert Memory.of(state).rounding < 0.0
+    assert Precision.of(state).rounding < 0.0
 
 
 def test_it_stays_well_within_the_tolerance() -> None:
@@ -72,7 +72,7 @@ def test_an_event_asks_anew() -> None:
     plan, state = build()
     for frame in range(3):
         Extrapolated(tolerance=1e-2).advance(plan, state, frame * PERIOD, PERIOD)
-    assert Memory.of(state).rounding > 0.0
+    assert Precision.of(state).rounding > 0.0
     restart(state)
     seen = precisions(plan)
     Extrapolated(tolerance=1e-2).advance(plan, state, 3 * PERIOD, PERIOD)

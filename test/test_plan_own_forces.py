@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from plan_scenes import FILES, SCENES, listed, stir
 
-from cloth_sim_ros.physics.assembly import MOVE, NUMPY_FORCE
+from cloth_sim_ros.physics.assembly import MOVE
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.forces.force import Force
@@ -260,8 +261,11 @@ def test_a_force_that_says_nothing_of_itself_is_refused_when_it_is_asked():
 def test_it_costs_its_own_time_and_no_more():
     model = pair("default")[0].model
     with_it = Model(model.masses, [*model.forces, Wind()], anchors=model.anchors)
-    assert compile(with_it).step_cost == pytest.approx(compile(model).step_cost + NUMPY_FORCE)
-    assert compile(Model(np.ones(7), [Wind()])).step_cost == pytest.approx(MOVE + NUMPY_FORCE)
+    count = model.particle_count
+    own = CONSTANTS.own * (count + 100) / count
+    assert compile(with_it).step_cost == pytest.approx(compile(model).step_cost + own)
+    one = compile(Model(np.ones(100), [Wind()])).step_cost
+    assert one == pytest.approx(CONSTANTS.operation * MOVE + 2.0 * CONSTANTS.own)
 
 
 def test_a_book_changes_no_bit_of_it():

@@ -192,30 +192,37 @@ def test_a_state_file_with_a_senseless_cloth_is_refused(cloth, words):
         State.from_bytes(archive({**saved().arrays(), "cloth": cloth}))
 
 
-@pytest.mark.parametrize("name", ["stepper", "automatic"])
+@pytest.mark.parametrize("name", ["control.stability", "control.error", "control.choice"])
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda a: a[:-1], "has shape"),
-        (lambda a: np.append(a, 1.0), "has shape"),
-        (lambda a: a.reshape(1, -1), "has shape"),
+        (lambda a: a[:-1], "shape"),
+        (lambda a: np.append(a, 1.0), "shape"),
+        (lambda a: a.reshape(1, -1), "shape"),
         (lambda a: a.astype(np.int64), "it must be float64"),
         (lambda a: np.full_like(a, np.nan), "it must be finite"),
     ],
 )
-def test_what_another_version_remembered_of_its_steps_is_refused(name, change, words):
+def test_a_broken_memory_of_step_control_is_refused(name, change, words):
     arrays = stepped()
     arrays[f"memory.{name}"] = change(arrays[f"memory.{name}"])
-    with pytest.raises(ValueError, match=f"memory '{name}' .*{words}"):
+    with pytest.raises(ValueError, match=f"memory '{name}'.*{words}"):
         State.from_bytes(archive(arrays))
 
 
-@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (0, 99.0), (1, 0.5), (3, 0.0)])
-def test_senseless_numbers_of_a_stepper_are_refused(place, value):
+@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (6, 0.9)])
+def test_senseless_numbers_of_step_control_are_refused(place, value):
     arrays = stepped()
-    arrays["memory.stepper"][place] = value
-    with pytest.raises(ValueError, match="memory 'stepper' begins with"):
+    arrays["memory.control.error"][place] = value
+    with pytest.raises(ValueError, match=rf"memory 'control.error': \w+ is {value}; it must be finite and at least"):
         State.from_bytes(archive(arrays))
+
+
+def test_what_rules_of_another_version_remembered_is_left_out_and_named():
+    arrays = {**saved().arrays(), "memory.stepper": np.ones(16), "memory.sleep": np.array([31, 1])}
+    state = State.from_bytes(archive(arrays))
+    assert state.left_out == ("stepper", "sleep")
+    assert not {"stepper", "sleep"} & state.memory.keys()
 
 
 def stepped():
@@ -224,5 +231,5 @@ def stepped():
     for _ in range(3):
         simulation.advance()
     arrays = {name: array.copy() for name, array in simulation.state.arrays().items()}
-    assert {"memory.stepper", "memory.automatic"} <= arrays.keys()
+    assert {"memory.control.error", "memory.control.choice"} <= arrays.keys()
     return arrays

@@ -36,6 +36,8 @@ class Sums:
     #: Error of the runs that were combined, and what it would have been taken for [m].
     error: float = 0.0
     predicted: float = 0.0
+    #: Error of one run less where none was judged [m].
+    before: float = 0.0
     #: Largest change of a velocity over a part [m/s].
     activity: float = 0.0
 
@@ -124,6 +126,12 @@ class ErrorRule:
         longest = 4.0 * CONSTANTS.wait if far and finer == 1.0 else CONSTANTS.wait
         memory.interval = min(longest, 2.0 * memory.interval) if trusted else 1.0
         memory.wait = memory.interval
+
+    def passed(self, columns: int, sums: Sums) -> None:
+        """Remember a frame that was not judged; where a run less would do, the next one is."""
+        memory = self.memory
+        less = columns > 1 and sums.before <= CONSTANTS.aim * self.budget
+        memory.wait = 0.0 if less else max(0.0, memory.wait - 1.0)
 
     def refined(self, refine: float) -> None:
         """Remember that the energy of a fixed step asked for finer ones."""

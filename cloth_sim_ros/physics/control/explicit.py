@@ -166,7 +166,7 @@ class ExplicitAdvance:
             self._flagged = int(self._sums.error > self._error.budget)
             self._error.judged(self._choice.columns, max(choice.refine, least), self._sums)
         else:
-            self._error.memory.wait = max(0.0, self._error.memory.wait - 1.0)
+            self._error.passed(choice.columns, self._sums)
         return self._sums.error
 
     def _parts(self, columns: int, steps: int) -> int:
@@ -264,6 +264,7 @@ class ExplicitAdvance:
         predicted = rule.predicted(choice.columns, difference, activity)
         if not choice.judge:
             sums.error += predicted
+            sums.before += difference
             if sums.error <= rule.budget:
                 return True
             # All parts are judged then: one choice holds for the whole of a frame.
