@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,20 +129,29 @@ def _zeros(size: int, dtype: Any) -> NDArray[Any]:
 
 def _build(compiler: str, dtype: np.dtype[Any]) -> Any:
     real = {4: "float", 8: "double"}[dtype.itemsize]
+    function = compiled(_SOURCE, [*FLAGS, f"-DREAL={real}"], compiler=compiler).family_forces
+    function.argtypes = [ctypes.c_ssize_t] * 3 + [ctypes.c_void_p] * 6
+    function.restype = None
+    return function
+
+
+def compiled(source: Path, flags: Sequence[str], *, compiler: str) -> ctypes.CDLL:
+    """Compile a C file and load it.
+
+    Raises:
+        RuntimeError: if the compiler fails, with what it said.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder, "reference_kernel.so")
-        compiled = Path(folder, "reference_kernel.o")
+        library = Path(folder, f"{source.stem}.so")
+        unit = Path(folder, f"{source.stem}.o")
         # Linked apart, without -ffast-math: with it gcc links a start-up file that makes the whole process flush
         # subnormal numbers to zero, other kernels and the tests included.
         for command in (
-            [compiler, *FLAGS, f"-DREAL={real}", "-c", str(_SOURCE), "-o", str(compiled)],
-            [compiler, "-shared", str(compiled), "-o", str(library), "-lm"],
+            [compiler, *flags, "-c", str(source), "-o", str(unit)],
+            [compiler, "-shared", str(unit), "-o", str(library), "-lm"],
         ):
             result = subprocess.run(command, capture_output=True, text=True, check=False)
             if result.returncode != 0:
                 raise RuntimeError(f"{' '.join(command)} failed with status {result.returncode}:\n{result.stderr}")
         # Once mapped, the file itself is no longer needed.
-        function = ctypes.CDLL(str(library)).family_forces
-    function.argtypes = [ctypes.c_ssize_t] * 3 + [ctypes.c_void_p] * 6
-    function.restype = None
-    return function
+        return ctypes.CDLL(str(library))

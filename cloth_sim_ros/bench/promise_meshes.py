@@ -1,0 +1,67 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random triangle meshes as files' content: discs, outlines with a hole, irregular sheets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.forces.force import Array
+
+#: Particles of a mesh.
+COUNTS = (40, 1500)
+
+
+def random_mesh(rng: np.random.Generator) -> tuple[bytes, int, str]:
+    """A wavefront file, its number of vertices, and what it is."""
+    from scipy.spatial import Delaunay
+
+    kind = str(rng.choice(["disc", "hole", "irregular"]))
+    count = round(float(np.exp(rng.uniform(*np.log(COUNTS)))))
+    size = float(rng.uniform(0.3, 1.2))
+    points = {"disc": _disc, "hole": _hole, "irregular": _irregular}[kind](rng, count)
+    triangles = Delaunay(points).simplices
+    corners = points[triangles]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    double_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    kept = double_area > 0.02 * sides * sides
+    if kind == "hole":
+        middle = corners.mean(axis=1)
+        kept &= ~((np.abs(middle[:, 0]) < 0.2) & (np.abs(middle[:, 1]) < 0.15))
+    triangles = triangles[kept]
+    used = np.unique(triangles)
+    points, triangles = points[used], np.searchsorted(used, triangles)
+    lines = [f"v {x:.9f} {y:.9f} 0" for x, y in (size * points).tolist()]
+    lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in triangles.tolist()]
+    return "\n".join(lines).encode(), len(points), f"{kind} of {len(points)}"
+
+
+def _disc(rng: np.random.Generator, count: int) -> Array:
+    """Rings about a middle, within a radius of a half."""
+    rings = max(2, round((count / 3.0) ** 0.5))
+    points = [np.zeros((1, 2))]
+    for ring in range(1, rings + 1):
+        angle = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring) + 0.1 * ring
+        points.append(0.5 * ring / rings * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return np.concatenate(points)
+
+
+def _hole(rng: np.random.Generator, count: int) -> Array:
+    """A lattice of 1 by 0.7, with the middle left out by whoever triangulates it."""
+    columns = max(8, round((count / 0.7) ** 0.5))
+    return _shaken(rng, columns, max(6, round(0.7 * columns)), 0.15) * (1.0, 0.7)
+
+
+def _irregular(rng: np.random.Generator, count: int) -> Array:
+    columns = max(5, round((count * 0.8) ** 0.5))
+    return _shaken(rng, columns, max(4, round(count / columns)), 0.3)
+
+
+def _shaken(rng: np.random.Generator, columns: int, rows: int, share: float) -> Array:
+    """A lattice in a unit square whose inner points are moved by up to a share of their distance."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns), np.linspace(-0.5, 0.5, rows))
+    points = np.stack([x, y], axis=-1).reshape(-1, 2)
+    inner = (np.abs(points) < 0.5 - 1e-9).all(axis=1)
+    points[inner] += rng.uniform(-share, share, (int(inner.sum()), 2)) / (columns - 1, rows - 1)
+    return np.asarray(points)
