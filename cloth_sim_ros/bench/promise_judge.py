@@ -123,7 +123,7 @@ def judge(seed: int, index: int, windows: int) -> Judgement:
     if not run.mismatch > SAME_FORCES:
         for start in [0, *starts(run, windows)] if count >= second else []:
             try:
-                window, longer = _judge(run, start, second if start else count, seed=index + start)
+                window, longer = judge_window(run, start, second if start else count, seed=index + start)
                 judged.append(window)
                 whole = longer or whole
             except ReferenceError as error:
@@ -176,26 +176,26 @@ def kicks(run: Recording, seed: int, *, second: bool) -> Array:
     return found * (model.inverse_masses > 0.0)[None, :, None, None]
 
 
-def _judge(run: Recording, first: int, frames: int, *, seed: int) -> tuple[Window, Window | None]:
+def judge_window(run: Recording, first: int, frames: int, *, seed: int) -> tuple[Window, Window | None]:
     """The window of one second from a frame on; for longer stretches all of it too."""
     tolerance = run.draw.scene.tolerance
     second = run.draw.frames_a_second
     local = REFERENCE * tolerance
     while True:
-        rough = _follow(run, first, frames, kicks(run, seed, second=False), max(local, LEAST_LOCAL))
-        fine = _follow(run, first, frames, kicks(run, seed, second=True), max(FINER * local, LEAST_LOCAL))
-        window = _window(run, first, second, rough, fine, tolerance)
+        rough = follow(run, first, frames, kicks(run, seed, second=False), max(local, LEAST_LOCAL))
+        fine = follow(run, first, frames, kicks(run, seed, second=True), max(FINER * local, LEAST_LOCAL))
+        window = window_of(run, first, second, rough, fine, tolerance)
         if window.reference_error <= REFERENCE_ERROR * window.promised or local <= LEAST_LOCAL:
             break
         local *= 0.01
     if frames <= second:
         return window, None
     many = min(len(rough.positions), len(fine.positions))
-    return window, _window(run, first, many, rough, fine, tolerance * max(1.0, many * run.period))
+    return window, window_of(run, first, many, rough, fine, tolerance * max(1.0, many * run.period))
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class _Followed:
+class Followed:
     """One run of the reference."""
 
     #: At the end of each frame, (3, n).
@@ -205,7 +205,12 @@ class _Followed:
     evaluations: int
 
 
-def _follow(run: Recording, first: int, frames: int, kick: Array, local: float) -> _Followed:
+def follow(run: Recording, first: int, frames: int, kick: Array, local: float) -> Followed:
+    """Run the reference from the engine's state at a frame on, to the horizon at most, with a local error [m].
+
+    Raises:
+        ReferenceError: where its equations are singular.
+    """
     y = trajectories(run.positions[first], run.velocities[first])
     y[..., 1:] += KICK * kick
     steps = _STIFFER * run.draw.frequency * run.period + _MOST_STEPS
@@ -215,16 +220,16 @@ def _follow(run: Recording, first: int, frames: int, kick: Array, local: float) 
     for number in range(first, first + frames):
         t = number * run.period
         frame = run.frames[number]
-        run.system.hold(_own_points(frame.held, frame.fresh, offsets, y), t)
+        run.system.hold(own_points(frame.held, frame.fresh, offsets, y), t)
         integration.advance(run.period)
         positions.append(integration.positions)
         growths.append(integration.deviations() / KICK)
         if len(positions) >= run.draw.frames_a_second and growths[-1].max() > HORIZON:
             break
-    return _Followed(positions=positions, growths=growths, evaluations=integration.evaluations)
+    return Followed(positions=positions, growths=growths, evaluations=integration.evaluations)
 
 
-def _own_points(held: Held | None, fresh: np.ndarray, known: dict[tuple[int, int], Array], y: Array) -> Held | None:
+def own_points(held: Held | None, fresh: np.ndarray, known: dict[tuple[int, int], Array], y: Array) -> Held | None:
     """What grippers hold, new grips at the places that the trajectories themselves have come to."""
     if held is None:
         known.clear()
@@ -245,7 +250,8 @@ def _own_points(held: Held | None, fresh: np.ndarray, known: dict[tuple[int, int
     return attrs.evolve(held, offsets=points)
 
 
-def _window(run: Recording, first: int, frames: int, rough: _Followed, fine: _Followed, tolerance: float) -> Window:
+def window_of(run: Recording, first: int, frames: int, rough: Followed, fine: Followed, tolerance: float) -> Window:
+    """Judge a stretch by two runs of the reference, `tolerance` being what is promised of a kick that does not grow."""
     growth = max(float(np.max(each.growths[:frames])) for each in (rough, fine))
     pairs = zip(rough.positions[:frames], fine.positions[:frames], strict=True)
     reference_error = max(largest_distance(a, b) for a, b in pairs)

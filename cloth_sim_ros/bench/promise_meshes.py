@@ -12,8 +12,8 @@ from cloth_sim_ros.physics.forces.force import Array
 COUNTS = (40, 1500)
 
 
-def random_mesh(rng: np.random.Generator) -> tuple[bytes, int, str]:
-    """A wavefront file, its number of vertices, and what it is."""
+def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:
+    """A wavefront file, its vertices (n, 2) [m], and what it is."""
     from scipy.spatial import Delaunay
 
     kind = str(rng.choice(["disc", "hole", "irregular"]))
@@ -31,10 +31,10 @@ def random_mesh(rng: np.random.Generator) -> tuple[bytes, int, str]:
         kept &= ~((np.abs(middle[:, 0]) < 0.2) & (np.abs(middle[:, 1]) < 0.15))
     triangles = triangles[kept]
     used = np.unique(triangles)
-    points, triangles = points[used], np.searchsorted(used, triangles)
-    lines = [f"v {x:.9f} {y:.9f} 0" for x, y in (size * points).tolist()]
+    points, triangles = size * points[used], np.searchsorted(used, triangles)
+    lines = [f"v {x:.9f} {y:.9f} 0" for x, y in points.tolist()]
     lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in triangles.tolist()]
-    return "\n".join(lines).encode(), len(points), f"{kind} of {len(points)}"
+    return "\n".join(lines).encode(), points, f"{kind} of {len(points)}"
 
 
 def _disc(rng: np.random.Generator, count: int) -> Array:

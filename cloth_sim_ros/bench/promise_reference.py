@@ -40,7 +40,7 @@ LANES = 4
 #: Size of a kick: of positions [m], or of velocities [m/s].
 KICK = 1e-9
 #: Local error of a kicked trajectory's deviation, relative to the deviation.
-SHARE = 1e-2
+SHARE = 1e-4
 FLAGS = ("-O3", "-march=native", "-std=gnu11", "-fPIC", "-fno-math-errno", f"-DLANES={LANES}")
 
 _SOURCE = Path(__file__).with_name("promise_reference.c")

@@ -30,15 +30,22 @@ CAP = 5e9
 _STEPS_A_RADIAN = 0.8
 _STAGES = 12
 _ANCHORS = (
-    [""],
     ["top"],
-    ["left"],
     ["top_left", "top_right"],
-    ["top_left"],
-    ["bottom_right", "top_left"],
     ["top", "bottom"],
     ["left", "right"],
+    ["left"],
+    ["top_left"],
+    ["bottom_right", "top_left"],
+    [""],
 )
+#: How many of them hold a sheet that hangs.
+_HANGING = 4
+#: Part of the scenes that are calm: they hang by what holds them above, damped, and are handled slowly. In the others
+#: a kick grows beyond all bounds within the second as a rule, and a window says little.
+_CALM = 0.6
+#: How much slower grippers are there.
+_SLOWLY = 0.15
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -69,8 +76,9 @@ def draw(seed: int, index: int) -> Draw:
     """Return the scene of that number among those of a seed."""
     rng = np.random.default_rng([seed, index])
     while True:
+        calm = bool(rng.random() < _CALM)
         try:
-            values, files, words = _values(rng)
+            values, files, words = _values(rng, calm)
             scene = Scene.from_parameters(values, files=files)
             break
         except ParameterError:
@@ -78,11 +86,11 @@ def draw(seed: int, index: int) -> Draw:
             continue
     duration = float(rng.uniform(*DURATIONS))
     frames = max(round(scene.rate), round(duration * scene.rate))
-    state = _start(rng, scene)
-    script = Script.random(rng, scene, frames)
+    state = _start(rng, scene, 0.2 if calm else 1.0)
+    script = Script.random(rng, scene, frames, pace=_SLOWLY if calm else 1.0)
     system = ReferenceSystem(scene.model())
     what = ", ".join([*words, f"{scene.rate:g} Hz", f"{frames / scene.rate:.1f} s", script.words])
-    frequency = _frequency(scene, state.x)
+    frequency = frequency_of(scene, state.x)
     return Draw(
         seed=seed,
         index=index,
@@ -102,7 +110,8 @@ def reference_cost(system: ReferenceSystem, frequency: float, duration: float, *
     return seconds * _STAGES * _STEPS_A_RADIAN * frequency * system.elements
 
 
-def _frequency(scene: Scene, x: Array) -> float:
+def frequency_of(scene: Scene, x: Array) -> float:
+    """Highest frequency of a scene at positions x (3, n), or its damping rate where that is higher [1/s]."""
     plan = scene.plan()
     omega2, damping = plan.rates(x)
     if scene.gripper_names:
@@ -111,43 +120,46 @@ def _frequency(scene: Scene, x: Array) -> float:
     return max(math.sqrt(omega2), damping, 2.0 * scene.rate)
 
 
-def _values(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
+def _values(rng: np.random.Generator, calm: bool) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
     kind = str(rng.choice(["grid", "mesh", "springs"], p=[0.6, 0.2, 0.2]))
     values: dict[str, Any] = {
         "rate": float(rng.integers(RATES[0], RATES[1] + 1)),
-        "tolerance": _log(rng, *TOLERANCES),
-        "air.drag": 0.0 if rng.random() < 0.3 else _log(rng, 0.02, 2.0),
-        "gravity": _gravity(rng),
+        "tolerance": log_uniform(rng, *TOLERANCES),
+        "air.drag": 0.0 if rng.random() < 0.3 else log_uniform(rng, 0.2 if calm else 0.02, 2.0),
+        "gravity": [0.0, 0.0, -9.81] if calm else _gravity(rng),
     }
     files: dict[str, bytes] = {}
     if kind == "springs":
-        files["springs.json.yaml"], more, words = _springs(rng)
+        files["springs.json.yaml"], more, words = _springs(rng, calm)
         values |= {"cloth.springs": "springs.json.yaml", "bending.model": "none", **more}
     else:
-        more, files, words = _sheet(rng, kind)
+        more, files, words = _sheet(rng, kind, calm)
         values |= more
     if rng.random() < 0.4:
         values["wind.velocity"] = rng.uniform(-4.0, 4.0, 3).tolist()
         words.append("wind")
         if kind != "springs" and rng.random() < 0.6:
-            values |= {"wind.normal_drag": _log(rng, 0.02, 2.0), "wind.tangential_drag": float(rng.uniform(0.0, 0.1))}
+            values |= {
+                "wind.normal_drag": log_uniform(rng, 0.02, 2.0),
+                "wind.tangential_drag": float(rng.uniform(0.0, 0.1)),
+            }
             words.append("air on panels")
     names = [f"gripper{k}" for k in range(int(rng.choice([0, 1, 2, 3], p=[0.25, 0.4, 0.2, 0.15])))]
     extent = 0.3 * max(values.get("cloth.size", [0.5]))
     values |= {
         "grippers": names or [""],
         "gripper.radius": float(rng.uniform(0.2, 1.0) * extent),
-        "gripper.stiffness": _log(rng, 30.0, 3000.0),
+        "gripper.stiffness": log_uniform(rng, 30.0, 3000.0),
         "gripper.damping": float(rng.uniform(0.0, 2.0)),
     }
     return values, files, words
 
 
-def _sheet(rng: np.random.Generator, kind: str) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
+def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
     """A grid or a mesh of some material."""
-    stretch, density = _log(rng, *MODULI), _log(rng, *DENSITIES)
-    damping = 0.0 if rng.random() < 0.25 else float(rng.uniform(0.0, 1.0))
-    shear = 0.0 if rng.random() < 0.05 else stretch * _log(rng, 0.01, 0.3)
+    stretch, density = log_uniform(rng, *MODULI), log_uniform(rng, *DENSITIES)
+    damping = 0.0 if rng.random() < (0.1 if calm else 0.25) else float(rng.uniform(0.0, 1.0))
+    shear = 0.0 if rng.random() < 0.05 else stretch * log_uniform(rng, 0.01, 0.3)
     models = ["none", "axial", "opposite", "crossed", "altitude"]
     model = str(rng.choice(models if kind == "grid" else [name for name in models if name != "axial"]))
     values: dict[str, Any] = {
@@ -156,20 +168,20 @@ def _sheet(rng: np.random.Generator, kind: str) -> tuple[dict[str, Any], dict[st
         "material.damping": damping,
         "bending.model": model,
         "cloth.position": rng.uniform(-1.0, 1.0, 3).tolist(),
-        "cloth.orientation": rng.normal(size=4).tolist(),
+        "cloth.orientation": _hanging(rng) if calm else rng.normal(size=4).tolist(),
     }
     if model in ("axial", "opposite"):
-        values["bending.stiffness"] = stretch * _log(rng, 1e-4, 0.1)
+        values["bending.stiffness"] = stretch * log_uniform(rng, 1e-4, 0.1)
     elif model != "none":
-        values["material.bending_modulus"] = _log(rng, 1e-7, 1e-3)
+        values["material.bending_modulus"] = log_uniform(rng, 1e-7, 1e-3)
         values["bending.rest_angle"] = 0.0 if rng.random() < 0.7 else float(rng.uniform(-0.5, 0.5))
     files: dict[str, bytes] = {}
     if kind == "grid":
-        rows, columns = (round(_log(rng, *SIDES)) for _ in range(2))
+        rows, columns = (round(log_uniform(rng, *SIDES)) for _ in range(2))
         height = float(rng.uniform(0.3, 1.2))
-        width = float(height * (columns - 1) / (rows - 1) * _log(rng, 0.7, 1.4))
-        anchors = list(_ANCHORS[rng.integers(len(_ANCHORS))])
-        if rng.random() < 0.2:
+        width = float(height * (columns - 1) / (rows - 1) * log_uniform(rng, 0.7, 1.4))
+        anchors = list(_ANCHORS[rng.integers(_HANGING if calm else len(_ANCHORS))])
+        if not calm and rng.random() < 0.2:
             anchors = [str(int(rng.integers(rows * columns))) for _ in range(int(rng.integers(1, 4)))]
         layout = str(rng.choice(["left", "right", "alternating", "both"]))
         values |= {
@@ -181,42 +193,49 @@ def _sheet(rng: np.random.Generator, kind: str) -> tuple[dict[str, Any], dict[st
         }
         shape = f"grid {rows} x {columns} {layout}"
     else:
-        files["sheet.obj"], count, shape = random_mesh(rng)
-        anchors = [str(int(k)) for k in rng.integers(0, count, int(rng.integers(0, 4)))] or [""]
+        files["sheet.obj"], points, shape = random_mesh(rng)
+        chosen = rng.integers(0, len(points), int(rng.integers(0, 4)))
+        if calm:
+            chosen = np.flatnonzero(points[:, 1] > points[:, 1].max() - 0.1 * np.ptp(points[:, 1]))
+        anchors = [str(int(k)) for k in chosen] or [""]
         values |= {"cloth.mesh": "sheet.obj", "cloth.anchors": anchors}
+    held = " ".join(anchors) if len(anchors) < 4 else f"{len(anchors)} particles"
     words = [
+        "calm" if calm else "wild",
         shape,
         f"{stretch:.2g} N/m",
         f"{density:.2g} kg/m2",
         f"k_d0 {damping:.2g}",
         model,
-        f"anchors {' '.join(anchors) or 'none'}",
+        f"anchors {held or 'none'}",
     ]
     return values, files, words
 
 
-def _springs(rng: np.random.Generator) -> tuple[bytes, dict[str, Any], list[str]]:
+def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any], list[str]]:
     """A single spring, or a chain of mixed ones."""
     count = 2 if rng.random() < 0.4 else int(rng.integers(3, 102))
     rest = rng.uniform(0.02, 0.2, count - 1) if count > 2 else rng.uniform(0.1, 1.0, 1)
     if rng.random() < 0.2:
         rest[:] = 0.0
-    slack = float(rng.uniform(0.7, 1.5))
+    slack = float(rng.uniform(1.05 if calm else 0.7, 1.5))
     length = np.where(rest > 0.0, slack * rest, 0.05)
     direction = rng.normal(size=3)
     positions = np.concatenate([[0.0], np.cumsum(length)])[:, None] * (direction / np.linalg.norm(direction))
     positions += 0.01 * length.mean() * rng.normal(size=positions.shape)
     rigidity = (
-        np.array([_log(rng, *MODULI) for _ in rest]) if rng.random() < 0.5 else np.full(len(rest), _log(rng, *MODULI))
+        np.array([log_uniform(rng, *MODULI) for _ in rest])
+        if rng.random() < 0.5
+        else np.full(len(rest), log_uniform(rng, *MODULI))
     )
     masses = (
-        np.array([_log(rng, 1e-3, 0.3) for _ in positions])
+        np.array([log_uniform(rng, 1e-3, 0.3) for _ in positions])
         if rng.random() < 0.5
-        else np.full(count, _log(rng, 1e-3, 0.3))
+        else np.full(count, log_uniform(rng, 1e-3, 0.3))
     )
     damping = 0.0 if rng.random() < 0.3 else float(rng.uniform(0.0, 1.0 if count > 2 else 3.0))
     anchors = [[""], ["0"], ["0", str(count - 1)] if count > 2 else ["0"]][int(rng.integers(3))]
-    velocities = 0.3 * rng.normal(size=positions.shape)
+    velocities = (0.05 if calm else 0.3) * rng.normal(size=positions.shape)
     if rng.random() < 0.7:
         # The others move as they began to.
         velocities[[int(name) for name in anchors if name]] = 0.0
@@ -231,7 +250,7 @@ def _springs(rng: np.random.Generator) -> tuple[bytes, dict[str, Any], list[str]
     }
     what = "spring" if count == 2 else f"chain of {count}"
     kind = "joints" if not rest.any() else f"{rigidity.min():.2g} to {rigidity.max():.2g} N/m"
-    words = [what, kind, f"k_d0 {damping:.2g}", f"anchors {' '.join(anchors) or 'none'}"]
+    words = ["calm" if calm else "wild", what, kind, f"k_d0 {damping:.2g}", f"anchors {' '.join(anchors) or 'none'}"]
     return json.dumps(tables).encode(), {"cloth.anchors": anchors, "cloth.size": [float(length.sum()), 1e-6]}, words
 
 
@@ -241,7 +260,13 @@ def _gravity(rng: np.random.Generator) -> list[float]:
     return [0.0, 0.0, 0.0] if rng.random() < 0.5 else rng.uniform(-6.0, 6.0, 3).tolist()
 
 
-def _start(rng: np.random.Generator, scene: Scene) -> State:
+def _hanging(rng: np.random.Generator) -> list[float]:
+    """The sheet upright, turned about the vertical: the default orientation after a yaw."""
+    half, root = rng.uniform(0.0, math.pi), math.sqrt(0.5)
+    return [root * math.cos(half), root * math.sin(half), root * math.sin(half), root * math.cos(half)]
+
+
+def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
     """At rest, or bent and moving smoothly."""
     state = scene.starting_state()
     if rng.random() < 0.5:
@@ -249,8 +274,8 @@ def _start(rng: np.random.Generator, scene: Scene) -> State:
     rest = state.positions
     size = float(np.ptp(rest, axis=0).max())
     free = scene.model().inverse_masses > 0.0
-    state.x += 0.05 * size * smooth_field(rng, rest).T * free
-    state.v += rng.uniform(0.0, 1.0) * smooth_field(rng, rest).T * free
+    state.x += 0.05 * share * size * smooth_field(rng, rest).T * free
+    state.v += rng.uniform(0.0, share) * smooth_field(rng, rest).T * free
     return state
 
 
@@ -264,5 +289,6 @@ def smooth_field(rng: np.random.Generator, rest: Array) -> Array:
     return np.asarray(field / np.sqrt(np.sum(field * field, axis=1).max()))
 
 
-def _log(rng: np.random.Generator, least: float, most: float) -> float:
+def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
+    """A number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(math.log(least), math.log(most))))

@@ -42,8 +42,8 @@ class Script:
     holds: tuple[Hold, ...]
 
     @classmethod
-    def random(cls, rng: np.random.Generator, scene: Scene, frames: int) -> Script:
-        """Draw what the grippers of a scene do in so many frames."""
+    def random(cls, rng: np.random.Generator, scene: Scene, frames: int, *, pace: float = 1.0) -> Script:
+        """Draw what the grippers of a scene do in so many frames, at full pace or more slowly."""
         rest = scene.initial_positions()
         size = float(np.ptp(rest, axis=0).max()) or 1.0
         rate = scene.rate
@@ -57,7 +57,9 @@ class Script:
                     what = str(rng.choice(ACTIONS))
                     direction = rng.normal(size=3)
                     reach = {"turn": 2.0, "jump": 0.25 * size}.get(what, 0.4 * size)
-                    actions.append((at, what, rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction)))
+                    actions.append(
+                        (at, what, pace * rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction))
+                    )
                     at += max(2, int(rng.uniform(0.15, 0.8) * rate))
                 stride = int(rng.choice([1, 1, 1, 2, 4]))
                 holds.append(
