@@ -112,6 +112,21 @@ def test_it_meets_a_matrix_exponential(name):
         assert np.abs(integration.positions - place).max() < 1e-11
 
 
+def test_a_particle_that_a_gripper_pulls_along():
+    paths = np.zeros((1, 26))
+    paths[0, 4], paths[0, 16] = 0.3, 1.0
+    one, mass, stiffness = np.array([0]), 0.5, 8.0
+    numbers, offsets = np.array([[stiffness, 0.0]]), np.zeros((1, 3, LANES))
+    held = Held(paths=paths, grippers=one, particles=one, numbers=numbers, offsets=offsets)
+    system = ReferenceSystem(Model([mass], [Grips(1)]))
+    integration = Integration(system, trajectories(np.zeros((3, 1)), np.zeros((3, 1))), tolerance=1e-13)
+    rate = (stiffness / mass) ** 0.5
+    for frame in range(10):
+        system.hold(held, 0.1 * frame)
+        integration.advance(0.1)
+    assert integration.positions[0, 0] == pytest.approx(0.3 * (1.0 - np.sin(rate) / rate), abs=1e-12)
+
+
 def test_it_gives_up_where_it_needs_too_many_steps():
     model = Model([1.0, 1.0], [PairSprings([[0, 1]], 1.0, 1e6)], anchors=[0])
     y = trajectories(np.array([[0.0, 1.1], [0.0, 0.0], [0.0, 0.0]]), np.zeros((3, 2)))

@@ -196,6 +196,7 @@ def violent(options: argparse.Namespace) -> Report:
             report.failures.append(f"scene {done.case[1]}: {done.trouble}")
         else:
             found.append(done.result)
+            tqdm.write(" | ".join(str(cell) for cell in _row(done.result)))
     columns = ["scene", "what", "gain", "flagged", "most evaluations", "longest s", "all s", "integrators", "trouble"]
     chosen = {
         "Dearest frames": sorted(found, key=lambda each: -each.seconds)[:_DEAREST],
