@@ -297,8 +297,8 @@ def regimes(options: argparse.Namespace) -> Report:
             report.failures.append(f"{regime.name} at {tolerance:.0e} m: {done.trouble}")
         else:
             found[regime.name, tolerance] = outcome = done.result
-            numbers = f"{outcome.ratio:.3g} of the promise, g {outcome.growth:.3g}, {outcome.flagged} frames flagged"
-            tqdm.write(f"{regime.name} at {tolerance:.0e} m: error {outcome.error:.2g} m, {numbers}")
+            says = f"{outcome.ratio:.3g} of the promise, g {outcome.growth:.3g}, {outcome.flagged} frames flagged"
+            tqdm.write(f"{regime.name} at {tolerance:.0e} m: error {outcome.error:.2g} m, {says}")
     names = [regime.name for regime in every_regime()]
     report.tables += [
         _table(
