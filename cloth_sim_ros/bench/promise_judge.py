@@ -18,8 +18,8 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 REFERENCE, FINER = 1e-3, 0.1
 #: What the two runs may differ by, relative to what is promised; else both are made finer.
 REFERENCE_ERROR = 0.02
-#: Least local error that is asked for [m]: below it rounding is all that there is.
-LEAST_LOCAL = 1e-14
+#: Least local error that is asked for [m]: not far below it rounding is all that there is.
+LEAST_LOCAL = 1e-13
 #: Growth from which the whole run is followed no further: a kick says nothing any more.
 HORIZON = 1e6
 #: Growth of a kick up to which flagged windows count.
@@ -180,14 +180,15 @@ def judge_window(run: Recording, first: int, frames: int, *, seed: int) -> tuple
     """The window of one second from a frame on; for longer stretches all of it too."""
     tolerance = run.draw.scene.tolerance
     second = run.draw.frames_a_second
-    local = REFERENCE * tolerance
+    least = LEAST_LOCAL / FINER
+    local = max(REFERENCE * tolerance, least)
     while True:
-        rough = follow(run, first, frames, kicks(run, seed, second=False), max(local, LEAST_LOCAL))
-        fine = follow(run, first, frames, kicks(run, seed, second=True), max(FINER * local, LEAST_LOCAL))
+        rough = follow(run, first, frames, kicks(run, seed, second=False), local)
+        fine = follow(run, first, frames, kicks(run, seed, second=True), FINER * local)
         window = window_of(run, first, second, rough, fine, tolerance)
-        if window.reference_error <= REFERENCE_ERROR * window.promised or local <= LEAST_LOCAL:
+        if window.reference_error <= REFERENCE_ERROR * window.promised or local <= least:
             break
-        local *= 0.01
+        local = max(0.01 * local, least)
     if frames <= second:
         return window, None
     many = min(len(rough.positions), len(fine.positions))
