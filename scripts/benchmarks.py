@@ -24,6 +24,8 @@ SECTIONS = {
     "tolerance": "tolerance --energy",
     "work-precision-16": "work-precision --scene curtain16 --slow",
     "work-precision-32": "work-precision --scene curtain32",
+    "constants": "constants",
+    "promise": "promise --seed 1 --count 500",
     "stability": "stability",
     "speed": "speed",
     "skip": "skip",

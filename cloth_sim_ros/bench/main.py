@@ -15,6 +15,7 @@ COMMANDS = {
     "work-precision": ("work_precision", "wall time against error, ours and the solvers of libraries, on one scene"),
     "tolerance": ("tolerance_sweep", "achieved error against the tolerance that was asked for, over all scenes"),
     "conditioning": ("conditioning", "how far a kick of a nanometre grows, scene by scene"),
+    "constants": ("constants", "the tuned numbers of step control, and what half and double of each does"),
     "promise": ("promise", "whether the tolerance's promise holds on random scenes, judged by a compiled reference"),
     "stability": (
         "stability",
