@@ -9,8 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
@@ -72,12 +74,31 @@ class Verdict:
         return self.first_frame is None
 
 
-def verify(paths: Sequence[Path], *, progress: Callable[[int], None] = lambda _bytes: None) -> Verdict:
+class Watch(Protocol):
+    """Looks on while a session is run again."""
+
+    def frame(self, simulation: Simulation, before: State, frame: Frame, record: FrameRecord) -> None:
+        """Take a frame that was just run, from the state before it."""
+
+    def cloud(self, recorded: NDArray[np.float32], same: bool) -> None:
+        """Take the positions (n, 3) [m] that were recorded of it, and whether they are those that it came to."""
+
+    def close(self) -> None:
+        """All that was recorded of a frame has come; also called where there was none."""
+
+
+def verify(
+    paths: Sequence[Path],
+    *,
+    progress: Callable[[int], None] = lambda _bytes: None,
+    watch: Watch | None = None,
+) -> Verdict:
     """Run a session again, all its files in order, and compare it with what was recorded.
 
     Args:
         paths: the files of one session, in order.
         progress: told the bytes that have been read so far.
+        watch: looks on.
 
     Raises:
         SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
@@ -91,7 +112,7 @@ def verify(paths: Sequence[Path], *, progress: Callable[[int], None] = lambda _b
         done = 0
         before: _Run | None = None
         for part in reader.parts:
-            run = _Run(part, reader.node, verdict, before)
+            run = _Run(part, reader.node, verdict, before, watch)
             part.rewind()
             for message in part.messages(topics=run.topics):
                 if not run.take(message):
@@ -110,8 +131,11 @@ def verify(paths: Sequence[Path], *, progress: Callable[[int], None] = lambda _b
 class _Run:
     """One file's run."""
 
-    def __init__(self, part: SessionPart, node: str, verdict: Verdict, before: _Run | None) -> None:
+    def __init__(
+        self, part: SessionPart, node: str, verdict: Verdict, before: _Run | None, watch: Watch | None
+    ) -> None:
         self.simulation = _simulation(part)
+        self._watch = watch
         self._part = part
         self._verdict = verdict
         self._differs = False
@@ -165,7 +189,7 @@ class _Run:
                 "what follows them cannot be run"
             )
             return False
-        was = simulation.time
+        was, before = simulation.time, simulation.state.share()
         try:
             events: list[Event] = [from_dict(dict(event)) for event in record.events]
             self._frame = simulation.advance(events)
@@ -179,6 +203,8 @@ class _Run:
         self._verdict.frames += 1
         self._verdict.simulated += simulation.time - was
         self._compare_frame(record)
+        if self._watch is not None:
+            self._watch.frame(simulation, before, self._frame, record)
         uncommanded = self._commands.compare(record, message.log_time)
         if uncommanded:
             self._note_difference(uncommanded, record)
@@ -209,6 +235,9 @@ class _Run:
         cloud = decode_cloud(message.data)
         recorded, again = cloud.xyz, self.simulation.state.x.T.astype(np.float32)
         self._verdict.clouds += 1
+        if self._watch is not None:
+            same = recorded.shape == again.shape and np.array_equal(recorded.view(np.uint32), again.view(np.uint32))
+            self._watch.cloud(recorded, same)
         if recorded.shape != again.shape:
             self._note_difference(f"its cloud has {len(recorded)} points, the cloth {len(again)}")
         elif not np.array_equal(recorded.view(np.uint32), again.view(np.uint32)):
@@ -249,6 +278,8 @@ class _Run:
     def _close_frame(self) -> None:
         self._verdict.different += self._differs
         self._differs = False
+        if self._watch is not None:
+            self._watch.close()
 
 
 def _commands(simulation: Simulation, node: str) -> CommandCheck:

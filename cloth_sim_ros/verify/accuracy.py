@@ -1,0 +1,193 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Makes a certificate: while a session is run again, a far finer motion goes through the same frames beside it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.session.frame_record import FrameRecord
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.verify.certificate import (
+    MOST_GROWTH,
+    MOST_OWN,
+    WITHOUT_TOLERANCE,
+    Certificate,
+    FrameAccuracy,
+    Sample,
+    Window,
+)
+from cloth_sim_ros.verify.fine import distance
+from cloth_sim_ros.verify.independent import frame_by_dop853
+from cloth_sim_ros.verify.motion import Equations, FrameWatch, RunFrame, starting_state
+from cloth_sim_ros.verify.run import Verdict, verify
+from cloth_sim_ros.verify.truth import Told, Truth, frame_truth
+
+#: Length of a window [s].
+WINDOW = 1.0
+#: Rounding of a recorded position, relative to it.
+_FLOAT32 = 2.0**-24
+
+
+def certify(
+    paths: Sequence[Path],
+    *,
+    progress: Callable[[int], None] = lambda _bytes: None,
+    particles: BinaryIO | None = None,
+    every_sample: bool = False,
+) -> tuple[Verdict, Certificate]:
+    """Run a session again, all its files in order, and say how accurate it is.
+
+    Args:
+        paths: the files of one session, in order.
+        progress: told the bytes that have been read so far.
+        particles: where each particle's error [m] is written to, float32, frame after frame, as in
+            `Certificate.frames`; nan where none can be told.
+        every_sample: let the independent integrator run every frame, instead of one in ever more windows.
+
+    Returns:
+        How the session came out when it was run again, and how accurate it is.
+
+    Raises:
+        SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
+    """
+    begun = time.perf_counter()
+    watch = _Accuracy(particles, every_sample)
+    verdict = verify(paths, progress=progress, watch=watch)
+    certificate = watch.certificate
+    certificate.name, certificate.seconds = verdict.name, time.perf_counter() - begun
+    return verdict, certificate
+
+
+class _Accuracy:
+    """Follows the run of a session; a `Watch`."""
+
+    def __init__(self, particles: BinaryIO | None, every_sample: bool) -> None:
+        self.certificate = Certificate(name="")
+        self._particles, self._every_sample = particles, every_sample
+        self._watch, self._equations = FrameWatch(), Equations()
+        self._frame: RunFrame | None = None
+        self._again = False
+        self._recorded: NDArray[np.float32] | None = None
+        self._altered = False
+        self._last = -1
+        self._window: Window | None = None
+        self._of_window: Truth | None = None
+        self._of_session: Truth | None = None
+        self._session_start = 0.0
+        self._growth = 0.0
+
+    def frame(self, simulation: Simulation, before: State, frame: Frame, record: FrameRecord) -> None:
+        """Take a frame that has just been run again."""
+        self._frame = self._watch.after(simulation, before, frame)
+        self._again = record.digest == simulation.state.digest()
+        self._recorded, self._altered = None, False
+
+    def cloud(self, recorded: NDArray[np.float32], same: bool) -> None:
+        """Take its recorded positions (n, 3) [m], and whether they are those that it came to."""
+        self._recorded = recorded
+        self._altered = not same and self._again
+
+    def close(self) -> None:
+        """Judge the frame, once all that was recorded of it has come."""
+        frame, self._frame = self._frame, None
+        self.certificate.altered += self._altered
+        if frame is not None:
+            self._judge(frame)
+
+    def _judge(self, frame: RunFrame) -> None:
+        start = starting_state(frame)
+        if frame.reset or frame.before.frame != self._last:
+            self._window = None
+            self._begin_session(frame, start)
+        self._last = frame.index
+        if self._window is None:
+            self._window = Window(number=len(self.certificate.windows), start=frame.t)
+            self.certificate.windows.append(self._window)
+            self._of_window, self._growth = Truth(start, seed=frame.index), 0.0
+        window = self._window
+        assert self._of_window is not None
+        exact = self._again and not self._altered
+        # What was recorded: the state it came to, or where that is another one, the positions that are in the file.
+        recorded = frame.after.x if exact else None if self._recorded is None else self._recorded.T.astype(np.float64)
+        true = frame_truth(self._equations, frame, start)
+        told = self._of_window.frame(self._equations, frame)
+        self._growth = max(self._growth, told.growth)
+        session = self._go_on(frame)
+        floor = told.floor + (0.0 if exact else _FLOAT32 * float(np.abs(told.x).max()))
+        found = FrameAccuracy(
+            frame=frame.index,
+            time=frame.t + frame.duration,
+            window=window.number,
+            tolerance=frame.tolerance,
+            flagged=frame.flagged,
+            exact=exact,
+            error_of_frame=_away(recorded, true),
+            error=_away(recorded, told.x),
+            growth=self._growth,
+            own=told.own,
+            floor=floor,
+            session_error=math.nan if session is None else _away(recorded, session.x),
+            session_growth=math.nan if session is None else session.growth,
+            session_own=math.nan if session is None else session.own,
+        )
+        self.certificate.frames.append(found)
+        window.add(found)
+        self._write(recorded, told.x)
+        if self._every_sample or (window.frames == 1 + window.number % 7 and _is_sampled(window.number)):
+            self._sample(frame, start, true, found)
+        if frame.t + 1.5 * frame.duration > window.start + WINDOW:
+            self._window = None
+
+    def _begin_session(self, frame: RunFrame, start: State) -> None:
+        self._of_session, self._session_start = Truth(start, seed=frame.index), frame.t
+
+    def _go_on(self, frame: RunFrame) -> Told | None:
+        """Go on from the session's beginning; None beyond the horizon."""
+        if self._of_session is None:
+            return None
+        told, certificate = self._of_session.frame(self._equations, frame), self.certificate
+        time = frame.t - self._session_start
+        if told.growth <= MOST_GROWTH and told.own <= MOST_OWN * (frame.tolerance or WITHOUT_TOLERANCE):
+            certificate.longest = max(certificate.longest, time + frame.duration)
+            return told
+        self._of_session = None
+        certificate.horizon = time if certificate.horizon is None else min(certificate.horizon, time)
+        return None
+
+    def _sample(self, frame: RunFrame, start: State, true: Array, found: FrameAccuracy) -> None:
+        other = frame_by_dop853(self._equations, frame, start)
+        self.certificate.samples.append(
+            Sample(
+                frame=frame.index,
+                stated=distance(frame.after.x, true),
+                independent=distance(frame.after.x, other),
+                difference=distance(true, other),
+                tolerance=found.tolerance,
+            )
+        )
+
+    def _write(self, recorded: Array | None, true: Array) -> None:
+        if self._particles is not None:
+            away = np.full(true.shape[1], np.nan) if recorded is None else np.sqrt(np.square(recorded - true).sum(0))
+            self._particles.write(away.astype("<f4").tobytes())
+
+
+def _away(recorded: Array | None, true: Array) -> float:
+    if recorded is None or recorded.shape != true.shape:
+        return math.nan
+    return distance(recorded, true)
+
+
+def _is_sampled(window: int) -> bool:
+    """One window in each of the first eight, then every second, fourth, ...: what that costs grows by logarithm."""
+    return window % max(1, 1 << max(0, window.bit_length() - 3)) == 0

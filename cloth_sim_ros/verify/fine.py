@@ -1,0 +1,128 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A motion far finer than the simulation's own: short stretches, each run by leapfrog with several step counts and
+combined to order 6; and the same with smaller steps to order 7, to check it.
+
+Nothing of the simulation's error control is used: only the plan's plain runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.plan import Plan
+
+#: Step counts of the runs of a stretch: one run more than the simulation ever combines.
+FINE = (8, 10, 12, 16, 20)
+#: Those of the check: half as many steps again, and one run more still.
+FINER = (12, 15, 18, 24, 30, 36)
+#: Largest step, relative to the stability limit at a stretch's start: at least twice as fine as any stable one.
+SHARE_OF_LIMIT = 0.48
+#: A stretch is not cut below this part of a frame: then the check says how large the error is.
+_LEAST = 1.0 / 65536.0
+
+Moving = tuple[Array, Array]
+
+
+@lru_cache(maxsize=16)
+def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
+    """Return the weights w of K runs of so many steps n: sum w = 1, sum w n^-p = 0 for p = 2 ... K, order K + 1.
+
+    The leapfrog's error is a series in h^2, h^3, h^4, ... (docs/time_stepping.md). Solved in fractions.
+    """
+    size = len(counts)
+    rows = [
+        [Fraction(counts[0], count) ** power for count in counts] + [Fraction(int(power == 0))]
+        for power in (0, *range(2, size + 1))
+    ]
+    for k in range(size):
+        pivot = next(row for row in range(k, size) if rows[row][k])
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [entry / rows[k][k] for entry in rows[k]]
+        for row in range(size):
+            if row != k:
+                factor = rows[row][k]
+                rows[row] = [entry - factor * own for entry, own in zip(rows[row], rows[k], strict=True)]
+    return tuple(float(row[-1]) for row in rows)
+
+
+@lru_cache(maxsize=16)
+def amplification(counts: tuple[int, ...]) -> float:
+    """Return by how much a combination of such runs amplifies rounding: the sum of |w|."""
+    return sum(abs(weight) for weight in weights(counts))
+
+
+class FineSteps:
+    """Cuts frames into stretches so that the estimated error stays below a rate.
+
+    Args:
+        rate: error that may be made in a second [m/s].
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.rate = rate
+        self._scale = 1.0
+
+    def frame(self, plan: Plan, t: float, duration: float, start: Moving, step: float) -> tuple[Moving, list[float]]:
+        """Move through a frame.
+
+        Args:
+            plan: equations of motion.
+            t: time at its start [s].
+            duration: its length [s].
+            start: positions and velocities, shape (3, n) each; they stay as they are.
+            step: steps the simulation took in it [s]; infinite where it took none. Those here are at most half of it.
+
+        Returns:
+            Positions and velocities at its end, and the lengths of the stretches [s].
+        """
+        now, rates, lengths, done = start, plan.rates(start[0]), list[float](), 0.0
+        while done < duration * (1.0 - 1e-12):
+            longest = min(SHARE_OF_LIMIT * leapfrog_limit(*rates), 0.5 * step) * FINE[0] * self._scale
+            left = duration - done
+            length = left / max(1, math.ceil(left / longest * (1.0 - 1e-12)))
+            ended, rates, error = self._try(plan, t + done, length, now)
+            if length > _LEAST * duration and not error <= self.rate * length:
+                self._scale *= 0.5
+                rates = plan.rates(now[0])
+                continue
+            # The error of a stretch falls as the sixth power of its length.
+            if error < self.rate * length / 100.0:
+                self._scale = min(1.0, 1.4 * self._scale)
+            now, done = ended, done + length
+            lengths.append(length)
+        return now, lengths
+
+    def _try(self, plan: Plan, t: float, length: float, start: Moving) -> tuple[Moving, tuple[float, float], float]:
+        runs, result = plan.runs(t, length, start, FINE, weights=weights(FINE))
+        assert result is not None
+        x, v, told = result
+        # The finer four of them, combined: by how much the fifth changes that is the error of these.
+        rough = sum(weight * run.x for weight, run in zip(weights(FINE[1:]), runs[1:], strict=True))
+        error = distance(x, rough) if told.finite else math.inf
+        if length / FINE[0] > 2.0 * SHARE_OF_LIMIT * leapfrog_limit(told.omega2, told.damping):
+            error = math.inf
+        return (x, v), (told.omega2, told.damping), error
+
+
+def follow(plan: Plan, t: float, lengths: Sequence[float], start: Moving, counts: tuple[int, ...] = FINE) -> Moving:
+    """Move through the same stretches from another start, or with other step counts in each."""
+    now = start
+    for length in lengths:
+        _, result = plan.runs(t, length, now, counts, weights=weights(counts))
+        assert result is not None
+        now, t = result[:2], t + length
+    return now
+
+
+def distance(x: Array, y: Array) -> float:
+    """Return the largest distance between particles of two arrays (3, n) [m]; infinite if any entry is not finite."""
+    away = float(np.sqrt(np.square(x - y).sum(axis=0).max()))
+    return away if math.isfinite(away) else math.inf

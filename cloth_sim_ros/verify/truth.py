@@ -1,0 +1,116 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The motion as it truly goes on from a state, with what is known of its own error and of how kicks grow in it."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, amplification, distance, follow
+from cloth_sim_ros.verify.motion import Equations, Motion, RunFrame, take_hold
+
+#: Largest kick of a particle's position [m], and of its velocity [m/s].
+KICK = 1e-9
+#: Part of the tolerance that the fine motion may lose in a second.
+PART_OF_TOLERANCE = 0.01
+#: What counts as the tolerance where none is set [m].
+WITHOUT_TOLERANCE = 1e-6
+_ROUNDING = 2.0**-53
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Told:
+    """The true motion at the end of a frame."""
+
+    #: Positions [m], shape (3, n).
+    x: Array
+    #: How far they may be off: the difference of the fine motion and its check [m].
+    own: float
+    #: What rounding alone does to them [m], an estimate.
+    floor: float
+    #: How often a kick of position or velocity has grown since the start, the larger of both; nan where not asked for.
+    growth: float
+
+
+class Truth:
+    """A fine motion, its check, and kicked twins of it, all from one state.
+
+    Args:
+        state: where they start.
+        seed: of the kicks.
+        kicks: whether their growth is wanted.
+    """
+
+    def __init__(self, state: State, *, seed: int, kicks: bool = True) -> None:
+        self._fine, self._finer = Motion(state), Motion(state)
+        self._kicked = [Motion(state), Motion(state)] if kicks else []
+        self._seed: int | None = seed
+        self._stretches = 0
+        self._steps = FineSteps(0.0)
+
+    def frame(self, equations: Equations, frame: RunFrame) -> Told:
+        """Go through a frame."""
+        fine, finer, kicked = self._fine, self._finer, self._kicked
+        take_hold([fine, finer, *kicked], frame)
+        plan = equations.plan(frame, fine)
+        if self._seed is not None:
+            self._kick(plan.model.inverse_masses > 0.0, self._seed)
+            self._seed = None
+        self._steps.rate = fine_rate(frame.tolerance)
+        fine.now, lengths = self._steps.frame(plan, frame.t, frame.duration, fine.now, frame.step)
+        for motion in kicked:
+            motion.now = follow(equations.plan(frame, motion), frame.t, lengths, motion.now)
+        finer.now = follow(equations.plan(frame, finer), frame.t, lengths, finer.now, FINER)
+        self._stretches += len(lengths)
+        growth = max((distance(motion.x, fine.x) / KICK for motion in kicked), default=math.nan)
+        coordinate = float(np.abs(finer.x).max())
+        rounding = _ROUNDING * coordinate * amplification(FINE) * math.sqrt(self._stretches)
+        return Told(
+            x=finer.x,
+            own=distance(fine.x, finer.x),
+            floor=rounding * (max(1.0, growth) if kicked else 1.0),
+            growth=growth,
+        )
+
+    def _kick(self, free: np.ndarray, seed: int) -> None:
+        if not self._kicked:
+            return
+        random = np.random.default_rng(seed)
+        still = np.zeros_like(self._fine.x)
+        by_position, by_velocity = self._kicked
+        by_position.kick(random_kick(self._fine.x, free, random), still)
+        by_velocity.kick(still, random_kick(self._fine.x, free, random))
+
+
+def fine_rate(tolerance: float | None) -> float:
+    """Return what the fine motion may lose in a second [m/s]."""
+    return PART_OF_TOLERANCE * (tolerance or WITHOUT_TOLERANCE)
+
+
+def random_kick(x: Array, free: np.ndarray, random: np.random.Generator) -> Array:
+    """Return a kick, shape (3, n), whose largest is `KICK`: one half smooth over the sheet, one half of each its own.
+
+    The smooth half finds what grows slowly and together, the other one what grows fast and alone.
+    """
+    centre = x.mean(axis=1, keepdims=True)
+    size = float(np.abs(x - centre).max()) or 1.0
+    smooth = random.normal(size=(3, 1)) + random.normal(size=(3, 3)) @ (x - centre) / size
+    alone = random.normal(size=x.shape)
+    both = sum(part / np.sqrt(np.square(part).sum(axis=0).max()) for part in (smooth, alone)) * free
+    largest = float(np.sqrt(np.square(both).sum(axis=0).max()))
+    return np.asarray(both * (KICK / largest if largest else 0.0))
+
+
+def frame_truth(equations: Equations, frame: RunFrame, state: State) -> Array:
+    """Return the true positions (3, n) [m] at a frame's end from a state at its beginning."""
+    motion = Motion(state)
+    motion.take_hold(frame)
+    plan = equations.plan(frame, motion)
+    steps = FineSteps(fine_rate(frame.tolerance))
+    (x, _), _ = steps.frame(plan, frame.t, frame.duration, motion.now, frame.step)
+    return x
