@@ -41,7 +41,7 @@ _FLOAT32 = 2.0**-24
 def certify(
     paths: Sequence[Path],
     *,
-    progress: Callable[[int], None] = lambda _bytes: None,
+    judged: Callable[[], object] = lambda: None,
     particles: BinaryIO | None = None,
     every_sample: bool = False,
 ) -> tuple[Verdict, Certificate]:
@@ -49,7 +49,7 @@ def certify(
 
     Args:
         paths: the files of one session, in order.
-        progress: told the bytes that have been read so far.
+        judged: called after each frame.
         particles: where each particle's error [m] is written to, float32, frame after frame, as in
             `Certificate.frames`; nan where none can be told.
         every_sample: let the independent integrator run every frame, instead of one in ever more windows.
@@ -61,8 +61,8 @@ def certify(
         SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
     """
     begun = time.perf_counter()
-    watch = _Accuracy(particles, every_sample)
-    verdict = verify(paths, progress=progress, watch=watch)
+    watch = _Accuracy(judged, particles, every_sample)
+    verdict = verify(paths, watch=watch)
     certificate = watch.certificate
     certificate.name, certificate.seconds = verdict.name, time.perf_counter() - begun
     return verdict, certificate
@@ -71,9 +71,9 @@ def certify(
 class _Accuracy:
     """Follows the run of a session; a `Watch`."""
 
-    def __init__(self, particles: BinaryIO | None, every_sample: bool) -> None:
+    def __init__(self, judged: Callable[[], object], particles: BinaryIO | None, every_sample: bool) -> None:
         self.certificate = Certificate(name="")
-        self._particles, self._every_sample = particles, every_sample
+        self._judged, self._particles, self._every_sample = judged, particles, every_sample
         self._watch, self._equations = FrameWatch(), Equations()
         self._frame: RunFrame | None = None
         self._again = False
@@ -85,6 +85,9 @@ class _Accuracy:
         self._of_session: Truth | None = None
         self._session_start = 0.0
         self._growth = 0.0
+        #: How far what was recorded of the last frame is from what it came to again; what that was at the window's
+        #: start [m].
+        self._off = self._off_at_start = 0.0
 
     def frame(self, simulation: Simulation, before: State, frame: Frame, record: FrameRecord) -> None:
         """Take a frame that has just been run again."""
@@ -101,8 +104,11 @@ class _Accuracy:
         """Judge the frame, once all that was recorded of it has come."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._altered
+        self._altered = False
         if frame is not None:
             self._judge(frame)
+            self._off = 0.0 if self._again else _away(self._in_file(), frame.after.x)
+            self._judged()
 
     def _judge(self, frame: RunFrame) -> None:
         start = starting_state(frame)
@@ -114,11 +120,12 @@ class _Accuracy:
             self._window = Window(number=len(self.certificate.windows), start=frame.t)
             self.certificate.windows.append(self._window)
             self._of_window, self._growth = Truth(start, seed=frame.index), 0.0
+            self._off_at_start = 0.0 if frame.reset else self._off
         window = self._window
         assert self._of_window is not None
         exact = self._again and not self._altered
         # What was recorded: the state it came to, or where that is another one, the positions that are in the file.
-        recorded = frame.after.x if exact else None if self._recorded is None else self._recorded.T.astype(np.float64)
+        recorded = frame.after.x if exact else self._in_file()
         true = frame_truth(self._equations, frame, start)
         told = self._of_window.frame(self._equations, frame)
         self._growth = max(self._growth, told.growth)
@@ -134,7 +141,8 @@ class _Accuracy:
             error_of_frame=_away(recorded, true),
             error=_away(recorded, told.x),
             growth=self._growth,
-            own=told.own,
+            # From what the simulation came to again, where that is not what was recorded, another error begins.
+            own=told.own + self._off_at_start * max(1.0, self._growth),
             floor=floor,
             session_error=math.nan if session is None else _away(recorded, session.x),
             session_growth=math.nan if session is None else session.growth,
@@ -147,6 +155,10 @@ class _Accuracy:
             self._sample(frame, start, true, found)
         if frame.t + 1.5 * frame.duration > window.start + WINDOW:
             self._window = None
+
+    def _in_file(self) -> Array | None:
+        """The recorded positions, shape (3, n) [m]; None where there are none."""
+        return None if self._recorded is None else self._recorded.T.astype(np.float64)
 
     def _begin_session(self, frame: RunFrame, start: State) -> None:
         self._of_session, self._session_start = Truth(start, seed=frame.index), frame.t

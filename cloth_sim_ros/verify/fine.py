@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
@@ -105,7 +106,7 @@ class FineSteps:
         assert result is not None
         x, v, told = result
         # The finer four of them, combined: by how much the fifth changes that is the error of these.
-        rough = sum(weight * run.x for weight, run in zip(weights(FINE[1:]), runs[1:], strict=True))
+        rough = combine([run.x for run in runs[1:]], weights(FINE[1:]))
         error = distance(x, rough) if told.finite else math.inf
         if length / FINE[0] > 2.0 * SHARE_OF_LIMIT * leapfrog_limit(told.omega2, told.damping):
             error = math.inf

@@ -1,10 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_verify`: runs recorded sessions again and says, in a sentence each, whether they came out the same."""
+"""`cloth_verify`: runs recorded sessions again and says, in a sentence each, whether they came out the same; with
+`--accuracy` also how accurate they are.
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import importlib.util
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,13 +18,15 @@ from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.verify.certificate import Certificate
     from cloth_sim_ros.verify.run import Verdict
 
 #: Exit statuses: all came out the same; something differs; something could not be read; it was recorded with other
-#: arithmetic, and nothing differs that this does not explain.
-SAME, DIFFERENT, UNREADABLE, OTHER_ARITHMETIC = 0, 1, 2, 3
+#: arithmetic, and nothing differs that this does not explain; with `--accuracy`: all came out the same, and somewhere
+#: the tolerance's promise was not kept, or could not be shown to be, and no frame was flagged.
+SAME, DIFFERENT, UNREADABLE, OTHER_ARITHMETIC, NOT_KEPT = 0, 1, 2, 3, 4
 #: Of several sessions the gravest status is the command's, the last of these.
-_GRAVITY = (SAME, OTHER_ARITHMETIC, DIFFERENT, UNREADABLE)
+_GRAVITY = (SAME, OTHER_ARITHMETIC, NOT_KEPT, DIFFERENT, UNREADABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,26 +35,63 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="cloth_verify",
         description="Run recorded sessions again from their own snapshots and events, and compare every frame. "
         "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read; "
-        "3: recorded with other arithmetic, and nothing differs that this does not explain.",
+        "3: recorded with other arithmetic, and nothing differs that this does not explain; "
+        "4: with --accuracy, the tolerance's promise was not kept somewhere, and no frame flagged.",
     )
     parser.add_argument(
         "session", nargs="+", type=Path, help="session.mcap, one or more; files of a split session together, in order"
     )
+    _add_accuracy(parser)
     options = parser.parse_args(arguments)
+    sessions = list(_sessions(options.session))
+    _check_accuracy(parser, options, len(sessions))
     status = SAME
     try:
-        for paths in _sessions(options.session):
+        for paths in sessions:
             try:
-                verdict = _verify(paths)
+                verdict, certificate = _certify(paths, options) if options.accuracy else (_verify(paths), None)
             except SessionError as error:
                 print(f"cloth_verify: {error}", file=sys.stderr)
                 status = UNREADABLE
                 continue
             print(describe(verdict), flush=True)
             status = max(status, status_of(verdict), key=_GRAVITY.index)
+            if certificate is not None:
+                status = max(status, SAME if certificate.kept else NOT_KEPT, key=_GRAVITY.index)
+                _tell(certificate, options)
     except KeyboardInterrupt:
         return 130
+    except OSError as error:
+        print(f"cloth_verify: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        return UNREADABLE
     return status
+
+
+def _add_accuracy(parser: argparse.ArgumentParser) -> None:
+    accuracy = parser.add_argument_group("how accurate it is")
+    accuracy.add_argument(
+        "--accuracy",
+        action="store_true",
+        help="run it beside a far finer motion, and say how far off every frame is and whether the tolerance was kept",
+    )
+    accuracy.add_argument("--json", metavar="OUT.json", type=Path, help="write every frame's numbers")
+    accuracy.add_argument("--plot", metavar="OUT.png", type=Path, help="draw them over time; needs matplotlib")
+    accuracy.add_argument(
+        "--particles", metavar="OUT.f32", type=Path, help="write each particle's error [m], float32, frame after frame"
+    )
+
+
+def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace, sessions: int) -> None:
+    files = {name: getattr(options, name) for name in ("json", "plot", "particles")}
+    for name, path in files.items():
+        if path is None:
+            continue
+        if not options.accuracy:
+            parser.error(f"--{name} is of the accuracy: it needs --accuracy")
+        if sessions > 1:
+            parser.error(f"--{name} takes the accuracy of one session; {sessions} are given")
+    if options.plot is not None and importlib.util.find_spec("matplotlib") is None:
+        parser.error("--plot needs matplotlib: pip install 'cloth_sim_ros[bench]'")
 
 
 def status_of(verdict: Verdict) -> int:
@@ -99,6 +142,43 @@ def _verify(paths: Sequence[Path]) -> Verdict:
     total = sum(path.stat().st_size for path in paths if path.is_file())
     with tqdm(total=total, unit="B", unit_scale=True, desc="verify", delay=1.0, disable=None, leave=False) as bar:
         return verify(paths, progress=lambda read: bar.update(max(read - bar.n, 0)))
+
+
+def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdict, Certificate]:
+    from tqdm import tqdm
+
+    from cloth_sim_ros.verify.accuracy import certify
+
+    with contextlib.ExitStack() as stack:
+        particles = None if options.particles is None else stack.enter_context(options.particles.open("wb"))
+        bar = stack.enter_context(
+            tqdm(total=_frames_in(paths), unit="frame", desc="accuracy", delay=1.0, disable=None, leave=False)
+        )
+        return certify(paths, particles=particles, judged=bar.update)
+
+
+def _tell(certificate: Certificate, options: argparse.Namespace) -> None:
+    from cloth_sim_ros.verify.accuracy_files import write_json, write_plot
+    from cloth_sim_ros.verify.accuracy_text import describe_accuracy
+
+    print(describe_accuracy(certificate), flush=True)
+    if options.json is not None:
+        write_json(certificate, options.json)
+    if options.plot is not None:
+        write_plot(certificate, options.plot)
+
+
+def _frames_in(paths: Sequence[Path]) -> int | None:
+    """Frames that a session holds, by its files' indexes; None where one has none."""
+    count = 0
+    with SessionReader(list(paths)) as reader:
+        for part in reader.parts:
+            if part.summary is None or part.summary.statistics is None:
+                return None
+            counts = part.summary.statistics.channel_message_counts
+            topics = {number: channel.topic for number, channel in part.summary.channels.items()}
+            count += sum(times for number, times in counts.items() if topics.get(number) == f"{reader.node}/frame")
+    return count
 
 
 def _sessions(paths: Sequence[Path]) -> Iterator[list[Path]]:

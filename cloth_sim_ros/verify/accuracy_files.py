@@ -1,0 +1,72 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A certificate as JSON and as a picture."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from cloth_sim_ros.verify.certificate import Certificate
+
+
+def write_json(certificate: Certificate, path: Path) -> None:
+    """Write all of a certificate; numbers that cannot be told are null."""
+    content = attrs.asdict(certificate)
+    for told, window in zip(content["windows"], certificate.windows, strict=True):
+        told |= {"promise": window.promise, "verdict": window.verdict}
+    for told, frame in zip(content["frames"], certificate.frames, strict=True):
+        told["promise"] = frame.promise
+    for told, sample in zip(content["samples"], certificate.samples, strict=True):
+        told["agrees"] = sample.agrees
+    content["kept"] = certificate.kept
+    path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_plot(certificate: Certificate, path: Path) -> None:
+    """Draw errors, what is allowed, growth and the certificate's own error over time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    frames = certificate.frames
+    times = [frame.time for frame in frames]
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    lines: dict[str, tuple[list[float], str]] = {
+        "allowed: tolerance x growth": ([frame.promise for frame in frames], "k-"),
+        "tolerance": ([math.nan if frame.tolerance is None else frame.tolerance for frame in frames], "k:"),
+        "error since the window's start": ([frame.error for frame in frames], "C3-"),
+        "error of the frame alone": ([frame.error_of_frame for frame in frames], "C1-"),
+        "error since the beginning": ([frame.session_error for frame in frames], "C0-"),
+        "the certificate's own error": ([frame.own for frame in frames], "C2--"),
+        "rounding": ([frame.floor for frame in frames], "0.6"),
+    }
+    for name, (values, style) in lines.items():
+        # A logarithm has no place for an error of nothing.
+        shown = [value if value > 0.0 else math.nan for value in values]
+        if not all(map(math.isnan, shown)):
+            above.semilogy(times, shown, style, linewidth=1.2, label=name)
+    flagged = [(frame.time, frame.error) for frame in frames if frame.flagged and frame.error > 0.0]
+    if flagged:
+        above.semilogy(*zip(*flagged, strict=True), "kx", markersize=5, label="flagged by the simulation")
+    below.semilogy(times, [frame.growth for frame in frames], "C4-", linewidth=1.2, label="in the window")
+    below.semilogy(times, [frame.session_growth for frame in frames], "C0-", linewidth=1.2, label="since the beginning")
+    above.set(ylabel="position [m]", title=f"{certificate.name}: the error of what was recorded")
+    below.set(xlabel="simulated time [s]", ylabel="growth of a kick")
+    for axes in (above, below):
+        axes.grid(which="both", alpha=0.2)
+        axes.legend(fontsize=7)
+    figure.savefig(path, dpi=120)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
