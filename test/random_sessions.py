@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from session_maker import SessionMaker
+from session_maker import Change, SessionMaker
 
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
@@ -84,13 +85,19 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
     return [events[k] for k in random.permutation(len(events))]
 
 
-def make_random_session(folder: Path, seed: int, *, frames: int = 60) -> list[Path]:
-    """Write a random session; its files, in order. It may end cut off, and may have several files."""
+def make_random_session(
+    folder: Path, seed: int, *, frames: int = 60, change: Callable[[int], Change | None] = lambda _frame: None
+) -> list[Path]:
+    """Write a random session; its files, in order. It may end cut off, and may have several files.
+
+    For the k-th frame `change` may give what spoils its messages.
+    """
     random = np.random.default_rng(seed)
     options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)
     maker = SessionMaker(folder, random_scene(random), stem=f"random_{seed}", options=options)
-    for _ in range(frames):
-        maker.add(random_events(random, maker))
+    for k in range(frames):
+        spoil = change(k)
+        maker.add(random_events(random, maker), **({"change": spoil} if spoil else {}))
         if random.random() < 0.03:
             maker.split()
     if random.random() < 0.3:

@@ -60,11 +60,11 @@ def certify(
     Raises:
         SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
     """
-    begun = time.perf_counter()
     watch = _Accuracy(judged, particles, every_sample)
     verdict = verify(paths, watch=watch)
     certificate = watch.certificate
-    certificate.name, certificate.seconds = verdict.name, time.perf_counter() - begun
+    certificate.name, certificate.seconds = verdict.name, watch.seconds
+    verdict.seconds -= watch.seconds
     return verdict, certificate
 
 
@@ -72,7 +72,7 @@ class _Accuracy:
     """Follows the run of a session; a `Watch`."""
 
     def __init__(self, judged: Callable[[], object], particles: BinaryIO | None, every_sample: bool) -> None:
-        self.certificate = Certificate(name="")
+        self.certificate, self.seconds = Certificate(name=""), 0.0
         self._judged, self._particles, self._every_sample = judged, particles, every_sample
         self._watch, self._equations = FrameWatch(), Equations()
         self._frame: RunFrame | None = None
@@ -104,11 +104,13 @@ class _Accuracy:
         """Judge the frame, once all that was recorded of it has come."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._altered
-        self._altered = False
         if frame is not None:
+            begun = time.perf_counter()
             self._judge(frame)
+            self.seconds += time.perf_counter() - begun
             self._off = 0.0 if self._again else _away(self._in_file(), frame.after.x)
             self._judged()
+        self._altered = False
 
     def _judge(self, frame: RunFrame) -> None:
         start = starting_state(frame)
@@ -116,11 +118,13 @@ class _Accuracy:
             self._window = None
             self._begin_session(frame, start)
         self._last = frame.index
+        # What comes out again to the last bit began with the very state that was recorded.
+        off = 0.0 if frame.reset or self._again else self._off
         if self._window is None:
             self._window = Window(number=len(self.certificate.windows), start=frame.t)
             self.certificate.windows.append(self._window)
             self._of_window, self._growth = Truth(start, seed=frame.index), 0.0
-            self._off_at_start = 0.0 if frame.reset else self._off
+            self._off_at_start = off
         window = self._window
         assert self._of_window is not None
         exact = self._again and not self._altered
@@ -131,6 +135,7 @@ class _Accuracy:
         self._growth = max(self._growth, told.growth)
         session = self._go_on(frame)
         floor = told.floor + (0.0 if exact else _FLOAT32 * float(np.abs(told.x).max()))
+        error_of_frame = _away(recorded, true)
         found = FrameAccuracy(
             frame=frame.index,
             time=frame.t + frame.duration,
@@ -138,11 +143,12 @@ class _Accuracy:
             tolerance=frame.tolerance,
             flagged=frame.flagged,
             exact=exact,
-            error_of_frame=_away(recorded, true),
+            error_of_frame=error_of_frame,
+            promise_of_frame=self._promise_of(frame, start, error_of_frame),
             error=_away(recorded, told.x),
             growth=self._growth,
             # From what the simulation came to again, where that is not what was recorded, another error begins.
-            own=told.own + self._off_at_start * max(1.0, self._growth),
+            own=told.own + self._off_at_start * max(1.0, self._growth) + off,
             floor=floor,
             session_error=math.nan if session is None else _away(recorded, session.x),
             session_growth=math.nan if session is None else session.growth,
@@ -175,6 +181,14 @@ class _Accuracy:
         self._of_session = None
         certificate.horizon = time if certificate.horizon is None else min(certificate.horizon, time)
         return None
+
+    def _promise_of(self, frame: RunFrame, start: State, error: float) -> float:
+        """What the error of a frame alone may be [m]."""
+        if frame.tolerance is None:
+            return math.nan
+        if not error > frame.tolerance:
+            return frame.tolerance
+        return frame.tolerance * max(1.0, Truth(start, seed=frame.index).frame(self._equations, frame).growth)
 
     def _sample(self, frame: RunFrame, start: State, true: Array, found: FrameAccuracy) -> None:
         other = frame_by_dop853(self._equations, frame, start)

@@ -61,7 +61,7 @@ def write_plot(certificate: Certificate, path: Path) -> None:
     for axes in (above, below):
         axes.grid(which="both", alpha=0.2)
         axes.legend(fontsize=7)
-    figure.savefig(path, dpi=120)
+    figure.savefig(path, dpi=120, format="png")
 
 
 def _plain(value: Any) -> Any:

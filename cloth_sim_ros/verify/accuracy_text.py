@@ -89,7 +89,7 @@ def _window_row(window: Window) -> dict[str, str]:
         "growth": f"{window.growth:.3g}",
         "own error [m]": f"{window.own:.1e}",
         "rounding [m]": f"{window.floor:.1e}",
-        "promise": window.verdict,
+        "promise": window.verdict + (f" in {window.standing_out} alone" if window.standing_out else ""),
     }
 
 

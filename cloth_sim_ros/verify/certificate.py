@@ -35,6 +35,10 @@ class FrameAccuracy:
     """Whether what was recorded came out again to the last bit; otherwise the recorded float32 positions are judged."""
     error_of_frame: float
     """From the simulation's own state at the frame's beginning."""
+    promise_of_frame: float
+    """What that may be: the tolerance times the growth of a kick within the frame, which is looked at where the error
+    is above the tolerance [m]; nan where there is no tolerance.
+    """
     error: float
     """From the simulation's own state at the window's beginning: what the promise is about."""
     growth: float
@@ -52,6 +56,11 @@ class FrameAccuracy:
     def promise(self) -> float:
         """What the error may be so far [m]; nan where there is no tolerance."""
         return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth)
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether the frame alone is further off than a window that begins with it may be, and was not flagged."""
+        return not self.flagged and self.error_of_frame > self.promise_of_frame + self.own + self.floor
 
 
 @attrs.define(kw_only=True)
@@ -76,6 +85,8 @@ class Window:
     floor: float = 0.0
     judged: bool = True
     """Whether every frame could be judged."""
+    standing_out: int = 0
+    """Frames that alone are further off than the promise lets them, unflagged."""
 
     def add(self, frame: FrameAccuracy) -> None:
         """Take in the next frame."""
@@ -88,6 +99,7 @@ class Window:
         else:
             self.tolerance = min(frame.tolerance, self.tolerance) if both else None  # type: ignore[type-var]
         self.judged = self.judged and frame.error == frame.error
+        self.standing_out += frame.stands_out
         if frame.error > self.error or first:
             self.error, self.worst = frame.error, frame.frame
         self.growth = max(self.growth, frame.growth)
@@ -103,6 +115,8 @@ class Window:
         """Whether the promise was kept. Rounding's floor is added to it: below that no error can be."""
         if self.tolerance is None:
             return "no promise"
+        if self.standing_out:
+            return "not kept"
         allowed = self.promise + self.floor
         if self.judged and self.error <= allowed:
             return "kept" if self.own <= MOST_OWN * allowed else "undecided"
