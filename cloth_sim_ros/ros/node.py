@@ -15,6 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.parameter_service import ParameterService
 
 from cloth_sim_ros.ros import diagnostics, parameters
+from cloth_sim_ros.ros.accuracy import Accuracy
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
@@ -117,6 +118,7 @@ class ClothNode:
         self.tally = diagnostics.Tally()
         self._relief = Relief(self._simulation, self._log)
         self._forecaster = Forecaster(self._simulation, self.node.get_logger())
+        self._accuracy = Accuracy(self._simulation, self._log)
         self._changed = False
         self._lateness = Lateness(period=scene.period, log=self._log)
         self._latest = Latest()
@@ -128,7 +130,7 @@ class ClothNode:
             commands=self._commands,
             outputs=self._outputs,
             recording=self._recording,
-            further=lambda: self._relief.describe() | self._forecaster.describe(),
+            further=lambda: self._relief.describe() | self._forecaster.describe() | self._accuracy.describe(),
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
         self._overheard = Overheard(self.node, self._recording, self._turn)
@@ -214,6 +216,7 @@ class ClothNode:
             return self._close(timeout)
 
     def _close(self, timeout: float) -> bool:
+        self._accuracy.close()
         self._queue.clear("the node stops")
         # Where a signal came amid a frame, there is nothing to be said of the half of it.
         if self._pacer is not None and not self._cut_off and self.node.context.ok():
@@ -239,6 +242,7 @@ class ClothNode:
     def _frame(self, due: Due) -> None:
         begun = time.monotonic()
         self._recording.before_frame(due.stamp)
+        self._accuracy.before_frame()
         # A frame that is late takes what came since it was due, too.
         until = due.stamp if self._follows_clock else max(due.stamp, self.node.get_clock().now().nanoseconds)
         try:
@@ -254,6 +258,7 @@ class ClothNode:
                 f"time is stopped: {self._stepper.trouble}; set other parameters or call ~/reset, then ~/pause false"
             )
         self._latest.failure = self._stepper.trouble
+        self._accuracy.after_frame(frame)
         self._changed |= any(isinstance(event, SetParameters) for event in frame.events)
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
         if frame.moved or frame.events or not shown:
@@ -369,6 +374,7 @@ class ClothNode:
             self._services.give_up_waiting()
             self._overheard.listen()
             reason = self._recording.poll()
+            self._accuracy.follow()
             if self._changed:
                 self._changed = False
                 self._forecaster.tell()

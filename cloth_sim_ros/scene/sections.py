@@ -252,3 +252,10 @@ class Diagnostics:
     energy: bool = parameter(
         "bool", False, "Report the energy balance; every frame is run a second time for it, term by term", live=True
     )
+    accuracy: bool = parameter(
+        "bool",
+        False,
+        "Report the true error, measured second by second in a process of its own; takes a core as long as it is on",
+        live=True,
+        observes=True,
+    )

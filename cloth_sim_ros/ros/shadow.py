@@ -1,0 +1,188 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The shadow: a process that runs windows of a second again, far finer, and says how far off the cloth was in them.
+
+The node's timer takes hold of a state at a window's beginning and notes its events. The rest is a thread's work, here
+and there; where the shadow is behind, whole windows are left out and counted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import queue
+import subprocess
+import sys
+import threading
+from typing import IO, Any
+
+import attrs
+
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+_COMMAND = "cloth_sim_ros.verify.shadow"
+#: Length of a window [s].
+_WINDOW = 1.0
+#: How long a process that was killed may take to be gone [s].
+_PATIENCE = 1.0
+
+
+@attrs.frozen(eq=False)
+class _Job:
+    """A window."""
+
+    scene: Scene
+    start: State
+    events: list[tuple[Event, ...]]
+    end: State
+
+
+class Shadow:
+    """Starts the process at once, without waiting for it."""
+
+    def __init__(self) -> None:
+        self._jobs: queue.Queue[_Job | None] = queue.Queue(maxsize=1)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._closed = threading.Event()
+        self._scene: Scene | None = None
+        self._start: State | None = None
+        self._events: list[tuple[Event, ...]] = []
+        self._moved = 0
+        # Written by the threads, each by one of them, and read elsewhere.
+        self._ended = ""
+        self._latest: dict[str, Any] = {}
+        self._judged = self._not_kept = 0
+        self._complaints: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._left_out = 0
+        #: A window is given when the one before is answered: a pipe would hold a minute of them.
+        self._ready = threading.Semaphore(1)
+        threading.Thread(target=self._serve, name="accuracy", daemon=True).start()
+
+    def before_frame(self, simulation: Simulation) -> None:
+        """Begin a window where none is open."""
+        if self._start is None and not self._ended:
+            self._scene, self._start = simulation.scene, simulation.state.share()
+            self._events, self._moved = [], 0
+
+    def after_frame(self, simulation: Simulation, frame: Frame) -> None:
+        """Note what happened; hand the window over where it is complete."""
+        if self._start is None or self._scene is None or not (frame.moved or frame.events):
+            return
+        self._events.append(frame.events)
+        self._moved += frame.moved
+        if self._moved * self._scene.period < _WINDOW * (1.0 - 1e-9):
+            return
+        job = _Job(self._scene, self._start, self._events, simulation.state.share())
+        self._start = None
+        try:
+            self._jobs.put_nowait(job)
+        except queue.Full:
+            self._left_out += 1
+
+    def describe(self, now: float) -> dict[str, str]:
+        """What there is to say, at a simulated time [s]."""
+        latest = self._latest
+        state = self._ended or ("running" if latest else "starting")
+        values = {
+            "accuracy": state,
+            "accuracy_windows": str(self._judged),
+            "accuracy_windows_not_kept": str(self._not_kept),
+            "accuracy_windows_left_out": str(self._left_out),
+        }
+        if latest:
+            allowed = latest["allowed"]
+            values |= {
+                "accuracy_window_s": f"{latest['start']:.3f} to {latest['end']:.3f}",
+                "accuracy_error_m": f"{latest['error']:.3g}",
+                "accuracy_allowed_m": "none" if allowed is None else f"{allowed:.3g}",
+                "accuracy_own_error_m": f"{latest['own']:.3g}",
+                "accuracy_verdict": latest["verdict"],
+                "accuracy_behind_s": f"{max(0.0, now - latest['end']):.3f}",
+            }
+        return values
+
+    def complaints(self) -> list[str]:
+        """What was found wrong since this was asked last."""
+        found = []
+        while not self._complaints.empty():
+            found.append(self._complaints.get_nowait())
+        return found
+
+    def close(self) -> None:
+        """End the process."""
+        self._closed.set()
+        process = self._process
+        if process is not None:
+            process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_PATIENCE)
+        # Where it is full, the thread is on its way to see that it is closed.
+        with contextlib.suppress(queue.Full):
+            self._jobs.put_nowait(None)
+
+    def _serve(self) -> None:
+        """Start the process and give it windows; in a thread of its own, for either may take its time."""
+        # Not in the terminal's group: what Ctrl-C ends is the node, and with it the shadow.
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", _COMMAND, str(os.getpid())],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._end(f"could not be started: {error}")
+            return
+        self._process = process
+        if self._closed.is_set():
+            process.kill()
+        assert process.stdin is not None and process.stdout is not None
+        threading.Thread(target=self._listen, args=(process, process.stdout), name="accuracy", daemon=True).start()
+        # Where it is gone, whoever listens says so.
+        with contextlib.suppress(OSError), process.stdin:
+            self._give(process.stdin)
+
+    def _give(self, windows: IO[bytes]) -> None:
+        """Give windows until there are none any more."""
+        told: Scene | None = None
+        while True:
+            self._ready.acquire()
+            job = self._jobs.get()
+            if job is None or self._ended:
+                return
+            new = job.scene is not told
+            told = job.scene
+            values, files = (told.parameters(), dict(told.files)) if new else (None, None)
+            pickle.dump((values, files, job.start, job.events, job.end.digest()), windows)
+            windows.flush()
+
+    def _listen(self, process: subprocess.Popen[bytes], lines: IO[bytes]) -> None:
+        with lines:
+            for line in lines:
+                self._take(json.loads(line))
+                self._ready.release()
+        self._end(f"ended by itself (status {process.wait()})")
+        self._ready.release()
+
+    def _take(self, told: dict[str, Any]) -> None:
+        if "trouble" in told:
+            self._complaints.put(f"the accuracy of a window is not known: {told['trouble']}")
+            return
+        self._judged += 1
+        if told["verdict"] == "not kept":
+            self._not_kept += 1
+            self._complaints.put(
+                f"from {told['start']:.3f} to {told['end']:.3f} s positions were off by {told['error']:.3g} m, and "
+                f"{told['allowed']:.3g} m is what the tolerance promises there"
+            )
+        self._latest = told
+
+    def _end(self, why: str) -> None:
+        if not self._closed.is_set():
+            self._ended = f"{why}; set diagnostics.accuracy to false and true again for another one"
+            self._complaints.put(f"the process that measures accuracy {self._ended}")

@@ -1,0 +1,130 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A live simulation's accuracy, in a process of its own: `python -m cloth_sim_ros.verify.shadow PARENT`.
+
+Reads windows from its standard input, one pickled tuple each: the scene's parameters and files (None where they are
+those of the window before), the full state at the window's beginning, the events of each frame, and the digest of the
+state at its end. Answers with a line of JSON each. Ends when the input does, or when its parent is gone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.certificate import FrameAccuracy, Window
+from cloth_sim_ros.verify.fine import distance
+from cloth_sim_ros.verify.motion import Equations, FrameWatch, RunFrame, starting_state
+from cloth_sim_ros.verify.truth import Truth
+
+#: How much is left to others: the cloth itself comes first.
+_NICENESS = 10
+#: How often the parent is looked for [s].
+_LOOK = 0.25
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Judge windows until there are no more; the exit status."""
+    threading.Thread(target=_end_with, args=(int(arguments[0]),), daemon=True).start()
+    os.nice(_NICENESS)
+    scene: Scene | None = None
+    try:
+        while True:
+            values, files, state, events, digest = pickle.load(sys.stdin.buffer)
+            if values is not None:
+                scene = Scene.from_parameters(values, files=files)
+            assert scene is not None
+            print(json.dumps(judge(scene, state, events, digest)), flush=True)
+    except (EOFError, pickle.UnpicklingError, BrokenPipeError):
+        # The node has ended, or was killed amid a window.
+        return 0
+
+
+def judge(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest: str) -> dict[str, Any]:
+    """Run a window again, and a far finer motion beside it.
+
+    Args:
+        scene: in force at its beginning.
+        state: then.
+        events: of each frame.
+        digest: of the state at its end.
+
+    Returns:
+        Plain values: what `Window` tells, or `trouble`, why nothing can be told.
+    """
+    begun, simulation, watch = time.perf_counter(), Simulation(scene, state), FrameWatch()
+    frames = []
+    try:
+        for these in events:
+            before = simulation.state.share()
+            frames.append(watch.after(simulation, before, simulation.advance(these)))
+    except (ValueError, UnstableError) as error:
+        return {"trouble": f"it cannot be run again: {error}"}
+    if simulation.state.digest() != digest:
+        return {"trouble": "it came out otherwise when it was run again"}
+    ran = [frame for frame in frames if frame is not None]
+    window = _window(ran, kicks=False)
+    if window.tolerance is not None and not window.error <= window.tolerance:
+        # Only now it matters how much kicks grow.
+        window = _window(ran, kicks=True)
+    return {
+        "start": window.start,
+        "end": window.end,
+        "error": window.error,
+        "allowed": None if math.isnan(window.promise) else window.promise,
+        "own": window.own,
+        "verdict": window.verdict,
+        "seconds": time.perf_counter() - begun,
+    }
+
+
+def _window(frames: Sequence[RunFrame], *, kicks: bool) -> Window:
+    window, equations = Window(number=0, start=frames[0].t), Equations()
+    truth, growth = Truth(frames[0].before, seed=frames[0].index, kicks=kicks), 0.0
+    for frame in frames:
+        if frame.reset:
+            truth = Truth(starting_state(frame), seed=frame.index, kicks=kicks)
+        told = truth.frame(equations, frame)
+        growth = max(growth, told.growth) if kicks else 0.0
+        window.add(
+            FrameAccuracy(
+                frame=frame.index,
+                time=frame.t + frame.duration,
+                window=0,
+                tolerance=frame.tolerance,
+                flagged=frame.flagged,
+                exact=True,
+                error_of_frame=math.nan,
+                promise_of_frame=math.nan,
+                error=distance(frame.after.x, told.x),
+                growth=growth,
+                own=told.own,
+                floor=told.floor,
+                session_error=math.nan,
+                session_growth=math.nan,
+                session_own=math.nan,
+            )
+        )
+    return window
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_LOOK)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
