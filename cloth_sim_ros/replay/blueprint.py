@@ -63,7 +63,7 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
     )
     view = rrb.Spatial3DView(
         origin="/world",
-        name=f"Cloth, coloured by strain: light 0, red {100.0 * survey.strain_limit:g} %",
+        name=_colouring(survey),
         background=rrb.Background(color=[38, 42, 50]),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.25, plane=_plane(min(floor, 0.0)), color=[255, 255, 255, 14]),
         overrides={target_path(start.name): trail for start in survey.opening.grippers},
@@ -72,9 +72,11 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
     plots = _plots(survey)
     columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["Body"])
     plots.append(rrb.TextLogView(origin="/log", name="What happened", columns=columns))
+    # What the accuracy was asked for comes first, and needs room for its legend.
+    shares = [1.0 if survey.error_limit is None or k else 2.5 for k in range(len(plots))]
     panels = [rrb.TopPanel(state="hidden")] if picture else []
     return rrb.Blueprint(
-        rrb.Horizontal(view, rrb.Vertical(*plots), column_shares=[2.4, 1.0]),
+        rrb.Horizontal(view, rrb.Vertical(*plots, row_shares=shares), column_shares=[2.4, 1.0]),
         *panels,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -89,12 +91,24 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
     )
 
 
+def _colouring(survey: Survey) -> str:
+    if survey.error_limit is not None:
+        return f"Cloth, coloured by error: light 0, red {survey.error_limit:g} m"
+    return f"Cloth, coloured by strain: light 0, red {100.0 * survey.strain_limit:g} %"
+
+
 def _plots(survey: Survey) -> list[Any]:
     import rerun.blueprint as rrb
 
-    several = {"plots/energy"} | ({"plots/force"} if len(survey.opening.grippers) > 1 else set())
+    several = {"plots/energy", "plots/accuracy"} | ({"plots/force"} if len(survey.opening.grippers) > 1 else set())
     views = {
-        path: rrb.TimeSeriesView(origin=path, name=PLOTS[path], plot_legend=rrb.PlotLegend(visible=path in several))
+        path: rrb.TimeSeriesView(
+            origin=path,
+            name=PLOTS[path],
+            plot_legend=rrb.PlotLegend(
+                corner=rrb.Corner2D.LeftBottom if path == "plots/accuracy" else None, visible=path in several
+            ),
+        )
         for path in survey.plots
     }
     pace = [views.pop(path) for path in ("plots/pace", "plots/late") if path in views]

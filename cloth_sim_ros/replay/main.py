@@ -37,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 at=options.at,
                 size=options.size,
                 strain_limit=options.strain_limit,
+                accuracy=options.accuracy,
             )
         elif options.save is not None:
             show.save_recording(
@@ -45,10 +46,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 every=options.every,
                 strain_limit=options.strain_limit,
                 follow=options.follow,
+                accuracy=options.accuracy,
             )
         else:
             show.open_viewer(
-                options.session, every=options.every, strain_limit=options.strain_limit, follow=options.follow
+                options.session,
+                every=options.every,
+                strain_limit=options.strain_limit,
+                follow=options.follow,
+                accuracy=options.accuracy,
             )
     except SessionError as error:
         print(f"cloth_replay: {error}", file=sys.stderr)
@@ -84,6 +90,11 @@ def _parser() -> argparse.ArgumentParser:
         "--strain-limit", metavar="PERCENT", type=float, help="strain of the last colour; default: from the session"
     )
     parser.add_argument(
+        "--accuracy",
+        action="store_true",
+        help="run it again far finer, as cloth_verify --accuracy does; colour the cloth by its error, and plot that",
+    )
+    parser.add_argument(
         "--follow", action="store_true", help="go on with what is still being recorded, until the recording ends"
     )
     return parser
@@ -96,6 +107,8 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         if not 0.0 < options.strain_limit <= 1e4:
             parser.error(f"--strain-limit {options.strain_limit:g}: it must be within (0, 10000] per cent")
         options.strain_limit /= 100.0
+    if options.accuracy and options.follow:
+        parser.error("--accuracy is measured of a whole session: it does not go with --follow")
     if options.screenshot is not None and (options.follow or options.every != 1):
         parser.error("--screenshot shows one moment: it takes --at, not --follow or --every")
     if options.at is not None and options.screenshot is None:

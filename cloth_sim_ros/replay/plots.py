@@ -21,14 +21,19 @@ PLOTS = {
     "plots/late": "Late frames",
     "plots/energy": "Energy [J]",
     "plots/error": "Error estimate [m]",
+    "plots/accuracy": "Error [m], powers of ten",
+    "plots/growth": "Growth of a kick, powers of ten",
 }
+
+#: Those that are shown where a session's accuracy is.
+ACCURACY = ("plots/accuracy", "plots/growth", "plots/strain", "plots/steps")
 
 #: What a recorded name must hold to be shown in a plot.
 _PLACES = (
     (re.compile(r"real[- ]?time factor(?! overall)"), "plots/pace"),
     (re.compile(r"\blate\b"), "plots/late"),
     (re.compile(r"energy|balance|dissipat|\bwork\b"), "plots/energy"),
-    (re.compile(r"error estimate"), "plots/error"),
+    (re.compile(r"error estimate|accuracy error"), "plots/error"),
 )
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])")
 

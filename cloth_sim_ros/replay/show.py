@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import math
 import sys
 import tempfile
@@ -12,7 +14,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cloth_sim_ros.replay.accuracy import Accuracy, measure
 from cloth_sim_ros.replay.blueprint import blueprint_of
+from cloth_sim_ros.replay.plots import ACCURACY
 from cloth_sim_ros.replay.stream import Stream
 from cloth_sim_ros.replay.survey import Survey, survey
 from cloth_sim_ros.replay.viewer import check_screen, executable, save_screenshot
@@ -30,28 +34,41 @@ _POLL = 0.05
 
 
 def save_recording(
-    paths: Sequence[Path], out: Path, *, every: int = 1, strain_limit: float | None = None, follow: bool = False
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    every: int = 1,
+    strain_limit: float | None = None,
+    follow: bool = False,
+    accuracy: bool = False,
 ) -> None:
     """Write a session as a Rerun recording. Raises SessionError or OSError with the reason."""
-    with SessionReader(list(paths)) as reader:
+    with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         seen = _look(reader, strain_limit, follow)
         _check_writable(out)
+        seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
         recording = _recording(reader)
         recording.save(out, default_blueprint=blueprint_of(seen))
-        _play(reader, Stream(recording, seen, node=reader.node, every=every), follow)
+        _play(reader, Stream(recording, seen, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
         _tell_missing(reader)
 
 
 def open_viewer(
-    paths: Sequence[Path], *, every: int = 1, strain_limit: float | None = None, follow: bool = False
+    paths: Sequence[Path],
+    *,
+    every: int = 1,
+    strain_limit: float | None = None,
+    follow: bool = False,
+    accuracy: bool = False,
 ) -> None:
     """Show a session in a viewer's window. Raises SessionError, or ViewerError where there is no screen."""
     import rerun as rr
 
     check_screen()
-    with SessionReader(list(paths)) as reader:
+    with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         seen = _look(reader, strain_limit, follow)
+        seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
         recording = _recording(reader)
         rr.spawn(
             executable_path=str(executable()),
@@ -59,7 +76,7 @@ def open_viewer(
             default_blueprint=blueprint_of(seen, following=follow),
             recording=recording,
         )
-        _play(reader, Stream(recording, seen, node=reader.node, every=every), follow)
+        _play(reader, Stream(recording, seen, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
         _tell_missing(reader)
 
@@ -71,6 +88,7 @@ def save_picture(
     at: float | None = None,
     size: tuple[int, int] = (1600, 900),
     strain_limit: float | None = None,
+    accuracy: bool = False,
 ) -> None:
     """Save a picture of a session at a simulated time [s], the end where left out.
 
@@ -79,19 +97,36 @@ def save_picture(
         ViewerError: where the viewer cannot paint.
         OSError: if the picture cannot be written.
     """
-    with SessionReader(list(paths)) as reader, tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder:
+    with (
+        SessionReader(list(paths)) as reader,
+        tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder,
+        contextlib.ExitStack() as stack,
+    ):
         seen = survey(reader, strain_limit=strain_limit)
         _check_writable(out)
+        seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
         rrd = Path(folder) / "picture.rrd"
         recording = _recording(reader)
         recording.save(rrd, default_blueprint=blueprint_of(seen, picture=True))
-        stream = Stream(recording, seen, node=reader.node, only=math.inf if at is None else at)
+        only = math.inf if at is None else at
+        stream = Stream(recording, seen, node=reader.node, only=only, accuracy=measured)
         _play(reader, stream, follow=False)
         recording.disconnect()
         _tell_missing(reader)
         if not stream.clouds_seen:
             raise SessionError(f"{paths[0]} holds no clouds: there is nothing to paint")
         save_screenshot(rrd, out, at=stream.time if at is None else at, size=size)
+
+
+@contextlib.contextmanager
+def _measured(paths: Sequence[Path], seen: Survey, wanted: bool) -> Iterator[tuple[Survey, Accuracy | None]]:
+    """The survey and the accuracy, where it is wanted, as long as its files are there."""
+    if not wanted:
+        yield seen, None
+        return
+    with tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder:
+        measured = measure(paths, Path(folder), len(seen.opening.positions))
+        yield dataclasses.replace(seen, plots=ACCURACY, error_limit=measured.limit), measured
 
 
 def _look(reader: SessionReader, strain_limit: float | None, follow: bool) -> Survey:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.replay import colours
+from cloth_sim_ros.replay.accuracy import Accuracy, draw_curves
 from cloth_sim_ros.replay.gripper_view import GripperView
 from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
@@ -41,7 +42,8 @@ class _Shown(NamedTuple):
     moment: Moment
     xyz: NDArray[np.float32]
     normals: NDArray[np.float32]
-    strain: NDArray[np.float32]
+    #: What it is coloured by: strain, or error [m].
+    shade: NDArray[np.float32]
     held: dict[str, NDArray[np.float32]]
 
 
@@ -54,13 +56,22 @@ class Stream:
         node: resolved name of its node.
         every: show every so many-th cloud; plots and grippers keep every frame.
         only: show no cloud but the last one at or before this simulated time [s].
+        accuracy: colour by it instead of strain, and plot it.
     """
 
     def __init__(
-        self, recording: rr.RecordingStream, survey: Survey, *, node: str, every: int = 1, only: float | None = None
+        self,
+        recording: rr.RecordingStream,
+        survey: Survey,
+        *,
+        node: str,
+        every: int = 1,
+        only: float | None = None,
+        accuracy: Accuracy | None = None,
     ) -> None:
         import rerun as rr
 
+        self._accuracy = accuracy
         self._recording = recording
         self._survey = survey
         self._points, self._frame = f"{node}/points", f"{node}/frame"
@@ -145,6 +156,8 @@ class Stream:
             static=True,
         )
         self._view.start(recording, size)
+        if self._accuracy is not None:
+            draw_curves(recording)
 
     def _add_frame(self, message: Message) -> None:
         record = read_frame(message)
@@ -153,6 +166,9 @@ class Stream:
         self._scalar("plots/steps/steps", moment, float(record.steps))
         for path, value in extra_numbers(record.extras):
             self._scalar(path, moment, value)
+        if self._accuracy is not None:
+            for path, value in self._accuracy.curves(record.frame):
+                self._scalar(path, moment, value)
         for event in record.events:
             told = _story(event, self._grippers)
             if told:
@@ -172,7 +188,8 @@ class Stream:
         # A cloud whose frame's record was lost is shown at the last simulated time that is known.
         moment = self._moment._replace(ros_time=message.log_time)
         self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
-        shown = _Shown(moment, xyz, normals, strain, self._view.held(xyz))
+        shade = strain if self._accuracy is None else self._accuracy.errors(moment.frame)
+        shown = _Shown(moment, xyz, normals, shade, self._view.held(xyz))
         if self._only is None:
             self._show(shown)
         elif self._kept is None or moment.sim_time <= self._only:
@@ -188,9 +205,10 @@ class Stream:
 
     def _show(self, shown: _Shown) -> None:
 
-        moment, xyz, normals, strain, held = shown
+        moment, xyz, normals, shade, held = shown
         colour = np.empty(len(xyz), np.uint32)
-        colours.strain_colours(strain, self._survey.strain_limit, colour)
+        limit = self._survey.strain_limit if self._accuracy is None else self._accuracy.limit
+        colours.strain_colours(shade, limit, colour)
         self._mesh.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
         if len(self._anchored):
             self._pins.add(moment, positions=xyz[self._anchored])

@@ -51,6 +51,8 @@ class Survey:
     """Strain that is shown in the last colour."""
     plots: tuple[str, ...]
     """Paths of the plots for which there is data, in their order."""
+    error_limit: float | None = None
+    """Error that is shown in the last colour [m]; None where strain is shown."""
 
 
 def survey(reader: SessionReader, *, strain_limit: float | None = None, followed: bool = False) -> Survey:
