@@ -78,6 +78,7 @@ soak: $(DEV) engine
 	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
 	@$(BIN)/python test/soak_session_kills.py --count 500
 	@$(BIN)/python test/soak_verify.py --sessions 200
+	@$(BIN)/python test/soak_accuracy.py --sessions 30
 
 bench: $(DEV) engine
 	@$(BIN)/cloth_bench $(ARGS)

@@ -19,7 +19,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from cloth_sim_ros.verify.accuracy import certify
+from cloth_sim_ros.verify.accuracy import _is_sampled, certify
 from cloth_sim_ros.verify.certificate import Certificate, FrameAccuracy, Window
 from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, distance, follow, weights
 from cloth_sim_ros.verify.independent import dop853, frame_by_dop853
@@ -284,6 +284,13 @@ def test_frames_asleep_are_judged_as_others(tmp_path: Path) -> None:
     # Where it fell asleep is not where it would come to rest: that is the error, and it is told.
     assert max(frame.error for frame in asleep) > 1e-9
     assert certificate.kept
+
+
+def test_samples_of_long_sessions_become_rare() -> None:
+    sampled = [window for window in range(3600) if _is_sampled(window)]
+    assert sampled[:10] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]
+    assert len(sampled) < 60
+    assert sampled[-1] > 3000
 
 
 @pytest.mark.parametrize(
