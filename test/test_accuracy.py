@@ -111,6 +111,17 @@ def test_steps_are_at_least_twice_as_fine_as_the_simulation_s() -> None:
         assert sum(lengths) == pytest.approx(1.0 / 60.0, rel=1e-12)
 
 
+def test_what_is_asked_for_below_rounding_does_not_cut_steps_for_ever() -> None:
+    scene = Scene.from_parameters(SMALL | {"material.damping": 0.0})
+    simulation = Simulation(scene)
+    _run_frames(simulation, [[]] * 20)
+    start, counts = (simulation.state.x, simulation.state.v), []
+    for rate in (1e-9, 1e-14, 1e-20):
+        _, lengths = FineSteps(rate).frame(scene.plan(), simulation.time, 1.0 / 60.0, start, math.inf)
+        counts.append(len(lengths))
+    assert counts[0] <= counts[1] <= counts[2] <= 20 * counts[0]
+
+
 def test_a_motion_under_the_same_commands_is_the_simulation_s_own() -> None:
     # Grasps, turns, a grasp while paused, a release, a reset and sleep: the fine motion must meet each of them.
     scene = Scene.from_parameters(SMALL | {"grippers": ["a", "b"], "gripper.radius": 0.08, "tolerance": 1e-7})

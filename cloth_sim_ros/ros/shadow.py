@@ -79,10 +79,11 @@ class Shadow:
             return
         job = _Job(self._scene, self._start, self._events, simulation.state.share())
         self._start = None
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
+        # The newest one waits; of those that the process is not done for, the older is left out.
+        with contextlib.suppress(queue.Empty):
+            self._jobs.get_nowait()
             self._left_out += 1
+        self._jobs.put_nowait(job)
 
     def describe(self, now: float) -> dict[str, str]:
         """What there is to say, at a simulated time [s]."""
@@ -121,9 +122,10 @@ class Shadow:
             process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_PATIENCE)
-        # Where it is full, the thread is on its way to see that it is closed.
-        with contextlib.suppress(queue.Full):
-            self._jobs.put_nowait(None)
+        # No frame comes any more: the thread alone takes from there.
+        with contextlib.suppress(queue.Empty):
+            self._jobs.get_nowait()
+        self._jobs.put_nowait(None)
 
     def _serve(self) -> None:
         """Start the process and give it windows; in a thread of its own, for either may take its time."""

@@ -27,7 +27,9 @@ FINER = (12, 15, 18, 24, 30, 36)
 #: Largest step, relative to the stability limit at a stretch's start: at least twice as fine as any stable one.
 SHARE_OF_LIMIT = 0.48
 #: A stretch is not cut below this part of a frame: then the check says how large the error is.
-_LEAST = 1.0 / 65536.0
+_LEAST = 1.0 / 4096.0
+#: Relative rounding of a number.
+ROUNDING = 2.0**-53
 
 Moving = tuple[Array, Array]
 
@@ -85,17 +87,19 @@ class FineSteps:
             Positions and velocities at its end, and the lengths of the stretches [s].
         """
         now, rates, lengths, done = start, plan.rates(start[0]), list[float](), 0.0
+        # Below what rounding makes of the difference of two combinations no step is better than another.
+        least = 4.0 * ROUNDING * float(np.abs(start[0]).max()) * (amplification(FINE) + amplification(FINE[1:]))
         while done < duration * (1.0 - 1e-12):
             longest = min(SHARE_OF_LIMIT * leapfrog_limit(*rates), 0.5 * step) * FINE[0] * self._scale
             left = duration - done
             length = left / max(1, math.ceil(left / longest * (1.0 - 1e-12)))
             ended, rates, error = self._try(plan, t + done, length, now)
-            if length > _LEAST * duration and not error <= self.rate * length:
+            if length > _LEAST * duration and not error <= max(self.rate * length, least):
                 self._scale *= 0.5
                 rates = plan.rates(now[0])
                 continue
             # The error of a stretch falls as the sixth power of its length.
-            if error < self.rate * length / 100.0:
+            if error < max(self.rate * length / 100.0, least):
                 self._scale = min(1.0, 1.4 * self._scale)
             now, done = ended, done + length
             lengths.append(length)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, amplification, distance, follow
+from cloth_sim_ros.verify.fine import FINE, FINER, ROUNDING, FineSteps, amplification, distance, follow
 from cloth_sim_ros.verify.motion import Equations, Motion, RunFrame, take_hold
 
 #: Largest kick of a particle's position [m], and of its velocity [m/s].
@@ -20,7 +20,6 @@ KICK = 1e-9
 PART_OF_TOLERANCE = 0.01
 #: What counts as the tolerance where none is set [m].
 WITHOUT_TOLERANCE = 1e-6
-_ROUNDING = 2.0**-53
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -69,7 +68,7 @@ class Truth:
         self._stretches += len(lengths)
         growth = max((distance(motion.x, fine.x) / KICK for motion in kicked), default=math.nan)
         coordinate = float(np.abs(finer.x).max())
-        rounding = _ROUNDING * coordinate * amplification(FINE) * math.sqrt(self._stretches)
+        rounding = ROUNDING * coordinate * amplification(FINE) * math.sqrt(self._stretches)
         return Told(
             x=finer.x,
             own=distance(fine.x, finer.x),
