@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -86,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first session")
     options = parser.parse_args(arguments)
     failed = frames = windows = undetected = standing_out = 0
-    seconds = 0.0
+    seconds, verdicts = 0.0, Counter[str]()
     largest_frame = largest_window = 0.0
     for seed in tqdm(range(options.first, options.first + options.sessions), unit="session", disable=None):
         with tempfile.TemporaryDirectory() as folder:
@@ -96,6 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             verify(paths, watch=independent)
         if not certificate.frames:
             continue
+        verdicts.update(window.verdict for window in certificate.windows)
         frames, windows = frames + len(certificate.samples), windows + len(independent.found)
         seconds += certificate.seconds
         wrong = [sample.frame for sample in certificate.samples if not sample.agrees]
@@ -116,7 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{options.sessions} sessions, {frames} frames and {windows} of windows by DOP853 too: {failed} sessions are "
         f"stated wrongly; frames differ by at most {largest_frame:.2g} m, windows by {largest_window:.2g} of what they "
         f"may. {seconds:.0f} s for all certificates. One frame changed by a millimetre: {undetected} not found out, in "
-        f"{standing_out} its error alone breaks the promise."
+        f"{standing_out} its error alone breaks the promise. Windows: "
+        + ", ".join(f"{count} {verdict}" for verdict, count in verdicts.most_common())
     )
     return 1 if failed or undetected else 0
 

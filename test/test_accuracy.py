@@ -351,7 +351,7 @@ def test_a_loose_simulation_that_says_it_is_tight_is_found_out(
 
     real = scene_module.make_integrator
     monkeypatch.setattr(
-        scene_module, "make_integrator", lambda name, *, step, tolerance: real(name, step=step, tolerance=1e-2)
+        scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
     )
     maker = _make(tmp_path, frames=40, tolerance=1e-6)
     assert main(["--accuracy", str(maker.paths[0])]) == NOT_KEPT

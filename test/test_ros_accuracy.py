@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -84,6 +86,9 @@ def test_what_it_says_is_so(shadow: Shadow, wait_until: Callable[..., Any]) -> N
     assert 0.0 < float(told["accuracy_error_m"]) < 1e-4
     assert float(told["accuracy_behind_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
     assert shadow.complaints() == []
+    page = (Path(__file__).resolve().parent.parent / "docs" / "ros.md").read_text()
+    rows = [line.split("|") for line in page.split("### Accuracy\n")[1].split("\n## ")[0].splitlines()]
+    assert set(told) == {name for row in rows if len(row) > 2 for name in re.findall(r"`(\w+)`", row[1])}
 
 
 def test_it_is_the_certificate_of_the_window() -> None:
@@ -104,7 +109,7 @@ def test_growth_is_looked_at_where_the_error_is_above_the_tolerance(monkeypatch:
 
     real = scene_module.make_integrator
     monkeypatch.setattr(
-        scene_module, "make_integrator", lambda name, *, step, tolerance: real(name, step=step, tolerance=1e-2)
+        scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
     )
     scene = Scene.from_parameters(SMALL | {"tolerance": 1e-7})
     simulation = Simulation(scene)
