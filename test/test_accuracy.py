@@ -171,10 +171,11 @@ def test_a_gripper_takes_particles_where_they_are_in_the_motion() -> None:
     assert not np.allclose(motion.offsets - own, 1e-3)
 
 
-def test_kicks_are_as_large_as_they_say_and_leave_anchors_alone() -> None:
+@pytest.mark.parametrize("smooth", [False, True])
+def test_kicks_are_as_large_as_they_say_and_leave_anchors_alone(smooth: bool) -> None:
     x = np.random.default_rng(1).normal(size=(3, 50))
     free = np.arange(50) > 4
-    kick = random_kick(x, free, np.random.default_rng(2))
+    kick = random_kick(x, free, np.random.default_rng(2), smooth=smooth)
     lengths = np.linalg.norm(kick, axis=0)
     assert lengths.max() == pytest.approx(KICK)
     assert not kick[:, :5].any()

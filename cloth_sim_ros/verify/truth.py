@@ -32,7 +32,7 @@ class Told:
     own: float
     #: What rounding alone does to them [m], an estimate.
     floor: float
-    #: How often a kick of position or velocity has grown since the start, the larger of both; nan where not asked for.
+    #: How often a kick has grown since the start, the most of three; nan where not asked for.
     growth: float
 
 
@@ -47,7 +47,7 @@ class Truth:
 
     def __init__(self, state: State, *, seed: int, kicks: bool = True) -> None:
         self._fine, self._finer = Motion(state), Motion(state)
-        self._kicked = [Motion(state), Motion(state)] if kicks else []
+        self._kicked = [Motion(state) for _ in range(3)] if kicks else []
         self._seed: int | None = seed
         self._stretches = 0
         self._steps = FineSteps(0.0)
@@ -80,10 +80,12 @@ class Truth:
         if not self._kicked:
             return
         random = np.random.default_rng(seed)
-        still = np.zeros_like(self._fine.x)
-        by_position, by_velocity = self._kicked
-        by_position.kick(random_kick(self._fine.x, free, random), still)
-        by_velocity.kick(still, random_kick(self._fine.x, free, random))
+        x, still = self._fine.x, np.zeros_like(self._fine.x)
+        alone, together, by_velocity = self._kicked
+        alone.kick(random_kick(x, free, random, smooth=False), still)
+        together.kick(random_kick(x, free, random, smooth=True), still)
+        # Of velocities, what neighbours do against each other is soon undone.
+        by_velocity.kick(still, random_kick(x, free, random, smooth=True))
 
 
 def fine_rate(tolerance: float | None) -> float:
@@ -91,18 +93,23 @@ def fine_rate(tolerance: float | None) -> float:
     return PART_OF_TOLERANCE * (tolerance or WITHOUT_TOLERANCE)
 
 
-def random_kick(x: Array, free: np.ndarray, random: np.random.Generator) -> Array:
-    """Return a kick, shape (3, n), whose largest is `KICK`: one half smooth over the sheet, one half of each its own.
+def random_kick(x: Array, free: np.ndarray, random: np.random.Generator, *, smooth: bool) -> Array:
+    """Return a kick, shape (3, n), of which the largest is `KICK`.
 
-    The smooth half finds what grows slowly and together, the other one what grows fast and alone.
+    Smooth over the sheet it finds what grows slowly and together, of each particle its own what grows fast and alone.
     """
-    centre = x.mean(axis=1, keepdims=True)
-    size = float(np.abs(x - centre).max()) or 1.0
-    smooth = random.normal(size=(3, 1)) + random.normal(size=(3, 3)) @ (x - centre) / size
-    alone = random.normal(size=x.shape)
-    both = sum(part / np.sqrt(np.square(part).sum(axis=0).max()) for part in (smooth, alone)) * free
-    largest = float(np.sqrt(np.square(both).sum(axis=0).max()))
-    return np.asarray(both * (KICK / largest if largest else 0.0))
+    if smooth:
+        size = float(np.ptp(x, axis=1).max()) or 1.0
+        field = np.repeat(random.normal(size=(3, 1)), x.shape[1], axis=1)
+        for _ in range(4):
+            wave, phase = random.normal(scale=4.0 / size, size=3), random.uniform(0.0, 2.0 * np.pi)
+            field += random.normal(size=(3, 1)) * np.cos(wave @ x + phase)
+    else:
+        field = random.normal(size=x.shape)
+        field /= np.sqrt(np.square(field).sum(axis=0))
+    field = field * free
+    largest = float(np.sqrt(np.square(field).sum(axis=0).max()))
+    return np.asarray(field * (KICK / largest if largest else 0.0))
 
 
 def frame_truth(equations: Equations, frame: RunFrame, state: State) -> Array:
