@@ -79,6 +79,12 @@ class ClothNode:
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
         refuse_endless_frames(scene, self._simulation.state.x)
+        if others := self._simulation.state.left_out:
+            self._log.info(
+                "initial state",
+                f"initial_state '{scene.initial_state}' was saved by another version: what it remembered of its steps "
+                f"({', '.join(others)}) begins anew",
+            )
         # Held by whoever works on the cloth or on what waits for it. Services wait for their frame, so they run beside
         # it where the executor has several threads; and parameters may be set from anywhere.
         self._turn = threading.RLock()
