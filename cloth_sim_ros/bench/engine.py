@@ -89,12 +89,25 @@ def run(options: argparse.Namespace) -> Report:
     old = old_tree.prepare(options.against, _say, folder=options.cache)
     report = Report("Against an older tree", f"cloth_bench engine --against {options.against}")
     with contextlib.ExitStack() as stack:
-        first = stack.enter_context(Side(f"the tree of {options.against}", tree=old.tree, python=old.python))
+        # Each against the older tree on the same vectors: it takes the widest that it finds.
+        narrow = {
+            name: {"NUMBA_CPU_NAME": engine_side.NARROW} if name != "avx512" and "avx512" in libraries() else {}
+            for name in options.engines
+        }
+        by_variables = {
+            str(variables): Side(
+                f"the tree of {options.against}", tree=old.tree, python=old.python, variables=variables
+            )
+            for variables in narrow.values()
+        }
+        for side in by_variables.values():
+            stack.enter_context(side)
+        olds = {name: by_variables[str(variables)] for name, variables in narrow.items()}
         sides = {
             name: stack.enter_context(Side(f"this tree on {name}", variables={"CLOTH_SIM_ROS_ENGINE": name}))
             for name in options.engines
         }
-        measure(first, sides, options, report)
+        measure(olds, sides, options, report)
     report.notes.append(
         f"old: {old.commit[:12]} with its own versions; medians of rounds in turns, new/old the median of the rounds' "
         "ratios with the least and the most; steps and forces by processor time on one core, the rest by the wall "
@@ -103,8 +116,9 @@ def run(options: argparse.Namespace) -> Report:
     return report
 
 
-def measure(first: Side, sides: dict[str, Side], options: argparse.Namespace, report: Report) -> None:
-    """Let the old side and the new ones do every row in turns."""
+def measure(olds: dict[str, Side], sides: dict[str, Side], options: argparse.Namespace, report: Report) -> None:
+    """Let the old sides and the new ones, each by the instruction set, do every row in turns."""
+    first = list(dict.fromkeys(olds.values()))
     columns = ["what", "engine", "unit", "old", "new", "new/old", "least", "most", "processor", "at most"]
     table = Table("Time of this tree and of the older one", columns)
     shares = Table("Python's share of the frame of a carried cloth", ["what", "engine", "share", "at most"])
@@ -115,14 +129,14 @@ def measure(first: Side, sides: dict[str, Side], options: argparse.Namespace, re
     lines: dict[str, list[tuple[float, float]]] = {}
     for row in rows(options):
         figures = in_turns(
-            [first, *sides.values()],
+            [*first, *sides.values()],
             row.job,
             row.options,
             rounds=min(_FEW, options.rounds) if row.slow else options.rounds,
             say=_say,
         )
-        for name, mine in zip(sides, figures[1:], strict=True):
-            pair = Pair(old=figures[0], new=mine)
+        for name, mine in zip(sides, figures[len(first) :], strict=True):
+            pair = Pair(old=figures[first.index(olds[name])], new=mine)
             promise = row.with_avx512 or row.promise if name == "avx512" else row.promise
             times = [row.scale * median(pair.old), row.scale * median(pair.new)]
             ratio, ratios = pair.ratio(), pair.ratios()
@@ -135,7 +149,8 @@ def measure(first: Side, sides: dict[str, Side], options: argparse.Namespace, re
                 line = f"{row.what.partition(',')[0]}, {name}"
                 lines.setdefault(line, []).append((float(row.options["resolution"]), ratio))
         if row.job == "garment":
-            _tell_garment(row, [("old", "-"), *(("new", name) for name in sides)], figures, shirts, report)
+            who = [("old", next(name for name in olds if olds[name] is side)) for side in first]
+            _tell_garment(row, [*who, *(("new", name) for name in sides)], figures, shirts, report)
         if row.job == "carried":
             _tell_share(row, sides, shares, report)
     report.tables += [one for one in (table, shares, shirts) if one.rows]

@@ -19,6 +19,8 @@ from cloth_sim_ros.bench.peer_environment import clean_variables
 
 WORKER = Path(__file__).parent / "engine_worker.py"
 ROOT = Path(__file__).resolve().parent.parent.parent
+#: What the older tree's compiler is told of a processor that shall have no wider vectors than AVX2.
+NARROW = "x86-64-v3"
 #: Turns of each that a median needs at least.
 FEWEST_ROUNDS = 3
 

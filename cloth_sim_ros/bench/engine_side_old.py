@@ -8,12 +8,20 @@ Loaded by `engine_jobs` beside that tree's package, never beside this one's.
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 _STILL = 1e-9
+
+
+if os.environ.get("NUMBA_CPU_NAME"):
+    # That names a processor without AVX-512; the tree asks the machine itself, too, how wide its vectors are.
+    _llvm: Any = importlib.import_module("llvmlite.binding")
+    _machine = _llvm.get_host_cpu_features()
+    _llvm.get_host_cpu_features = lambda: {k: on and not k.startswith("avx512") for k, on in _machine.items()}
 
 
 def _old(module: str) -> Any:

@@ -6,6 +6,7 @@
 
 #include <limits>
 
+#include "grid_forces.hpp"
 #include "grid_run.hpp"
 #include "list_run.hpp"
 #include "measures.hpp"
@@ -104,9 +105,8 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
 
 /// One evaluation of all forces over masses; zero where anchored.
 inline Done accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
-    // A step that kicks a cloth at rest for a second and moves nothing: its velocities are the accelerations.
     const Run run{t, 1.0, 0, false, false, 1, x, v, nullptr, out, nullptr, nullptr};
-    return plan.grid ? GridRun<double>(plan, run).evaluate() : evaluate_lists(plan, run);
+    return plan.grid ? GridForces(plan, run).go() : evaluate_lists(plan, run);
 }
 
 }  // namespace cloth

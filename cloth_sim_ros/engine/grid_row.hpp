@@ -53,6 +53,10 @@ struct RowPlace {
     const T* entry;
     /// Numbers from one component of a row to the next, and those of whole vectors that cover the columns.
     std::ptrdiff_t pitch, length;
+    /// Where accelerations go, components so many numbers apart, of a row that does not move; null for one that does. In
+    /// double precision alone: nobody asks for them in the other.
+    T* accelerations = nullptr;
+    std::ptrdiff_t apart = 0;
 };
 
 /// Add the ring's forces and those of the row's own springs, and move the row by one step if it is the caller's `own`;
@@ -152,6 +156,10 @@ inline void take_row(const RowPlace<T>& at, const GridConstants<T>& constants, c
             V field = splat<V>(constants.push[c]);
             if constexpr (moving) field = fma(-drag, seen_, field);
             const V a = fma(free, field, mass * f);
+            if (sizeof(T) == 8 && at.accelerations) {
+                store(at.accelerations + c * at.apart + j, a);
+                return;
+            }
             const V v = fma(kick, a, load(here + velocity * pitch));
             store(here + velocity * pitch, v);
             if constexpr (moving) {

@@ -6,37 +6,11 @@
 // it, so that a row is still in the cache. No bit depends on either.
 #pragma once
 
-#include "plan.hpp"
+#include "beside.hpp"
+#include "grid_takers.hpp"
 #include "threads.hpp"
 
 namespace cloth {
-
-template <class T>
-using TakeRow = void (*)(const RowPlace<T>&, const GridConstants<T>&, const Motion<T>&, bool);
-
-template <class T, Mode M>
-inline TakeRow<T> row_taker(unsigned shape) {
-    constexpr unsigned edges = 1u << right | 1u << down, left = 1u << diagonal, other = 1u << antidiagonal;
-    constexpr unsigned bends = 1u << right2 | 1u << down2;
-    switch (shape & ~edges) {
-        case 0: return take_row<T, edges, M>;
-        case left: return take_row<T, edges | left, M>;
-        case other: return take_row<T, edges | other, M>;
-        case left | other: return take_row<T, edges | left | other, M>;
-        case bends: return take_row<T, edges | bends, M>;
-        case bends | left: return take_row<T, edges | bends | left, M>;
-        case bends | other: return take_row<T, edges | bends | other, M>;
-        default: return take_row<T, edges | bends | left | other, M>;
-    }
-}
-template <class T>
-inline TakeRow<T> row_taker(unsigned shape, Mode mode) {
-    switch (mode) {
-        case Mode::still: return row_taker<T, Mode::still>(shape);
-        case Mode::drag: return row_taker<T, Mode::drag>(shape);
-        default: return row_taker<T, Mode::damped>(shape);
-    }
-}
 
 template <class T>
 class GridRun {
@@ -48,7 +22,8 @@ public:
           stride_(components<T> * pitch_) {
         const bool more = beside_.needed();
         const std::int64_t most = std::max<std::int64_t>(1, grid_.rows / reach);
-        bands_ = beside_.parallel() ? static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most)) : 1;
+        bands_ = beside_.whole() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
+        beside_.hold(bands_);
         levels_ = more ? 1 : levels();
         halo_ = reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
@@ -69,28 +44,13 @@ public:
         const unsigned shape = grid_.shape(true);
         whole_ = row_taker<T>(shape, mode_);
         fast_ = row_taker<T>(grid_.shape(false), mode_);
-        for (int k = 0; k < 4; ++k) constants_[k] = constants_of(weak_factors[k]);
+        for (int k = 0; k < 4; ++k) constants_[k] = grid_constants<T>(plan, weak_factors[k]);
     }
 
     Done go() {
         const std::int64_t turns = 1 + (run_.steps + levels_ - 1) / levels_;
         const Done done = beside_.needed() ? go_together(turns) : go_apart(turns);
         if (done == Done::well) beside_.finish();
-        return done;
-    }
-
-    /// One evaluation alone, at x0 and v0: accelerations come out in place of velocities.
-    Done evaluate() {
-        evaluates_ = true;
-        load_band(0);
-        Done done = Done::well;
-        if (beside_.needed()) {
-            export_rows(0);
-            done = beside_.forces(-1, 0);
-        }
-        if (done != Done::well) return done;
-        sweep(0, -1, 1);
-        unload_band(0);
         return done;
     }
 
@@ -101,18 +61,6 @@ private:
         Counter(const Counter&) {}
     };
 
-    GridConstants<T> constants_of(double weak) const {
-        GridConstants<T> c{};
-        for (int f = 0; f < family_count; ++f) {
-            const GridFamily& family = grid_.families[f];
-            if (!family.present) continue;
-            const double s = family.weak ? weak : 1.0;
-            c.families[f] = {T(s * family.stiffness), T(s * family.stiffness / family.rest), T(s * family.damping)};
-        }
-        c.drag = T(plan_.drag);
-        for (int k = 0; k < 3; ++k) c.push[k] = T(plan_.push(k));
-        return c;
-    }
     /// Steps of a sweep: more where a band does not fit the second cache, or neighbours wait for each other.
     int levels() const {
         const std::int64_t rows = grid_.rows / bands_, bytes = rows * stride_ * static_cast<std::int64_t>(sizeof(T));
@@ -130,7 +78,9 @@ private:
                     end(b, turn, turns);
                 }
         };
-        const int workers = std::min<int>(bands_, std::max(1u, std::thread::hardware_concurrency()));
+        // Asked for once: the system reads it from a file, which takes as long as a short run.
+        static const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+        const int workers = std::min(bands_, cores);
         Pool::shared().run(
             workers, [&](int w) { work(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { work(0, bands_); });
         return Done::well;
@@ -209,9 +159,8 @@ private:
             const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
             put(position + c, x, beside_.origin[c]);
             put(seen + c, v, 0.0);
-            if (whole && !evaluates_) put(velocity + c, v, 0.0);
+            if (whole) put(velocity + c, v, 0.0);
         }
-        if (evaluates_) std::fill(to + velocity * pitch_, to + (velocity + 3) * pitch_, T(0));
         if (whole) std::fill(to + last * pitch_, to + stride_, T(0));
     }
     void unload_band(int b) {
@@ -278,47 +227,19 @@ private:
         at.entry = tables_.of(row);
         at.pitch = pitch_;
         at.length = length_;
-        if (own && plan_.held.count()) pull_row(b, row, step, at);
-        if (own && beside_.needed()) add_beside(b, row, at.ring[0]);
+        if (own) beside_.add_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
         const double weak = weak_factor(run_, step);
         const TakeRow<T> take = weak == 0.0 ? fast_ : whole_;
         // What is left out has no strength either: a row taker may know families only together.
         const auto factor = std::find(std::begin(weak_factors), std::end(weak_factors), weak) - weak_factors;
-        take(at, constants_[factor], evaluates_ ? evaluation<T> : motion_of<T>(run_, step), own);
+        take(at, constants_[factor], motion_of<T>(run_, step), own);
     }
-    void pull_row(int b, std::int64_t row, std::int64_t step, const RowPlace<T>& at) {
-        const auto& particles = plan_.held.particle;
-        const std::int64_t first = row * grid_.columns, last = first + grid_.columns;
-        auto place = std::lower_bound(particles.begin(), particles.end(), first);
-        const bool book = row >= border_[b] && row < border_[b + 1];
-        for (; place != particles.end() && *place < last; ++place) {
-            const std::int64_t j = *place - first;
-            const T *const x = at.row[0] + position * pitch_ + j, *const v = at.row[0] + seen * pitch_ + j;
-            const Vec3<T> f = beside_.pull(place - particles.begin(), step, {x[0], x[pitch_], x[2 * pitch_]},
-                                           {v[0], v[pitch_], v[2 * pitch_]}, book);
-            at.ring[0][j] += f.x, at.ring[0][pitch_ + j] += f.y, at.ring[0][2 * pitch_ + j] += f.z;
-        }
-    }
-
     void export_rows(int b) {
         for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
             const T* const from = row_of(b, row);
-            for (int what : {position, seen}) {
-                T* const to = (what == position ? beside_.x : beside_.v).data() + 4 * row * grid_.columns;
-                const T* const x = from + what * pitch_;
-                for (std::int64_t j = 0; j < grid_.columns; j += lanes<T>) {
-                    quad<T> rows[lanes<T>];
-                    together<T>(load(x + j), load(x + pitch_ + j), load(x + 2 * pitch_ + j), rows);
-                    const std::int64_t most = std::min<std::int64_t>(lanes<T>, grid_.columns - j);
-                    for (std::int64_t k = 0; k < most; ++k) store4(to + 4 * (j + k), rows[k]);
-                }
-            }
+            beside_.show(position, row, from + position * pitch_, pitch_);
+            beside_.show(seen, row, from + seen * pitch_, pitch_);
         }
-    }
-    void add_beside(int b, std::int64_t row, T* ring) {
-        const T* const from = (*beside_.shares)[b].f.data() + 4 * row * grid_.columns;
-        for (std::int64_t j = 0; j < grid_.columns; ++j)
-            for (int c = 0; c < 3; ++c) ring[c * pitch_ + j] += from[4 * j + c];
     }
 
     /// A band's outer rows for its neighbours. Two boxes in turn are enough: a band posts for turn n + 2 after its
@@ -344,7 +265,6 @@ private:
     std::vector<Array<T>>&state_, &ring_, &boxes_;
     std::int64_t pitch_, length_, stride_, halo_ = 0;
     int bands_ = 1, levels_ = 1;
-    bool evaluates_ = false;
     std::vector<std::int64_t> border_;
     std::vector<Counter> done_;
     TakeRow<T> whole_ = nullptr, fast_ = nullptr;

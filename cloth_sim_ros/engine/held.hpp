@@ -99,16 +99,33 @@ struct Held {
                                              dot(f, point.speed), damping[grip] * norm2(slip)};
         for (int i = 0; i < booked_numbers; ++i) sums[i] += dt * now[i];
     }
-    /// Poses of all grippers at a run's start and at the middle of each of its steps.
-    std::vector<Pose> poses(double t, double step, std::int64_t steps) const {
-        std::vector<Pose> table;
-        if (!count()) return table;
-        table.reserve(static_cast<std::size_t>((steps + 1) * grippers));
-        for (std::int64_t k = 0; k <= steps; ++k)
-            for (std::int64_t g = 0; g < grippers; ++g)
-                table.push_back(pose_at(paths.data() + g * path_numbers, k ? t + (k - 0.5) * step : t));
-        return table;
+};
+
+/// Poses of grippers at the steps of a run, for one thread: those that it asked for last are kept. A sweep takes no more
+/// steps at a time.
+class Poses {
+public:
+    static constexpr std::int64_t kept = 4;
+
+    Poses(const Held& held, double t, double step) : held_(held), t_(t), step_(step), all_(kept * held.grippers) {}
+    /// At the middle of a step, or with step -1 at the run's start.
+    const Pose& at(std::int64_t gripper, std::int64_t step) {
+        One& one = all_[kept * gripper + (step + 1) % kept];
+        if (one.step != step) {
+            const double t = step < 0 ? t_ : t_ + (step + 0.5) * step_;
+            one = {pose_at(held_.paths.data() + gripper * path_numbers, t), step};
+        }
+        return one.pose;
     }
+
+private:
+    struct One {
+        Pose pose;
+        std::int64_t step = -2;
+    };
+    const Held& held_;
+    double t_, step_;
+    std::vector<One> all_;
 };
 
 }  // namespace cloth

@@ -23,6 +23,8 @@ inline constexpr double most_across = 9.0;
 struct Spring {
     static constexpr int corners = 2, params = 3;
     static constexpr bool own_velocities = false;
+    /// Its force lies along d, see `factor`.
+    static constexpr bool central = true;
     /// k_s [N], k [N/m], c [N s/m].
     template <class V>
     struct Params {

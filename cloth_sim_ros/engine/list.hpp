@@ -1,8 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Lists of springs, hinges or panels on any particles: what a law needs is gathered for a vector of elements at a time,
-// and forces are added one element after the other, so that sums run in one order whatever the vectors' width.
+// Lists of springs, hinges or panels on any particles, and the order in which they are taken.
 #pragma once
 
 #include <algorithm>
@@ -116,101 +115,6 @@ inline typename Law::template Params<V> law_params(const V* numbers, const doubl
     else
         return {splat<V>(T(common[0])), splat<V>(T(common[1])),
                 Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
-}
-
-/// Sums of powers that elements lose and are given, each of every sixteenth element, whatever the vectors' width.
-struct Powers {
-    double lost[16] = {}, given[16] = {};
-    double sum(const double (&parts)[16]) const {
-        double total = 0.0;
-        for (double part : parts) total += part;
-        return total;
-    }
-};
-
-/// Add the forces of all elements at positions x and velocities v to f, all quads by particle; times a factor if Scaled,
-/// and with what they lose and are given if Watched.
-template <class Law, class T, bool Damped, bool Scaled, bool Watched>
-inline void add_forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, T factor,
-                       [[maybe_unused]] Powers* powers) {
-    using V = vec<T>;
-    constexpr int L = lanes<T>, C = Law::corners, given = Law::own_velocities ? C : C - 1;
-    const std::uint32_t* corner[C];
-    for (int c = 0; c < C; ++c) corner[c] = list.corner[c].data();
-    const T* param[3];
-    for (int p = 0; p < Law::params; ++p) param[p] = list.param[p].data();
-    const V scale = splat<V>(factor);
-    const std::int64_t count = list.count;
-    for (std::int64_t e = 0; e < count; e += L) {
-        Vec3<V> d[C - 1], u[C], g[C];
-        quad<T> rows[L];
-        const auto ways = [&](const T* from, int c) CLOTH_INLINED {
-            for (int k = 0; k < L; ++k)
-                rows[k] = load4(from + std::size_t{corner[c][e + k]}) - load4(from + std::size_t{corner[0][e + k]});
-        };
-        for (int c = 1; c < C; ++c) {
-            ways(x, c);
-            apart<T>(rows, d[c - 1].x, d[c - 1].y, d[c - 1].z);
-            if constexpr (Damped && !Law::own_velocities) {
-                ways(v, c);
-                apart<T>(rows, u[c - 1].x, u[c - 1].y, u[c - 1].z);
-            }
-        }
-        if constexpr (Law::own_velocities)
-            for (int c = 0; c < C; ++c) {
-                for (int k = 0; k < L; ++k) rows[k] = load4(v + std::size_t{corner[c][e + k]});
-                apart<T>(rows, u[c].x, u[c].y, u[c].z);
-            }
-        V numbers[3];
-        for (int p = 0; p < Law::params; ++p) numbers[p] = load(param[p] + e);
-        const auto params = law_params<Law, V>(numbers, common);
-        Law::force(params, d, u, g, Damped);
-        if constexpr (Watched && Damped) {
-            const V lost = scale * Law::lost(params, d, u);
-            for (int k = 0; k < L; ++k) powers->lost[(e + k) & 15] += static_cast<double>(lost[k]);
-            if constexpr (Law::own_velocities) {
-                const V given_ = scale * Law::given(params, d, u);
-                for (int k = 0; k < L; ++k) powers->given[(e + k) & 15] += static_cast<double>(given_[k]);
-            }
-        }
-        quad<T> out[C][L];
-        for (int c = 0; c < given; ++c) {
-            const Vec3<V> s = Scaled ? scale * g[c] : g[c];
-            together<T>(s.x, s.y, s.z, out[Law::own_velocities ? c : c + 1]);
-        }
-        for (int k = 0; k < L; ++k) {
-            if constexpr (!Law::own_velocities) {
-                out[0][k] = -out[1][k];
-                for (int c = 2; c < C; ++c) out[0][k] = out[0][k] - out[c][k];
-            }
-            for (int c = 0; c < C; ++c) {
-                T* const to = f + std::size_t{corner[c][e + k]};
-                store4(to, load4(to) + out[c][k]);
-            }
-        }
-    }
-}
-
-template <class T>
-inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor,
-                       Powers* powers) {
-    with_law(list.kind, [&](auto law) {
-        using Law = decltype(law);
-        const auto add = [&](auto damped, auto scaled, auto watched) {
-            add_forces<Law, T, damped.value, scaled.value, watched.value>(taken, list.common, x, v, f, factor, powers);
-        };
-        constexpr std::true_type yes;
-        constexpr std::false_type no;
-        const bool damped = Law::own_velocities || list.damped;
-        if (powers && damped)
-            add(yes, yes, yes);
-        else if (factor != T(1))
-            add(yes, yes, no);
-        else if (damped)
-            add(yes, no, no);
-        else if constexpr (!Law::own_velocities)
-            add(no, no, no);
-    });
 }
 
 /// What a law says of one element of a list at x and v, (3, n) by component: its corners seen as laws see them.

@@ -5,7 +5,7 @@
 // which neighbours are close. Each thread has its own particles, and takes all elements that touch them.
 #pragma once
 
-#include "plan.hpp"
+#include "beside.hpp"
 #include "threads.hpp"
 
 namespace cloth {
@@ -17,9 +17,10 @@ public:
     ListRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), beside_(plan, run), velocity_(plan.room<T>().more[0]),
           before_(plan.room<T>().more[1]), carry_(plan.room<T>().more[2]) {
-        threads_ = beside_.parallel() ? static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count)) : 1;
+        threads_ = beside_.whole() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         beside_.make(borders_);
+        beside_.hold(threads_);
         const std::int64_t n = plan.count;
         velocity_.assign(4 * n, T(0));
         before_.assign(4 * n, T(0));
@@ -32,7 +33,11 @@ public:
                 if (!Evaluate) velocity_[at] = beside_.v[at];
             }
         inverse_.resize(n);
-        for (std::int64_t i = 0; i < n; ++i) inverse_[plan.rank[i]] = static_cast<T>(plan.inverse[i]);
+        free_.resize(n);
+        for (std::int64_t i = 0; i < n; ++i) {
+            inverse_[plan.rank[i]] = static_cast<T>(plan.inverse[i]);
+            free_[plan.rank[i]] = plan.inverse[i] > 0.0 ? T(1) : T(0);
+        }
     }
 
     Done go() {
@@ -67,34 +72,36 @@ private:
             const std::int64_t place = plan_.rank[plan_.held.particle[grip]];
             if (place < borders_[own] || place >= borders_[own + 1]) continue;
             const T *const x = beside_.x.data() + 4 * place, *const v = beside_.v.data() + 4 * place;
-            const Vec3<T> pull = beside_.pull(grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
+            const Vec3<T> pull = beside_.pull(own, grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
             f[4 * place] += pull.x, f[4 * place + 1] += pull.y, f[4 * place + 2] += pull.z;
         }
         return Done::well;
     }
     void move(std::int64_t step, int own) {
-        const T* const f = (*beside_.shares)[own].f.data();
+        // Asked for once: what is stored in the loop might be one of these addresses, as far as the compiler knows.
+        const T *const f = (*beside_.shares)[own].f.data(), *const inverse = inverse_.data(), *const free = free_.data();
+        T *const place = beside_.x.data(), *const seen = beside_.v.data();
+        T *const velocity = velocity_.data(), *const before = before_.data(), *const carry = carry_.data();
         const quad<T> push{T(plan_.push(0)), T(plan_.push(1)), T(plan_.push(2)), T(0)};
         const Motion<T> m = Evaluate ? evaluation<T> : motion_of<T>(run_, step);
-        const auto all = [](T a) { return quad<T>{a, a, a, T(0)}; };
+        const auto all = [](T a) { return quad<T>{a, a, a, a}; };
         const quad<T> kick = all(m.kick), now = all(m.now), earlier = all(m.before), drift = all(m.drift);
         const quad<T> drag = all(static_cast<T>(-plan_.drag));
-        T *const place = beside_.x.data(), *const seen = beside_.v.data();
-        for (std::int64_t i = 4 * borders_[own]; i < 4 * borders_[own + 1]; i += 4) {
-            const T mass = inverse_[i / 4];
+        for (std::int64_t p = borders_[own]; p < borders_[own + 1]; ++p) {
+            const std::int64_t i = 4 * p;
             const quad<T> field = fma(drag, load4(seen + i), push);
-            const quad<T> a = fma(all(mass > T(0) ? T(1) : T(0)), field, all(mass) * load4(f + i));
-            const quad<T> v = fma(kick, a, load4(velocity_.data() + i));
-            store4(velocity_.data() + i, v);
-            store4(seen + i, quad<T>(fma(now, a, fma(earlier, load4(before_.data() + i), v))));
-            store4(before_.data() + i, a);
+            const quad<T> a = fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
+            const quad<T> v = fma(kick, a, load4(velocity + i));
+            store4(velocity + i, v);
+            store4(seen + i, quad<T>(fma(now, a, fma(earlier, load4(before + i), v))));
+            store4(before + i, a);
             const quad<T> x = load4(place + i);
             if constexpr (sizeof(T) == 8) {
                 store4(place + i, fma(drift, v, x));
             } else {
                 // Kahan's sum: the position carries what rounding takes from it.
-                const quad<T> way = fma(drift, v, load4(carry_.data() + i)), end = x + way;
-                store4(carry_.data() + i, quad<T>(way - (end - x)));
+                const quad<T> way = fma(drift, v, load4(carry + i)), end = x + way;
+                store4(carry + i, quad<T>(way - (end - x)));
                 store4(place + i, end);
             }
         }
@@ -117,7 +124,7 @@ private:
     Array<T>&velocity_, &before_, &carry_;
     int threads_ = 1;
     std::vector<std::int64_t> borders_;
-    std::vector<T> inverse_;
+    std::vector<T> inverse_, free_;  ///< 1/m, and one for free particles
 };
 
 template <class T>

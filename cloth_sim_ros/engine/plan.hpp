@@ -16,7 +16,6 @@ namespace cloth {
 /// are asked for, to the powers that damping takes and that else is given [W]. Other than 0 ends the run.
 using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
 
-/// What runs write into, kept from one to the next: memory that is new costs more than a short run.
 /// Particles that one thread looks after, and the listed elements that touch them: those at a border are taken by both
 /// sides, so that every particle's sum runs in one order.
 template <class T>
@@ -26,10 +25,11 @@ struct Share {
     std::vector<Elements<T>> lists;
     Array<T> f;
 };
+/// What runs write into, kept from one to the next: memory that is new costs more than a short run.
 template <class T>
 struct Rooms {
     std::vector<Array<T>> state, ring, boxes;
-    Array<T> quads[2], more[3];
+    Array<T> quads[2], more[3], window;
     std::vector<Share<T>> shares;
 };
 
@@ -159,100 +159,6 @@ inline double weak_factor(const Run& run, std::int64_t step) {
     return step == 0 || step == run.steps - 1 ? 1.5 : 2.0;
 }
 inline double middle_of(const Run& run, std::int64_t step) { return step < 0 ? run.t : run.t + (step + 0.5) * run.step; }
-
-/// Powers that a sheet's damping and drag take and that wind gives at x and v, (3, n); lists and joints of grippers aside.
-void other_powers(const Plan& plan, const double* x, const double* v, double& lost, double& given);
-
-/// What a run keeps between its steps of the parts that are not a sheet's own springs: particles as quads.
-template <class T>
-struct Beside {
-    Plan& plan;
-    const Run& run;
-    double origin[3] = {};
-    Array<T>&x, &v;                  ///< positions and velocities that damping sees, a quad a particle
-    std::vector<Share<T>>* shares = nullptr;  ///< with the forces
-    std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
-    std::vector<Pose> poses;
-    std::vector<double> grips;  ///< (grips, booked_numbers)
-
-    Beside(Plan& plan, const Run& run)
-        : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
-        if constexpr (sizeof(T) == 4)
-            for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
-        poses = plan.held.poses(run.t, run.step, run.steps);
-        grips.assign(plan.held.count() * booked_numbers, 0.0);
-    }
-    bool needed() const { return !plan.lists.empty() || plan.callback || run.powers; }
-    /// Whether several threads may take part.
-    bool parallel() const { return !plan.callback && !run.powers; }
-    void make(const std::vector<std::int64_t>& borders) {
-        shares = &plan.shares<T>(borders);
-        x.assign(4 * (plan.count + 1), T(0));
-        v.assign(4 * (plan.count + 1), T(0));
-        if (plan.callback || run.powers) {
-            ox.resize(3 * plan.count);
-            ov.resize(3 * plan.count);
-            of.resize(3 * plan.count);
-        }
-    }
-    /// Forces of lists and of the caller on a share's particles at step `step`, in its f; powers booked.
-    Done forces(std::int64_t step, int number) {
-        Share<T>& share = (*shares)[number];
-        T* const f = share.f.data();
-        std::fill(f + 4 * share.low, f + 4 * share.high, T(0));
-        std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
-        const T weak = static_cast<T>(weak_factor(run, step));
-        const bool booked = run.powers && step >= 0;
-        Powers seen;
-        for (std::size_t k = 0; k < share.lists.size(); ++k) {
-            const T factor = plan.lists[k].weak ? weak : T(1);
-            if (factor != T(0)) add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, factor, booked ? &seen : nullptr);
-        }
-        if (!plan.callback && !run.powers) return Done::well;
-        const std::int64_t n = plan.count;
-        for (int c = 0; c < 3; ++c)
-            for (std::int64_t i = 0; i < n; ++i) {
-                const std::int64_t at = 4 * plan.rank[i] + c;
-                ox[c * n + i] = origin[c] + static_cast<double>(x[at]);
-                ov[c * n + i] = static_cast<double>(v[at]);
-            }
-        double now[2] = {seen.sum(seen.lost), seen.sum(seen.given)};
-        if (plan.callback) {
-            std::fill(of.begin(), of.end(), 0.0);
-            double* const asked = booked ? now : nullptr;
-            if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data(), asked)) return Done::callback_failed;
-        }
-        if (booked) {
-            other_powers(plan, ox.data(), ov.data(), now[0], now[1]);
-            run.powers[0] += run.step * now[0];
-            run.powers[1] += run.step * now[1];
-        }
-        if (!plan.callback) return Done::well;
-        for (int c = 0; c < 3; ++c)
-            for (std::int64_t i = 0; i < n; ++i) f[4 * plan.rank[i] + c] += static_cast<T>(of[c * n + i]);
-        return Done::well;
-    }
-    /// Force on the particle of a grip at step `step`, from its place and velocity as the run keeps them.
-    Vec3<T> pull(std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool book) {
-        const Held& held = plan.held;
-        const Vec3<double> at{origin[0] + x_.x, origin[1] + x_.y, origin[2] + x_.z};
-        const Vec3<double> moving{double(v_.x), double(v_.y), double(v_.z)};
-        const auto point = held.point(poses[(step + 1) * held.grippers + held.gripper[grip]], grip);
-        const Vec3<double> force = held.force(grip, point, at, moving);
-        if (book && step >= 0) {
-            // Each grip for itself, in its own sum: threads book in any order.
-            held.book(grips.data() + grip * booked_numbers, grip, point, force, moving, run.step);
-        }
-        return {T(force.x), T(force.y), T(force.z)};
-    }
-    /// Sum up what was booked, in order of the grips.
-    void finish() {
-        if (!run.booked) return;
-        for (std::int64_t grip = 0; grip < plan.held.count(); ++grip)
-            for (int k = 0; k < booked_numbers; ++k)
-                run.booked[plan.held.gripper[grip] * booked_numbers + k] += grips[grip * booked_numbers + k];
-    }
-};
 
 /// A number at the end of a run: in single precision what changed is added to what it was.
 template <class T>

@@ -38,6 +38,11 @@ template <class T>
 using vec = typename Wide<T>::type;
 template <class T>
 inline constexpr int lanes = Wide<T>::lanes;
+/// No wider than so many bytes.
+template <class T, int Most>
+struct Narrow {
+    typedef T type __attribute__((vector_size(Most < CLOTH_VECTOR_BYTES ? Most : CLOTH_VECTOR_BYTES)));
+};
 
 template <class T>
 struct Four {
@@ -71,15 +76,23 @@ CLOTH_INLINE V splat(scalar<V> a) {
         return a - V{};  // a - 0 is a, signed zeros included
 }
 
-template <class T>
-CLOTH_INLINE vec<T> load(const T* from) {
-    vec<T> to;
+template <class V>
+CLOTH_INLINE V load_as(const scalar<V>* from) {
+    V to;
     std::memcpy(&to, from, sizeof to);
     return to;
 }
+template <class V>
+CLOTH_INLINE void store_as(scalar<V>* to, V from) {
+    std::memcpy(to, &from, sizeof from);
+}
+template <class T>
+CLOTH_INLINE vec<T> load(const T* from) {
+    return load_as<vec<T>>(from);
+}
 template <class T>
 CLOTH_INLINE void store(T* to, vec<T> from) {
-    std::memcpy(to, &from, sizeof from);
+    store_as(to, from);
 }
 template <class T>
 CLOTH_INLINE quad<T> load4(const T* from) {
@@ -202,13 +215,14 @@ CLOTH_INLINE void transpose(V& a, V& b, V& c, V& d) {
 }
 
 /// Rows k, k + 4, k + 8, ... side by side.
-template <class T>
-CLOTH_INLINE vec<T> beside(const quad<T>* rows, int k) {
-    if constexpr (lanes<T> == 4) {
+template <class V>
+CLOTH_INLINE V beside(const quad<scalar<V>>* rows, int k) {
+    constexpr int L = sizeof(V) / sizeof(scalar<V>);
+    if constexpr (L == 4) {
         return rows[k];
     } else {
         const auto two = __builtin_shufflevector(rows[k], rows[k + 4], 0, 1, 2, 3, 4, 5, 6, 7);
-        if constexpr (lanes<T> == 8) {
+        if constexpr (L == 8) {
             return two;
         } else {
             const auto more = __builtin_shufflevector(rows[k + 8], rows[k + 12], 0, 1, 2, 3, 4, 5, 6, 7);
@@ -217,29 +231,29 @@ CLOTH_INLINE vec<T> beside(const quad<T>* rows, int k) {
     }
 }
 
-template <class T>
-CLOTH_INLINE void apart(const quad<T>* rows, vec<T>& x, vec<T>& y, vec<T>& z) {
-    if constexpr (lanes<T> == 2) {
-        x = vec<T>{rows[0][0], rows[1][0]};
-        y = vec<T>{rows[0][1], rows[1][1]};
-        z = vec<T>{rows[0][2], rows[1][2]};
+template <class V>
+CLOTH_INLINE void apart(const quad<scalar<V>>* rows, V& x, V& y, V& z) {
+    if constexpr (sizeof(V) == 2 * sizeof(scalar<V>)) {
+        x = V{rows[0][0], rows[1][0]};
+        y = V{rows[0][1], rows[1][1]};
+        z = V{rows[0][2], rows[1][2]};
     } else {
-        vec<T> none = beside<T>(rows, 3);
-        x = beside<T>(rows, 0);
-        y = beside<T>(rows, 1);
-        z = beside<T>(rows, 2);
+        V none = beside<V>(rows, 3);
+        x = beside<V>(rows, 0);
+        y = beside<V>(rows, 1);
+        z = beside<V>(rows, 2);
         transpose(x, y, z, none);
     }
 }
 
-template <class T>
-CLOTH_INLINE void together(vec<T> x, vec<T> y, vec<T> z, quad<T>* rows) {
-    constexpr int L = lanes<T>;
+template <class V>
+CLOTH_INLINE void together(V x, V y, V z, quad<scalar<V>>* rows) {
+    constexpr int L = sizeof(V) / sizeof(scalar<V>);
     if constexpr (L == 2) {
-        rows[0] = quad<T>{x[0], y[0], z[0], 0};
-        rows[1] = quad<T>{x[1], y[1], z[1], 0};
+        rows[0] = quad<scalar<V>>{x[0], y[0], z[0], 0};
+        rows[1] = quad<scalar<V>>{x[1], y[1], z[1], 0};
     } else {
-        vec<T> four[4] = {x, y, z, vec<T>{}};
+        V four[4] = {x, y, z, V{}};
         transpose(four[0], four[1], four[2], four[3]);
         for (int k = 0; k < 4; ++k) {
             rows[k] = __builtin_shufflevector(four[k], four[k], 0, 1, 2, 3);

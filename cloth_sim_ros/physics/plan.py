@@ -3,10 +3,8 @@
 """From a model to numbers: `compile(model)` gives the plan that integrators, the node and the tests all use.
 
 A plan is a list of parts (a grid's springs, listed springs and hinges, panels, held particles, what acts on every
-particle
-alike, and forces in numpy), whose forces, bounds, energies and costs add up. Which parts there are follows from the
-model
-alone.
+particle alike, and forces in numpy), whose forces, bounds, energies and costs add up. Which parts there are follows
+from the model alone.
 """
 
 from __future__ import annotations
@@ -28,6 +26,7 @@ from cloth_sim_ros.engine.binding import (
     MOST_RUNS,
     PATH_NUMBERS,
     Frame,
+    address,
     check,
     doubles,
     finite,
@@ -97,6 +96,9 @@ class Plan:
             # Kept: ctypes does not.
             self._callback = CALLBACK(_caller(weakref.ref(self)))
             check(self._library.cloth_plan_callback(self._handle, self._callback))
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TypeError("a plan owns memory of the engine, and can't be copied or pickled; compile its model once more")
 
     # What follows is called in every frame.
 
@@ -210,7 +212,7 @@ class Plan:
         frame.t, frame.duration, frame.runs = t, duration, count
         frame.narrow, frame.alternate, frame.powers, frame.bands = narrow, alternate, powers, self._threads(threads)
         frame.x0, frame.v0 = doubles("x", x0, self._shape), doubles("v", v0, self._shape)
-        frame.out, frame.notes = out.ctypes.data, notes.ctypes.data
+        frame.out, frame.notes = address(out), address(notes)
         frame.result = frame.told = None
         result = out[0]
         if weights is not None:
@@ -218,7 +220,7 @@ class Plan:
             frame.told = ctypes.addressof(self._told)
             if count > 1:
                 result = np.empty((2, 3, n))
-                frame.result = result.ctypes.data
+                frame.result = address(result)
         self._checked(self._library.cloth_frame(self._handle, self._frame_at))
         grips = notes[:, :noted].reshape(count, -1, BOOKED_NUMBERS)
         runs = [Run(out[k, 0], out[k, 1], grips[k], notes[k, noted:]) for k in range(count)]
@@ -235,7 +237,7 @@ class Plan:
             self._gridded and self._gridded.rows < 16
         ):
             return 1
-        return min(2, _cores())
+        return min(2, len(os.sched_getaffinity(0)))
 
     @one_at_a_time
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
@@ -253,15 +255,15 @@ class Plan:
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
         self._sync()
-        address, stiff, damped, blocks = doubles("x", x, self._shape), None, None, None
+        place, stiff, damped = doubles("x", x, self._shape), None, None
         if self._own:
             blocks = np.zeros((2, 6, self.model.particle_count))
             for force in self._own:
                 force.add_stiffness(x, blocks[0])
                 force.add_damping(x, blocks[1])
-            stiff, damped = blocks[0].ctypes.data, blocks[1].ctypes.data
+            stiff, damped = address(blocks[0]), address(blocks[1])
         out = np.empty(2)
-        check(self._library.cloth_rates(self._handle, address, stiff, damped, out.ctypes.data))
+        check(self._library.cloth_rates(self._handle, place, stiff, damped, address(out)))
         return float(out[0]), float(out[1])
 
     def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
@@ -269,7 +271,7 @@ class Plan:
         self._sync()
         out = np.empty(2)
         speed = None if v is None else doubles("v", v, self._shape)
-        check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), speed, out.ctypes.data))
+        check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), speed, address(out)))
         return float(out[0]), sum((force.energy(t, x) for force in self._own), float(out[1]))
 
     def energy(self, t: float, x: Array, v: Array) -> float:
@@ -281,7 +283,7 @@ class Plan:
         """Return the powers that damping takes and that moving air gives [W]; the joints of grippers aside."""
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        check(self._library.cloth_powers(self._handle, *addresses, out.ctypes.data))
+        check(self._library.cloth_powers(self._handle, *addresses, address(out)))
         lost = sum((force.dissipation(t, x, v) for force in self._own), float(out[0]))
         return lost, sum((force.supply(t, x, v) for force in self._own), float(out[1]))
 
@@ -340,8 +342,8 @@ class Plan:
         if not 0 <= number < len(self._pair_counts) or self._pair_counts[number] != count:
             raise ValueError(f"list {number} of {count} springs or joints; the plan has lists of {self._pair_counts}")
         out = np.empty((count, 6))
-        address = doubles("x", x, self._shape)
-        check(self._library.cloth_pair_blocks(self._handle, number, address, stiffness, damping, out.ctypes.data))
+        place = doubles("x", x, self._shape)
+        check(self._library.cloth_pair_blocks(self._handle, number, place, stiffness, damping, out.ctypes.data))
         return out
 
     def steady(self) -> bool:
@@ -394,7 +396,3 @@ def _caller(plan: weakref.ref[Plan]) -> Any:
         return 1 if alive is None else alive.call_own(t, x, v, f, powers)
 
     return call
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0))

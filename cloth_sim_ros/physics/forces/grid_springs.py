@@ -75,9 +75,10 @@ class GridSprings(EngineForce):
     @cached_property
     def listed(self) -> PairSprings:
         """The same springs as a list, made when it is first asked for."""
-        pairs, numbers = zip(*(self._of(family) for family in self.families), strict=True)
-        every = np.concatenate(numbers)
-        return PairSprings(np.concatenate(pairs), every[:, 0], every[:, 1], every[:, 2], name=self.name, weak=self.weak)
+        found = [self._of(family) for family in self.families]
+        pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)])
+        every = np.concatenate([np.empty((0, 3)), *(numbers for _, numbers in found)])
+        return PairSprings(pairs, every[:, 0], every[:, 1], every[:, 2], name=self.name, weak=self.weak)
 
     @property
     def pairs(self) -> NDArray[np.int64]:

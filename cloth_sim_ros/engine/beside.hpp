@@ -1,0 +1,147 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What acts in a run beside a sheet's own springs: listed elements, forces of the caller's own, grippers.
+#pragma once
+
+#include "list_forces.hpp"
+#include "plan.hpp"
+
+namespace cloth {
+
+/// Powers that a sheet's damping and drag take and that wind gives at x and v, (3, n); lists and joints of grippers aside.
+void other_powers(const Plan& plan, const double* x, const double* v, double& lost, double& given);
+
+/// What a run keeps of it between its steps.
+template <class T>
+struct Beside {
+    Plan& plan;
+    const Run& run;
+    double origin[3] = {};
+    Array<T>&x, &v;                  ///< positions and velocities that damping sees, a quad a particle
+    std::vector<Share<T>>* shares = nullptr;  ///< with the forces
+    std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
+    std::vector<Poses> poses;        ///< of each thread
+    std::vector<double> grips;       ///< (grips, booked_numbers)
+
+    Beside(Plan& plan, const Run& run) : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
+        if constexpr (sizeof(T) == 4)
+            for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
+        grips.assign(plan.held.count() * booked_numbers, 0.0);
+    }
+    bool needed() const { return !plan.lists.empty() || whole(); }
+    /// Whether something asks for all positions at once, so that one thread works.
+    bool whole() const { return plan.callback || run.powers; }
+    void hold(int threads) {
+        for (int k = 0; plan.held.count() && k < threads; ++k) poses.emplace_back(plan.held, run.t, run.step);
+    }
+    void make(const std::vector<std::int64_t>& borders) {
+        shares = &plan.shares<T>(borders);
+        x.assign(4 * (plan.count + 1), T(0));
+        v.assign(4 * (plan.count + 1), T(0));
+        if (whole()) {
+            ox.resize(3 * plan.count);
+            ov.resize(3 * plan.count);
+            of.resize(3 * plan.count);
+        }
+    }
+    /// Forces of lists and of the caller on a share's particles at step `step`, in its f; powers booked.
+    Done forces(std::int64_t step, int number) {
+        Share<T>& share = (*shares)[number];
+        T* const f = share.f.data();
+        std::fill(f + 4 * share.low, f + 4 * share.high, T(0));
+        std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
+        const T weak = static_cast<T>(weak_factor(run, step));
+        const bool booked = run.powers && step >= 0;
+        Powers seen;
+        for (std::size_t k = 0; k < share.lists.size(); ++k) {
+            const T factor = plan.lists[k].weak ? weak : T(1);
+            if (factor != T(0))
+                add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, factor, booked ? &seen : nullptr);
+        }
+        return whole() ? asked(step, f, booked, seen) : Done::well;
+    }
+    Done asked(std::int64_t step, T* f, bool booked, const Powers& seen) {
+        const std::int64_t n = plan.count;
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < n; ++i) {
+                const std::int64_t at = 4 * plan.rank[i] + c;
+                ox[c * n + i] = origin[c] + static_cast<double>(x[at]);
+                ov[c * n + i] = static_cast<double>(v[at]);
+            }
+        double now[2] = {seen.sum(seen.lost), seen.sum(seen.given)};
+        if (plan.callback) {
+            std::fill(of.begin(), of.end(), 0.0);
+            double* const powers = booked ? now : nullptr;
+            if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data(), powers)) return Done::callback_failed;
+        }
+        if (booked) {
+            other_powers(plan, ox.data(), ov.data(), now[0], now[1]);
+            run.powers[0] += run.step * now[0];
+            run.powers[1] += run.step * now[1];
+        }
+        if (!plan.callback) return Done::well;
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < n; ++i) f[4 * plan.rank[i] + c] += static_cast<T>(of[c * n + i]);
+        return Done::well;
+    }
+    /// Take positions or velocities of a sheet's row in, components `pitch` numbers apart.
+    void show(Slot what, std::int64_t row, const T* from, std::int64_t pitch) {
+        const std::int64_t columns = plan.grid->columns;
+        T* const to = (what == position ? x : v).data() + 4 * row * columns;
+        for (std::int64_t j = 0; j < columns; j += lanes<T>) {
+            quad<T> rows[lanes<T>];
+            together(load(from + j), load(from + pitch + j), load(from + 2 * pitch + j), rows);
+            const std::int64_t most = std::min<std::int64_t>(lanes<T>, columns - j);
+            for (std::int64_t k = 0; k < most; ++k) store4(to + 4 * (j + k), rows[k]);
+        }
+    }
+    /// Add what grippers, lists and the caller do to a sheet's row to its forces in the ring.
+    void add_row(int thread, std::int64_t row, std::int64_t step, const RowPlace<T>& at, bool book) {
+        const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
+        T* const ring = at.ring[0];
+        const auto& particles = plan.held.particle;
+        auto place = particles.empty() ? particles.end() : std::lower_bound(particles.begin(), particles.end(), first);
+        for (; place != particles.end() && *place < last; ++place) {
+            const std::int64_t j = *place - first;
+            const T *const here = at.row[0] + position * at.pitch + j, *const moving = at.row[0] + seen * at.pitch + j;
+            const Vec3<T> f = pull(thread, place - particles.begin(), step, {here[0], here[at.pitch], here[2 * at.pitch]},
+                                   {moving[0], moving[at.pitch], moving[2 * at.pitch]}, book);
+            ring[j] += f.x, ring[at.pitch + j] += f.y, ring[2 * at.pitch + j] += f.z;
+        }
+        if (!needed()) return;
+        const T* const from = (*shares)[thread].f.data() + 4 * first;
+        std::int64_t j = 0;
+        for (; j + lanes<T> <= columns; j += lanes<T>) {
+            quad<T> rows[lanes<T>];
+            for (int k = 0; k < lanes<T>; ++k) rows[k] = load4(from + 4 * (j + k));
+            vec<T> f[3];
+            apart(rows, f[0], f[1], f[2]);
+            for (int c = 0; c < 3; ++c) store_as(ring + c * at.pitch + j, load(ring + c * at.pitch + j) + f[c]);
+        }
+        for (; j < columns; ++j)
+            for (int c = 0; c < 3; ++c) ring[c * at.pitch + j] += from[4 * j + c];
+    }
+    /// Force on the particle of a grip at step `step`, from its place and velocity as the run keeps them.
+    Vec3<T> pull(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool book) {
+        const Held& held = plan.held;
+        const Vec3<double> at{origin[0] + x_.x, origin[1] + x_.y, origin[2] + x_.z};
+        const Vec3<double> moving{double(v_.x), double(v_.y), double(v_.z)};
+        const auto point = held.point(poses[thread].at(held.gripper[grip], step), grip);
+        const Vec3<double> force = held.force(grip, point, at, moving);
+        if (book && step >= 0) {
+            // Each grip for itself, in its own sum: threads book in any order.
+            held.book(grips.data() + grip * booked_numbers, grip, point, force, moving, run.step);
+        }
+        return {T(force.x), T(force.y), T(force.z)};
+    }
+    /// Sum up what was booked, in order of the grips.
+    void finish() {
+        if (!run.booked) return;
+        for (std::int64_t grip = 0; grip < plan.held.count(); ++grip)
+            for (int k = 0; k < booked_numbers; ++k)
+                run.booked[plan.held.gripper[grip] * booked_numbers + k] += grips[grip * booked_numbers + k];
+    }
+};
+
+}  // namespace cloth
