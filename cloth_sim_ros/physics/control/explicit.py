@@ -275,6 +275,8 @@ class ExplicitAdvance:
         if not accepted or choice.refine > 1.0:
             aim = CONSTANTS.aim * rule.budget * passed
             while len(errors) < self._options.columns and sums.error + errors[-1] > aim:
+                if self._evaluations + columns.evaluations + columns.counts[len(errors) + 1] > self._cap:
+                    break
                 errors.append(columns.difference(len(errors) + 1))
         if not accepted:
             # A combination of more runs that are there already may do.
