@@ -20,8 +20,9 @@ _STILL = 1e-9
 if os.environ.get("NUMBA_CPU_NAME"):
     # That names a processor without AVX-512; the tree asks the machine itself, too, how wide its vectors are.
     _llvm: Any = importlib.import_module("llvmlite.binding")
-    _machine = _llvm.get_host_cpu_features()
-    _llvm.get_host_cpu_features = lambda: {k: on and not k.startswith("avx512") for k, on in _machine.items()}
+    _features = _llvm.get_host_cpu_features()
+    _features.update({name: False for name in _features if name.startswith("avx512")})
+    _llvm.get_host_cpu_features = lambda: _features
 
 
 def _old(module: str) -> Any:

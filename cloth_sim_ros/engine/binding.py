@@ -157,13 +157,14 @@ def check(status: int) -> None:
         raise EngineError(_TROUBLES.get(status, f"the engine answered {status}"))
 
 
-_DOUBLE, _LONG, _BYTE = np.dtype(np.float64), np.dtype(np.int64), ctypes.c_char
+_DOUBLE, _ARRAY = np.dtype(np.float64), np.ndarray
+# Together a third of what `array.ctypes.data` takes.
+_addressof, _from_buffer = ctypes.addressof, ctypes.c_char.from_buffer
 
 
 def address(array: Any) -> int:
     """Return where the numbers of an array are that is C-contiguous, can be written and has some."""
-    # A third of what `array.ctypes.data` takes.
-    return ctypes.addressof(_BYTE.from_buffer(array))
+    return _addressof(_from_buffer(array))
 
 
 def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:

@@ -76,7 +76,9 @@ private:
             for (; j + lanes<T> <= grid_.columns; j += lanes<T>) store(to + j, load(from + j));
             for (; j < grid_.columns; ++j) to[j] = from[j];
         }
-        for (; j < pitch_; ++j) to[j] = T(0);
+        // Whole vectors cover a pitch; those that begin in the row end in it or are filled one by one.
+        for (; j % lanes<T>; ++j) to[j] = T(0);
+        for (; j < pitch_; j += lanes<T>) store(to + j, vec<T>{});
     }
 
     Plan& plan_;
