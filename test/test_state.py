@@ -210,7 +210,7 @@ def test_a_broken_memory_of_step_control_is_refused(name, change, words):
         State.from_bytes(archive(arrays))
 
 
-@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (6, 0.9)])
+@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (7, 0.9)])
 def test_senseless_numbers_of_step_control_are_refused(place, value):
     arrays = stepped()
     arrays["memory.control.error"][place] = value

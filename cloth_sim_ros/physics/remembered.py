@@ -89,8 +89,9 @@ class Error(Remembered):
     interval: float = number(1.0, least=1.0)
     #: Error of a part when last judged [m].
     error: float = number(0.0, least=0.0)
-    #: That error relative to the difference of the last two combinations.
+    #: That error relative to the difference of the last two combinations, and that difference [m].
     ratio: float = number(1.0, least=0.0)
+    difference: float = number(0.0, least=0.0)
     #: What predictions are multiplied by: how far they were off lately.
     margin: float = number(1.0, least=1.0)
     #: Largest change of a velocity over the part that was judged [m/s]: how violent it was.

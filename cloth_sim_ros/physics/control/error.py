@@ -40,6 +40,8 @@ class Sums:
     before: float = 0.0
     #: Largest change of a velocity over a part [m/s].
     activity: float = 0.0
+    #: Number of parts.
+    parts: int = 0
 
     def add(self, errors: Sequence[float], columns: int, predicted: float, activity: float) -> None:
         """Add a part that was judged."""
@@ -48,6 +50,7 @@ class Sums:
         self.error += errors[columns - 1]
         self.predicted += predicted
         self.activity = max(self.activity, activity)
+        self.parts += 1
 
 
 class ErrorRule:
@@ -80,7 +83,9 @@ class ErrorRule:
         """
         memory = self.memory
         if columns > 1:
-            return memory.margin * memory.ratio * difference
+            # Where combinations part more, they gain less on one another: at a kink of a force nothing.
+            parted = max(1.0, difference / memory.difference) if memory.difference else float("inf")
+            return min(1.0, memory.margin * memory.ratio * parted) * difference
         # A difference of one frame says nothing of the next but that both are of one kind of motion.
         livelier = max(1.0, activity / memory.activity) if memory.activity else float("inf")
         return memory.margin * max(memory.error, self.floor(1)) * power(livelier, _LIVELIER)
@@ -121,6 +126,7 @@ class ErrorRule:
         if wanted > 1:
             before, here = errors[wanted - 2], errors[wanted - 1]
             memory.ratio = min(1.0, here / before * scaled) if before > self.floor(wanted - 1) else 1.0
+            memory.difference = max(before, self.floor(wanted - 1)) * power(scaled, wanted) / sums.parts
         trusted = far or (known and off <= CONSTANTS.trust) or error <= self.floor(columns)
         memory.margin = 1.0 if far else max(1.0, 0.5 * memory.margin, min(off, 1e3) if known else 1.0)
         longest = 4.0 * CONSTANTS.wait if far and finer == 1.0 else CONSTANTS.wait
