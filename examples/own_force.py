@@ -1,0 +1,57 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A force of one's own in numpy: a soft floor at z = 0 that pushes back what sinks into it."""
+
+import numpy as np
+
+from cloth_sim_ros import Drag, Force, Gravity, Model, PairSprings, State, simulate
+
+
+class Floor(Force):
+    """f_z = -k z - c v_z on particles below z = 0; k [N/m] and c [N s/m] a particle."""
+
+    name = "floor"
+    damped = True
+
+    def __init__(self, stiffness: float, damping: float) -> None:
+        """Keep the coefficients."""
+        self.k, self.c = stiffness, damping
+
+    def add_force(self, t, x, v, f):
+        """All arrays are (3, n): f += force [N]."""
+        f[2] += np.where(x[2] < 0.0, -self.k * x[2] - self.c * v[2], 0.0)
+
+    def energy(self, t, x):
+        """Return the energy whose negative gradient is the elastic part of the force."""
+        below = np.minimum(x[2], 0.0)
+        return float(0.5 * self.k * (below * below).sum())
+
+    def dissipation(self, t, x, v):
+        """Return the power that the damping takes [W]."""
+        return float(self.c * (v[2] * v[2])[x[2] < 0.0].sum())
+
+    def add_stiffness(self, x, blocks):
+        """Tell the stiffness, so that the step is chosen for it: row 2 of the six is zz."""
+        blocks[2] += np.where(x[2] < 0.05, self.k, 0.0)  # also just above: a particle may get there within a step
+
+    def add_damping(self, x, blocks):
+        """The same for the damping."""
+        blocks[2] += np.where(x[2] < 0.05, self.c, 0.0)
+
+
+def main() -> None:
+    """Drop a string of beads on the floor."""
+    count, mass = 20, 0.01
+    x = np.zeros((count, 3))
+    x[:, 0], x[:, 2] = np.linspace(0.0, 1.0, count), 0.3
+    springs = PairSprings(np.stack([np.arange(count - 1), np.arange(1, count)], axis=1), 1.0 / (count - 1), 50.0, 0.02)
+    floor = Floor(stiffness=200.0, damping=0.5)
+    model = Model(np.full(count, mass), [springs, Gravity([0.0, 0.0, -9.81]), Drag(0.2), floor])
+    motion = simulate(model, State(x), until=1.5, save_at=[0.2, 0.3, 1.5])
+    for time, at in zip(motion.times, motion.positions, strict=True):
+        print(f"{time:.1f} s: lowest bead {at[:, 2].min() * 1e3:.2f} mm")
+    print(f"at rest it should sink by m g / k = {mass * 9.81 / floor.k * 1e3:.2f} mm")
+
+
+if __name__ == "__main__":
+    main()

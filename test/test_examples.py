@@ -1,0 +1,100 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The examples run as they are, in processes of their own, and do what they say."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.scene.without_effect import without_effect
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = sorted((ROOT / "examples").iterdir())
+SESSION = ROOT / "test" / "data" / "session_0.1.0.mcap"
+
+
+def run(name: str, *arguments: object, cwd: Path) -> str:
+    """Run an example; return what it printed."""
+    command = [sys.executable, ROOT / "examples" / name, *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, check=False, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def numbers(pattern: str, text: str) -> list[float]:
+    return [float(value) for value in re.findall(pattern, text)]
+
+
+def test_every_example_is_short_and_tested() -> None:
+    tests = Path(__file__).read_text()
+    for path in EXAMPLES:
+        assert len(path.read_text().splitlines()) < 60, path.name
+        assert path.name == "__pycache__" or f'"{path.name}"' in tests, f"nothing runs {path.name}"
+
+
+def test_chain_hangs_between_its_ends(tmp_path: Path) -> None:
+    heights = numbers(r"lowest point (\S+) m", run("chain.py", cwd=tmp_path))
+    # In half a second a free fall is 1.2 m; the springs hold it within a tenth of that.
+    assert len(heights) == 3
+    assert all(-0.2 < height < 0.0 for height in heights)
+
+
+def test_frames_run_again_to_the_last_bit(tmp_path: Path) -> None:
+    output = run("frames.py", cwd=tmp_path)
+    assert output.endswith("the same to the last bit\n")
+    # The raised corner pulls the gripper down.
+    assert numbers(r" (\S+)\] N", output)[0] < -0.1
+
+
+def test_mesh_cloth_hangs_over_its_held_middle(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    output = run("mesh_cloth.py", cwd=tmp_path)
+    assert numbers(r"hangs (\S+) m", output)[0] == pytest.approx(0.44, abs=0.05)
+    # A mesh of one's own is taken as it is.
+    assert run("mesh_cloth.py", tmp_path / "table_cloth.obj", cwd=tmp_path) == output
+
+
+def test_read_session_tells_grasps_and_digests(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    pytest.importorskip("rosbags")
+    output = run("read_session.py", SESSION, cwd=tmp_path)
+    assert output.count("'kind': 'grasp'") == 2
+    assert re.search(r"digest [0-9a-f]{32}\n", output)
+
+
+def test_own_force_carries_the_weight(tmp_path: Path) -> None:
+    output = run("own_force.py", cwd=tmp_path)
+    (expected,) = numbers(r"sink by m g / k = (\S+) mm", output)
+    assert numbers(r"lowest bead (\S+) mm", output)[-1] == pytest.approx(-expected, abs=0.01)
+
+
+def test_towel_is_a_scene_in_which_everything_counts() -> None:
+    path = ROOT / "examples" / "towel.yaml"
+    assert path.name == "towel.yaml"
+    scene = Scene.from_file(path, node="towel")
+    assert without_effect(scene, scene.parameters()) == without_effect(Scene(), Scene().parameters())
+    assert scene.gripper_names == ["left", "right"]
+    assert Simulation(scene).advance().moved
+
+
+def test_grasp_node_lifts_the_corner_of_a_live_cloth(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy")
+    from ros_client import start_cloth
+
+    cloth = start_cloth(start_process)
+    robot = start_process([sys.executable, ROOT / "examples" / "grasp_node.py"], cwd=tmp_path)
+    assert robot.wait() == 0, robot.output
+    held, released = numbers(r"holds (\d+) particle", robot.output)
+    assert held > 0
+    assert released == 0
+    assert cloth.interrupt() == 0, cloth.output
