@@ -101,34 +101,65 @@ def grid_patch(layout: Layout | None = None, *, spacing: tuple[float, float] = (
     )
 
 
-def triangle_patch(jitter: float, *, size: int = 12, seed: int = 0) -> Patch:
+@attrs.frozen(eq=False, kw_only=True)
+class Triangulation:
+    """One period of a flat random triangle mesh, with the eight copies around it."""
+
+    positions: Array
+    """Particles [m], (n, 2); those of the period itself come first."""
+    triangles: NDArray[np.int64]
+    """Triangles, anticlockwise, (m, 3)."""
+    same: NDArray[np.int64]
+    """Number of the particle within the period that each is a copy of, (n,)."""
+    period: Array
+    """Width and height of the period [m], (2,)."""
+
+    def inside(self, ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether each edge, given by its two particles (m, 2), belongs to the period: each of them exactly once."""
+        middle = self.positions[ends].mean(axis=1) + 1e-6
+        return np.asarray(((middle >= 0.0) & (middle < self.period)).all(axis=1))
+
+
+def triangulation(jitter: float, *, size: int = 12, seed: int = 0, square: bool = False) -> Triangulation:
     """Return `size` x `size` particles of regular triangles of side 1 m, each moved by up to `jitter`, joined anew.
 
-    The triangles are Delaunay's. A jitter of 1 or more has no memory of the regular places.
+    The triangles are Delaunay's. A jitter of 1 or more has no memory of the regular places. With `square` the particles
+    are those of squares.
     """
     from scipy.spatial import Delaunay
 
     rng = np.random.default_rng(seed)
     row, column = np.divmod(np.arange(size * size), size)
-    points = np.stack((column + 0.5 * (row % 2), np.sqrt(0.75) * row), axis=1)
+    offset, height = (0.0, 1.0) if square else (0.5, np.sqrt(0.75))
+    points = np.stack((column + offset * (row % 2), height * row), axis=1)
     points += jitter * rng.uniform(-1.0, 1.0, points.shape)
-    period = np.array((size, np.sqrt(0.75) * size))
+    period = np.array((size, height * size))
     shifts = np.array([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)]) * period
     positions = (points[None] + shifts[:, None]).reshape(-1, 2)
     triangles = Delaunay(positions).simplices.astype(np.int64)
     corners = positions[triangles]
     turned = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     triangles[turned < 0] = triangles[turned < 0, ::-1]
-    hinges = Surface.from_triangles(triangles[np.abs(turned) > 1e-9], particle_count=len(positions)).hinges
-    middle = positions[hinges[:, :2]].mean(axis=1) + 1e-6
-    hinges = hinges[((middle >= 0.0) & (middle < period)).all(axis=1)]
-    flat = np.concatenate((positions, np.zeros((len(positions), 1))), axis=1)
-    return Patch(
+    return Triangulation(
         positions=positions,
+        triangles=triangles[np.abs(turned) > 1e-9],
+        same=np.tile(np.arange(size * size), len(shifts)),
+        period=period,
+    )
+
+
+def triangle_patch(jitter: float, *, size: int = 12, seed: int = 0) -> Patch:
+    """Return the hinges of a `triangulation`."""
+    mesh = triangulation(jitter, size=size, seed=seed)
+    hinges = Surface.from_triangles(mesh.triangles, particle_count=len(mesh.positions)).hinges
+    hinges = hinges[mesh.inside(hinges[:, :2])]
+    flat = np.concatenate((mesh.positions, np.zeros((len(mesh.positions), 1))), axis=1)
+    return Patch(
+        positions=mesh.positions,
         hinges=hinges,
         constants=mesh_hinge_constants(hinges, flat, bending_modulus=1.0),
-        same=np.tile(np.arange(size * size), 9),
-        area=float(period.prod()),
+        same=mesh.same,
+        area=float(mesh.period.prod()),
     )
 
 

@@ -26,6 +26,7 @@ COMMANDS = {
     "scale": ("scale", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
     "engine": ("engine", "this tree against an older commit of itself, in turns, in one run"),
     "adds": ("adds", "whether features cost together what they cost one by one, for every pair of them"),
+    "mesh-moduli": ("mesh_moduli", "moduli of sheets on irregular triangles: the distribution over random meshes"),
     "skip": ("skip", "what a feature costs absent, idle and active; a loop made by hand; counts; start-up"),
 }
 
