@@ -6,8 +6,8 @@
 #   make test    the tests
 # Both make the environment when it is missing, and start at once when it is there.
 #
-# For those who work on it: make check (what CI runs: format, lint, types, tests), engine, sanitize, bits, format, soak,
-# bench, benchmarks, screenshots, colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), CXX (which
+# For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), docs-check, engine,
+# sanitize, bits, format, soak, bench, benchmarks, screenshots, colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), CXX (which
 # compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
@@ -36,7 +36,7 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run engine sanitize bits test check format soak bench benchmarks screenshots colcon clean
+.PHONY: help run docs docs-check engine sanitize bits test check format soak bench benchmarks screenshots colcon clean
 .DEFAULT_GOAL := help
 
 help:
@@ -67,6 +67,16 @@ sanitize: $(DEV)
 # The same scenes in ways that bits must not depend on: vectors, C library, numpy, compilers.
 bits: $(DEV) engine
 	@$(BIN)/python scripts/bits.py $(ARGS)
+
+# The site, into build/docs: docs/*.md, the API from docstrings, the parameters' page from the parameters. Every warning
+# (a link that leads nowhere, a page that nothing leads to) is an error.
+docs: $(DEV) engine
+	@$(BIN)/python -m sphinx -b html -n -W --keep-going -q docs build/docs $(ARGS)
+	@echo "cloth_sim_ros: the site is build/docs/index.html"
+
+# Every command and code block of the pages, in order, in a clean clone; what it prints is compared with the page.
+docs-check: $(DEV)
+	@$(BIN)/python scripts/run_docs.py $(ARGS)
 
 format: $(DEV)
 	$(BIN)/ruff format .

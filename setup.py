@@ -65,15 +65,18 @@ EXTRAS = {
     "export": ["pyarrow>=18.0"],
     "mesh": ["trimesh>=4.0"],
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
+    # The site, built as rosdoc2 builds it.
+    "docs": ["sphinx>=7.2", "myst-parser>=2.0", "sphinx-rtd-theme>=2.0"],
     "test": ["pytest>=7.4", "pytest-timeout>=2.2", "pytest-xdist>=3.5", "hypothesis>=6.98", "psutil>=5.9"],
 }
-# What `make run` installs, and what `make test` and `make check` install.
+# What `make run` installs, and what `make test`, `make check` and `make docs` install.
 EXTRAS["demo"] = [*EXTRAS["ros"], *EXTRAS["record"], *EXTRAS["replay"]]
 EXTRAS["dev"] = [
     *EXTRAS["demo"],
     *EXTRAS["export"],
     *EXTRAS["mesh"],
     *EXTRAS["bench"],
+    *EXTRAS["docs"],
     *EXTRAS["test"],
     "ruff>=0.17",
     "mypy>=2.0",

@@ -24,9 +24,9 @@ class AirPanels(EngineForce):
     takes no side of the cloth for its front. Dissipation is that of still air, v'Bv; what the wind adds, w'Bv, is its
     work (`supply`).
 
-    The damping blocks are exact. The force also turns with the panels, which no potential describes; the stiffness
-    blocks bound that for a cloth at rest in the wind. Of the cloth's own speed they know nothing: what it adds is small
-    beside the springs (c |v| L against k_s / l0), and left to the error control.
+    The damping blocks are exact. The force also changes as the panels turn, which no potential describes. The stiffness
+    blocks bound that change for a cloth at rest in the wind. They leave out the cloth's own speed: its share, of size
+    ``c |v| L``, is small beside a spring's ``k_s / l0``, and the error control covers it.
 
     Args:
         panels: particles of each panel in order around it, shape (m, 3) or (m, 4).

@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
 class AltitudeSprings(HingeSprings):
     """One spring a hinge on the blend of the seven candidates (three edge-edge, four point-face) of its tetrahedron.
 
-    Candidate c has the signed length h_c = 6V/M_c, with M_c = |a × b| of its face or its pair of edges. They blend
+    Candidate c has the signed length h_c = 6V/M_c, with ``M_c = |a × b|`` of its face or its pair of edges. They blend
     into
 
         1/h² = ½ Σ 1/h_c², h = 6V / √(½ Σ M_c²) = 6V / √(Σ over the faces of M_f²)

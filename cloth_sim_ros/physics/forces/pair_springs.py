@@ -17,9 +17,8 @@ from cloth_sim_ros.physics.parts import Listed, Part
 class PairSprings(EngineForce):
     """Damped springs by the lecture's law (S1), joints where the rest length is zero (S4).
 
-    F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s| on the far end, s its place seen from the near one; a
-    joint's
-    is -k s - k_d ds/dt.
+    With s the position of the far end relative to the near end, the force on the far end is
+    ``F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s|``, of a joint ``F = -k s - k_d ds/dt``.
 
     Args:
         pairs: particle indices of the near and far ends, shape (m, 2).

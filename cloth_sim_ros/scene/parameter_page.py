@@ -1,0 +1,101 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The reference page of the parameters, in Markdown, made from their declarations.
+
+`python -m cloth_sim_ros.scene.parameter_page` prints it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from cloth_sim_ros.scene.parameters import Parameter
+from cloth_sim_ros.scene.scene import Scene
+
+_HEAD = """# Parameters
+
+Every parameter of the node `cloth_sim`, made from the code that declares them. `ros2 param describe /cloth_sim <name>`
+prints the same of a running node. Units are SI. A parameter marked *live* may change while the cloth runs and takes
+effect with the next frame; any other is read-only after start. A value of the wrong type, outside its range, or that
+makes no cloth is refused with the reason, at start as in `ros2 param set`.
+
+The same names stand in [parameter files](../ros.md#parameters) and in `Scene.from_parameters`.
+"""
+
+_TAIL = """## Of ROS itself
+
+`use_sim_time`: time is that of `/clock`; set at start ([simulated time](../ros.md#simulated-time)).
+
+`qos_overrides.<topic>.publisher.<policy>`: `reliability`, `history` or `depth` of one output; set at start
+([topics](../ros.md#topics)).
+"""
+
+#: Headings of the groups, in the order of the page; "" is for names without a group.
+_GROUPS = {
+    "": "Node and time stepping",
+    "cloth": "Cloth",
+    "material": "Material",
+    "bending": "Bending",
+    "air": "Air",
+    "wind": "Wind",
+    "gripper": "Grippers",
+    "points": "Point cloud",
+    "record": "Recording",
+    "diagnostics": "Diagnostics",
+}
+
+
+def page() -> str:
+    """Return the whole page; each declared parameter stands in it once."""
+    declared = Scene.declared()
+    groups = dict.fromkeys([*_GROUPS, *(_group(entry) for entry in declared)])
+    parts = [_HEAD]
+    for group in groups:
+        members = [entry for entry in declared if _group(entry) == group]
+        parts.append(f"## {_GROUPS.get(group, group.capitalize())}\n\n{_table(members)}")
+    return "\n".join([*parts, _TAIL])
+
+
+def _group(entry: Parameter) -> str:
+    return entry.name.partition(".")[0] if "." in entry.name else ""
+
+
+def _table(entries: Iterable[Parameter]) -> str:
+    lines = ["| name | type | unit | default | range | live | |", "|---|---|---|---|---|---|---|"]
+    for entry in entries:
+        cells = [f"`{entry.name}`", entry.kind, entry.unit, _value(entry.default), _range(entry)]
+        cells += ["live" if entry.live else "", entry.description]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any) -> str:
+    """Return a value as a parameter file has it."""
+    if isinstance(value, tuple):
+        return f"`[{', '.join(_bare(entry) for entry in value)}]`"
+    return f"`{_bare(value)}`"
+
+
+def _bare(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    # A double keeps its point or exponent: without one ROS takes it for a whole number.
+    return repr(value)
+
+
+def _range(entry: Parameter) -> str:
+    said = []
+    if entry.choices:
+        said.append(", ".join(f"`{choice}`" for choice in entry.choices))
+    if entry.length is not None:
+        said.append(f"{entry.length} entries")
+    if entry.least is not None and entry.most is not None:
+        bound = "above " if entry.open_least else ""
+        said.append(f"{bound}{_bare(entry.least)} to {_bare(entry.most)}")
+    return "; ".join(said)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())

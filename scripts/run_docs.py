@@ -1,0 +1,206 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs every code block of README, tutorials and CONTRIBUTING in order, in a clean clone, and compares what it prints.
+
+A block of bash or Python is run from the clone's top. A comment in front of a block, which no reader sees, says more:
+
+<!-- output -->                 what the block before it prints; a line "..." stands for any lines
+<!-- output: numbers vary -->   the same, each number standing for any number
+<!-- file: NAME -->             the content of a file
+<!-- background -->             goes on while the rest of the page is run, then gets SIGINT and must end with status 0
+<!-- skip: REASON -->           is not run: it needs what a machine with Python, make, git and a compiler has not
+
+A block that is none of these is an error, and so is a command that fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import attrs
+from markdown_it import MarkdownIt
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = ["README.md", *(f"docs/tutorials/{name}.md" for name in ("grasp", "mesh", "session", "library"))]
+PAGES += ["CONTRIBUTING.md"]
+RUNS = ("bash", "python")
+#: How long a block may take [s]: `make test` from nothing is the longest.
+LIMIT = 3600.0
+#: How long what runs in the background may take to end [s].
+PATIENCE = 15.0
+_MARK = re.compile(r"<!--\s*(output|file|background|skip)(?::\s*(.*?))?\s*-->\s*$")
+_NUMBER = re.compile(r"\d+(?:[.,:]\d+)*(?:e[+-]?\d+)?")
+
+
+class PageError(ValueError):
+    """A page has a block that is neither run nor marked."""
+
+
+@attrs.define(kw_only=True)
+class Block:
+    """A code block of a page."""
+
+    place: str
+    language: str
+    code: str
+    mark: str = ""
+    #: What the mark says: a reason, a file's name.
+    words: str = ""
+    #: What it must print; None where the page does not show it.
+    output: str | None = None
+    numbers_vary: bool = False
+
+
+def blocks_of(text: str, name: str) -> list[Block]:
+    """Return a page's blocks in order, each with the output that the page shows of it.
+
+    Raises:
+        PageError: naming the first block that is neither run nor marked.
+    """
+    blocks: list[Block] = []
+    mark, words = "", ""
+    for token in MarkdownIt("commonmark").parse(text):
+        found = _MARK.match(token.content) if token.type == "html_block" else None
+        if found:
+            mark, words = found.group(1), found.group(2) or ""
+        if token.type != "fence" or token.info.startswith("{"):
+            continue
+        place = f"{name}:{(token.map or [0])[0] + 1}"
+        if mark == "output":
+            if not blocks or blocks[-1].mark or blocks[-1].output is not None:
+                raise PageError(f"{place}: output of no block")
+            blocks[-1].output, blocks[-1].numbers_vary = token.content, words == "numbers vary"
+        elif mark or token.info in RUNS:
+            blocks.append(Block(place=place, language=token.info, code=token.content, mark=mark, words=words))
+        else:
+            raise PageError(f"{place}: a block of '{token.info}' is neither run nor marked; see scripts/run_docs.py")
+        mark, words = "", ""
+    return blocks
+
+
+def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
+    """Return how what was printed differs from what the page shows; empty if it does not."""
+
+    def lines(text: str) -> list[str]:
+        kept = [" ".join(line.split()) for line in text.strip().splitlines()]
+        return [_NUMBER.sub("#", line) for line in kept] if numbers_vary else kept
+
+    wanted, got = lines(shown), lines(printed)
+    pattern = "".join("(?:.*\n)*?" if line == "..." else re.escape(line) + "\n" for line in wanted)
+    if re.fullmatch(pattern, "".join(f"{line}\n" for line in got)):
+        return ""
+    return "\n".join(difflib.unified_diff(wanted, got, "the page", "printed", lineterm=""))
+
+
+class Clone:
+    """A clean clone, in which blocks are run as a user's shell runs them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
+        hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
+        self._environment = {name: value for name, value in os.environ.items() if name not in hidden}
+        self._environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+        self._background: list[subprocess.Popen[str]] = []
+
+    def run(self, block: Block) -> str:
+        """Run a block; return what is wrong, empty if nothing is."""
+        if block.mark == "file":
+            (self.folder / block.words).write_text(block.code)
+            return ""
+        if block.mark == "background":
+            self._background.append(self._start(block))
+            return ""
+        process = self._start(block)
+        try:
+            printed, errors = process.communicate(timeout=LIMIT)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            return f"still runs after {LIMIT:g} s"
+        if process.returncode:
+            return f"ended with status {process.returncode}\n{printed[-2000:]}{errors[-4000:]}"
+        if block.output is None:
+            return ""
+        return difference(block.output, printed, numbers_vary=block.numbers_vary)
+
+    def end_background(self) -> Iterator[str]:
+        """End what runs in the background; yield what is wrong with each."""
+        for process in self._background:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGINT)
+            try:
+                _, errors = process.communicate(timeout=PATIENCE)
+                if process.returncode:
+                    yield f"what ran in the background ended with status {process.returncode}\n{errors[-4000:]}"
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                yield f"what ran in the background did not end within {PATIENCE:g} s of SIGINT"
+        self._background.clear()
+
+    def _start(self, block: Block) -> subprocess.Popen[str]:
+        bash = block.language == "bash"
+        # A background command takes the shell's place: it gets the signal itself.
+        code = f"exec {block.code}" if block.mark == "background" else block.code
+        shell = ["bash", "-euo", "pipefail", "-c", code]
+        return subprocess.Popen(
+            shell if bash else [str(self.folder / ".venv" / "bin" / "python"), "-c", block.code],
+            cwd=self.folder,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+
+def main() -> int:
+    """Run the pages that are asked for; 1 if anything is not as the page says."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pages", nargs="*", default=PAGES, metavar="page", help="default: %(default)s")
+    parser.add_argument("--leave-out", action="append", default=[], metavar="COMMAND", help="a block's first line")
+    parser.add_argument("--folder", type=Path, help="where the clone goes and stays; a temporary place if left out")
+    options = parser.parse_args()
+    os.environ.setdefault("ROS_DOMAIN_ID", "87")
+    with tempfile.TemporaryDirectory() as temporary:
+        begun = time.monotonic()
+        clone = Clone(options.folder or Path(temporary) / "cloth_sim_ros")
+        wrong = run = skipped = 0
+        for name in options.pages:
+            for block in blocks_of((ROOT / name).read_text(), name):
+                title = f"{block.place}: {(block.words if block.mark == 'file' else block.code.splitlines()[0])[:90]}"
+                if block.mark == "skip" or block.code.splitlines()[0] in options.leave_out:
+                    skipped += 1
+                    say(f"skipped   {title} ({block.words or 'left out'})")
+                    continue
+                start, run = time.monotonic(), run + 1
+                fault = clone.run(block)
+                wrong += bool(fault)
+                say(f"{'WRONG' if fault else 'ok':5s} {time.monotonic() - start:6.1f} s  {title}")
+                if fault:
+                    say(fault)
+            for fault in clone.end_background():
+                wrong += 1
+                say(f"WRONG {name}: {fault}")
+        minutes, seconds = divmod(round(time.monotonic() - begun), 60)
+        say(f"{run} blocks run in {minutes} min {seconds} s, {wrong} wrong, {skipped} skipped")
+    return 1 if wrong else 0
+
+
+def say(text: str) -> None:
+    """Tell the user at once, also through a pipe."""
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

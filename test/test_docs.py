@@ -1,0 +1,110 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The site: built without a warning, every parameter on its page, and answers few clicks away from the first page."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import yaml
+
+from cloth_sim_ros import Scene
+from cloth_sim_ros.scene.parameter_page import page
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
+#: Questions of a newcomer, and where the answer begins.
+ANSWERS = {
+    "where is the stability limit?": "time_stepping.md#stability",
+    "what happens between a target and a cloud?": "frame.md",
+    "how do I add a force?": "tutorials/library.md#a-force-of-your-own",
+    "what bounds the error?": "time_stepping.md",
+    "where is a session's digest made?": "frame.md",
+}
+
+
+@pytest.fixture(scope="module")
+def run_docs() -> ModuleType:
+    pytest.importorskip("markdown_it")
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        import run_docs
+    finally:
+        sys.path.remove(str(ROOT / "scripts"))
+    return run_docs
+
+
+@pytest.mark.parametrize("entry", Scene.declared(), ids=lambda entry: entry.name)
+def test_each_parameter_is_described_on_the_page(entry) -> None:
+    (row,) = [line for line in page().splitlines() if line.startswith(f"| `{entry.name}` |")]
+    _, kind, unit, default, limits, live, words = [cell.strip() for cell in row.strip("| ").split(" | ")]
+    assert (kind, unit) == (entry.kind, entry.unit)
+    read = yaml.safe_load(default.strip("`"))
+    assert entry.check(read) == entry.default
+    assert words == entry.description
+    assert live == ("live" if entry.live else "")
+    for bound in (entry.least, entry.most, *entry.choices):
+        assert bound is None or str(bound) in limits
+
+
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    for library in ("sphinx", "myst_parser", "sphinx_rtd_theme"):
+        pytest.importorskip(library)
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-n", "-W", "--keep-going", "-q", "-d", tmp_path / "trees"]
+    done = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "html" / "generated" / "parameters.html").is_file()
+
+
+def links_of(name: str) -> set[str]:
+    """Pages, with their headings, that a page leads to, as paths from docs/."""
+    path = DOCS / name
+    found = set()
+    for link in LINK.findall(path.read_text()) if path.is_file() else []:
+        target, _, heading = link.partition("#")
+        if "://" not in link and target.endswith(".md"):
+            place = (path.parent / target).resolve()
+            if place.is_relative_to(DOCS):
+                found.add(str(place.relative_to(DOCS)) + (f"#{heading}" if heading else ""))
+    return found
+
+
+@pytest.mark.parametrize("question", ANSWERS)
+def test_an_answer_is_less_than_three_clicks_away(question: str) -> None:
+    reached = links_of("index.md")
+    reached |= {link for name in reached for link in links_of(name.partition("#")[0])}
+    assert ANSWERS[question] in reached
+
+
+def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -> None:
+    blocks = {name: run_docs.blocks_of((ROOT / name).read_text(), name) for name in run_docs.PAGES}
+    assert all(blocks.values())
+    assert {f"docs/tutorials/{path.name}" for path in (DOCS / "tutorials").glob("*.md")} < set(blocks)
+    assert all(block.words for some in blocks.values() for block in some if block.mark == "skip")
+
+
+def test_a_block_that_is_neither_run_nor_marked_is_refused(run_docs: ModuleType) -> None:
+    with pytest.raises(run_docs.PageError, match=r"page:3: a block of 'yaml'"):
+        run_docs.blocks_of("words\n\n```yaml\na: 1\n```\n", "page")
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "vary", "same"),
+    [
+        ("a 1\nb", "a  1\nb\n", False, True),
+        ("a 1", "a 2", False, False),
+        ("a 1.5e-3 s", "a 22 s", True, True),
+        ("a 1 s", "a 1 m", True, False),
+        ("a\n...\nz", "a\nb\nc\nz", False, True),
+        ("a\n...\nz", "a\nb\nc", False, False),
+        ("a", "a\nb", False, False),
+    ],
+)
+def test_outputs_are_compared(run_docs: ModuleType, shown: str, printed: str, vary: bool, same: bool) -> None:
+    assert (not run_docs.difference(shown, printed, numbers_vary=vary)) is same
