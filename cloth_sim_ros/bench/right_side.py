@@ -1,7 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Equations of motion in numpy, by the formulas of docs/springs.md and with none of the engine's code: what its errors
-are told by.
+"""Equations of motion in numpy, by the formulas of docs/springs.md: the independent reference for the engine's errors.
+
+None of the engine's code is used here.
 """
 
 from __future__ import annotations

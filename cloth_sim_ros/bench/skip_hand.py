@@ -17,11 +17,11 @@ from cloth_sim_ros.scene.scene import Scene
 
 
 class HandMadeLoop:
-    """The frames of a grid without grippers, bending beyond axial springs, tolerance or anything that looks on.
+    """Frames of a bare grid: at most axial bending, no grippers, no tolerance, no diagnostics.
 
-    Nothing is chosen while it runs but the number of steps: as many as the stability limit at the end of the frame
-    before asks for. One thread; one call of the engine a frame, its request made once. A simulation of such a scene
-    makes the same motion, to the last bit.
+    The only choice it makes is the number of steps, by the stability limit at the end of the frame before. It uses one
+    thread and one call of the engine a frame, whose request is made once. A simulation of such a scene makes the same
+    motion, to the last bit.
 
     Args:
         scene: configuration.

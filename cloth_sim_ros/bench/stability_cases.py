@@ -156,16 +156,20 @@ class EnergyAccount:
         self._start = simulation.energy()
         self._least = self._least_own = self._start
         self._put_in = 0.0
-        # Below the tolerance motion is not resolved: what the weight does over that distance is the least that counts.
+        # Motion below the tolerance is not resolved: gains count relative to the weight's work over it, or to more.
         self._turned = 9.81 * simulation.model.mass * TOLERANCE
         #: See `Verdict.gain`.
         self.gain = 0.0
 
     def close(self, work: float, step: float | None) -> None:
-        """Book a frame over which so much was put in [J]; by fixed leapfrog steps of that length [s], if it is given.
+        """Book a frame.
 
-        Those keep an energy of their own; the energy swings about it by h^2/8 v'Kv and comes back. Where the step
-        changes the energy stays and that own energy, another one now, leaps. What was gained shows in both.
+        With a fixed step the leapfrog conserves the modified energy E - h^2/8 v'Kv, and E itself swings about it. When
+        the step changes, E stays and the modified energy jumps. So an energy gain is real only if it shows in both.
+
+        Args:
+            work: energy put in over the frame [J].
+            step: length of fixed leapfrog steps [s]; None for any other stepping.
         """
         self._put_in += work
         run = self._simulation

@@ -3,6 +3,5 @@
 """The model of a cloth and its motion: forces, plans, integrators. No ROS, no files, no clock.
 
 Begin with `model` (masses, forces, anchors) and `plan` (`compile`: from a model to numbers); `forces` has one file a
-force,
-`sheets` what cloths are made of, `integrators` and `control` how time is stepped, `state` what changes.
+force, `sheets` what cloths are made of, `integrators` and `control` how time is stepped, `state` what changes.
 """

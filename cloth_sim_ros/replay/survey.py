@@ -139,7 +139,8 @@ class _Gathered:
         windows = _windows(reader, samples)
         first = windows[0][0]
         if first is not None:
-            # What comes before a stretch's first cloud is not all there is: diagnostics come once a second or so.
+            # Reading stops at a stretch's first cloud and may miss diagnostics, which come about once a second: so the
+            # beginning is read once in full.
             for message in reader.messages(start=first, end=first + _PERIODIC):
                 self._note(message)
         for start, end in windows:

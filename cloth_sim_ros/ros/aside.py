@@ -72,9 +72,10 @@ class Aside:
                 return self._outcomes.get(timeout=_GLANCE)
 
     def end_process(self, status: int) -> NoReturn:
-        """End the process, although a job that was left may still be inside the engine.
+        """End the process at once.
 
-        The interpreter's own end would take the ground from under it.
+        An abandoned job may still be inside the engine, and the interpreter's own shutdown would free memory that the
+        job uses.
         """
         sys.stdout.flush()
         sys.stderr.flush()

@@ -57,9 +57,9 @@ class WallPacer:
         node: has the timer.
         rate: frames a second.
         on_due: called for each frame.
-        settled: whether all messages that came before are taken. An executor takes one message a topic and turn, the
-            oldest, and timers before messages: a frame that did not wait for this would, where frames take all the time
-            there is, see a command that has waited as long as the middleware keeps any.
+        settled: whether all messages that have arrived were taken. In each turn an executor runs timers first, then
+            takes one message of each topic, the oldest. If frames take all the time there is, a frame that did not wait
+            for `settled` would only see commands that are as old as the middleware's queue is long.
     """
 
     def __init__(self, node: Node, *, rate: float, on_due: Callable[[Due], None], settled: Callable[[], bool]) -> None:

@@ -65,7 +65,7 @@ class Commands:
         self._turn = turn
         self._gates = {name: StampGate() for name in grippers}
         self._heard: dict[str, int] = {}
-        #: Messages that had arrived when `settled` was asked last, and for how many turns some have come since a frame.
+        #: Messages that had arrived at the last call of `settled`, and the number of turns in a row that brought some.
         self._seen = 0
         self._turns = 0
         #: Messages that arrived, and of them those that were refused or older than the newest.
@@ -93,9 +93,9 @@ class Commands:
         return self._heard.get(gripper)
 
     def settled(self) -> bool:
-        """Whether every command that has arrived is taken, as far as the turns since the last call show.
+        """Whether every command that has arrived was taken, judged by the executor's turns since the last call.
 
-        Ask again a turn of the executor later while it is not.
+        While it is False, ask again one turn later.
         """
         taken, self._seen = self.received > self._seen, self.received
         self._turns = self._turns + 1 if taken else 0
@@ -163,7 +163,7 @@ class Commands:
         self, gripper: str, header: Any, position: tuple[float, ...], orientation: tuple[float, ...] | None, now: int
     ) -> None:
         stamp = checked(header.stamp.sec, header.stamp.nanosec)
-        # What is wrong in itself is said so, whatever its frame and stamp.
+        # An invalid value is reported as such, before its frame is looked up and its stamp compared.
         self._check(Target(gripper, position, orientation))
         position, orientation = self._frames.to_cloth(header.frame_id, position, orientation, stamp)
         event = Target(gripper, position, orientation)

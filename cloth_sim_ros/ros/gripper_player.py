@@ -21,8 +21,8 @@ from std_srvs.srv import SetBool
 from cloth_sim_ros.ros.gripper_script import GraspAt, GripperScript
 from cloth_sim_ros.ros.messages import set_stamp
 
-#: The graph becomes known bit by bit: a gripper is unknown only if it stays so this long after other services of the
-#: node were seen [s].
+#: Discovery is gradual: a gripper counts as unknown only if it has not appeared this long after other services of the
+#: node [s].
 _SETTLING = 1.0
 #: How often a wait looks whether it shall go on.
 _POLL = Duration(seconds=0.1)
@@ -30,8 +30,8 @@ _POLL = Duration(seconds=0.1)
 _ANSWER = 7.0
 #: Services that rclpy makes with the node itself, before it is ready.
 _OF_RCLPY = "/get_type_description"
-#: A grasp later than this is made up for: the script goes on from as long before it, not from where the path has come
-#: to since [s].
+#: If a grasp is later than this, the script is set back to this long before it, so that the gripper closes at the place
+#: that the script gives [s].
 _HELD_UP = 0.1
 #: How long the end waits for the last grasp to be received.
 _DELIVERY = Duration(seconds=0.5)
@@ -92,7 +92,7 @@ class GripperPlayer:
         self._grasps = node.create_publisher(
             Bool, f"{prefix}/grasp", QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         )
-        #: What is done by the topic is asked for by the service: it alone answers.
+        #: Grasps are sent by topic, as a robot does. The service repeats them, because only a service answers.
         self._close = node.create_client(SetBool, f"{prefix}/close")
         self._question: Question | None = None
         #: One for each time that the script closes the gripper.
@@ -158,8 +158,8 @@ class GripperPlayer:
     def play(self) -> bool:
         """Play the script from beginning to end, in the time of the node's clock; False if told to end early.
 
-        Where we were held up over a grasp, all that follows is later: a hand that closes where the cloth is no more
-        holds nothing.
+        If this process was held up over a grasp, everything after it is delayed as well: otherwise the gripper would
+        close where the cloth no longer is.
         """
         clock = self._node.get_clock()
         start = clock.now().nanoseconds

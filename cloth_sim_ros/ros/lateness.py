@@ -42,7 +42,7 @@ class Lateness:
         """Take note of a frame.
 
         Args:
-            late: due times that passed without their frame being there a period later: of this one, and those before.
+            late: number of due times, this frame's and those skipped before it, whose frame was not out a period later.
             skipped: due times before this one that were left out.
             seconds: wall time that the frame took [s].
         """

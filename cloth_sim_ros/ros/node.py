@@ -52,14 +52,14 @@ _CLOCK_PATIENCE = 5.0
 class ClothNode:
     """A live cloth: `node` goes to an executor, `start` lets time begin, `close` ends the recording.
 
-    Holds a ROS node instead of being one, so that no name of ours meets one that rclpy keeps to itself.
+    It has a ROS node as an attribute instead of deriving from one, so that its names can't clash with rclpy's own.
 
     Args:
         name: node name, before remapping.
         aside: runs a long computation and returns what it returns; may raise StopRequestedError instead, and leave the
             computation to itself.
-        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ... Its parameter services
-            come with `start`, as all of its services and subscriptions do: what can be found is answered.
+        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ... Services, those for
+            parameters included, and subscriptions are made by `start`: whatever can be discovered is served.
 
     Raises:
         ParameterError: for parameters that make no cloth.
@@ -158,7 +158,7 @@ class ClothNode:
         return self._outputs.published
 
     def warm_up(self) -> None:
-        """Try a frame of a cloth that is thrown away, to know how long one takes here; load what recording needs.
+        """Time some frames of a throw-away copy of the cloth on this machine, and load the libraries for recording.
 
         Raises:
             ValueError: if the scene can't be stepped.
@@ -224,7 +224,7 @@ class ClothNode:
     def _close(self, timeout: float) -> bool:
         self._accuracy.close()
         self._queue.clear("the node stops")
-        # Where a signal came amid a frame, there is nothing to be said of the half of it.
+        # If a signal cut a frame off, there is no whole state to report.
         if self._pacer is not None and not self._cut_off and self.node.context.ok():
             try:
                 self._diagnostics.send()

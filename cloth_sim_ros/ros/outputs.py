@@ -141,7 +141,7 @@ class Outputs:
             cloud = self._cloud(velocity=velocities is not None)
             self._points.send(cloud.serialized(x, stamp, velocities), stamp)
             self.published += 1
-        # For pictures alone, and large: not recorded, the points and the topology say the same.
+        # Not recorded: it is large, and points and topology hold the same.
         if self._mesh.heard:
             self._mesh.publish(self._marker.serialized(x, stamp))
         for output, wrench in zip(self._wrenches, wrenches, strict=True):

@@ -54,8 +54,8 @@ class Stepper:
             except (UnstableError, ValueError) as error:
                 changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
                 if changes and (stopped or isinstance(error, ValueError)):
-                    # Each value was right by itself, and together, or with this motion, they are not: the rest must
-                    # not suffer for it.
+                    # Each value passed its own check, but together, or with this motion, they fail. The parameters
+                    # are refused; the other events take effect.
                     self.refused_parameters = str(error)
                     refused += [(entry, str(error)) for entry in changes]
                     entries = [entry for entry in entries if not isinstance(entry.event, SetParameters)]

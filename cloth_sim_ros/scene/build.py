@@ -89,7 +89,7 @@ def anchored_particles(scene: Scene, sheet: Sheet) -> list[int]:
     found: set[int] = set()
     for name in scene.cloth.anchors:
         if name.isdecimal():
-            # Python reads no number of more than some thousand digits.
+            # Python refuses to parse integers of more than a few thousand digits.
             digits = name.lstrip("0") or "0"
             if len(digits) > len(str(count)) or int(digits) >= count:
                 shown = name if len(name) <= 20 else f"{name[:20]}... ({len(name)} digits)"

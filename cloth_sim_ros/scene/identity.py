@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Of what cloth a state is a state: so that one of another cloth is refused even where the number of particles fits."""
+"""Which cloth a state belongs to, so that a state of another cloth is refused even if its number of particles fits."""
 
 from __future__ import annotations
 

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters: flat, typed, described, ranged names for the fields of frozen configuration classes.
 
-A field is declared once, with `parameter`; its default, unit, limits and whether it may change while running are read
-from there by the scene, the YAML
-reader and the node's parameter descriptors.
+A field is declared once, with `parameter`. The scene, the YAML reader, the node's parameter descriptors and the
+documentation read its default, unit and limits from there, and whether it may change while the cloth runs.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ class Parameter:
     def _check_one(self, value: Any) -> Any:
         kind = KINDS[self.element]
         if type(value) is int and not -_INT_END <= value < _INT_END:
-            # Not shown: Python writes out no number of more than some thousand digits.
+            # The value is not shown: Python refuses to print integers of more than a few thousand digits.
             raise ParameterError(f"{self.name} is a whole number of {value.bit_length()} bits; it must fit into 64")
         if kind is float and type(value) is int:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")

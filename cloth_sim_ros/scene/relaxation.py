@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A tolerance that is relaxed for a while, because the machine is too slow for it: by how much lies in the state.
+"""A tolerance that is relaxed for a while because the machine is too slow for it; the factor is part of the state.
 
-Whoever decides it (the node, by wall time) says so with a `Relax` event. The scene's tolerance stays what its user set.
+The node decides by wall time and sends a `Relax` event. The scene's tolerance stays as its user set it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.state import State
 
-#: Most that a tolerance is multiplied by, and the tolerance that none is relaxed beyond [m].
+#: Largest factor, and the largest tolerance that relaxing may lead to [m].
 MOST_FACTOR, MOST_TOLERANCE = 10.0, 1e-2
 #: Name in ``State.memory``: the factor, shape (1,), float64. It is not there while the tolerance is the scene's own.
 MEMORY = "relaxed"
@@ -24,7 +24,7 @@ def factor_of(state: State) -> float:
 
 
 def set_factor(state: State, factor: float) -> None:
-    """Let the scene's tolerance be multiplied by a factor, from 1 to `MOST_FACTOR`."""
+    """Set the factor on the scene's tolerance, from 1 to `MOST_FACTOR`."""
     if factor == 1.0:
         state.memory.pop(MEMORY, None)
     else:
@@ -32,5 +32,5 @@ def set_factor(state: State, factor: float) -> None:
 
 
 def relaxed(tolerance: float, factor: float) -> float:
-    """Return a tolerance [m] times a factor, yet none beyond `MOST_TOLERANCE` that was not so by itself."""
+    """Return a tolerance [m] times a factor, at most `MOST_TOLERANCE`; a larger tolerance stays as it is."""
     return min(factor * tolerance, max(tolerance, MOST_TOLERANCE))

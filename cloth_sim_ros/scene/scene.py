@@ -246,11 +246,11 @@ class Scene:
         return anchored_particles(self, self.sheet)
 
     def model(self) -> Model:
-        """Build the physics: masses, terms, anchors. Terms that the scene does not use are not there."""
+        """Build the model: masses, forces, anchors. Forces that the scene does not use are left out."""
         return build_model(self)
 
     def plan(self) -> Plan:
-        """Build the equations of motion of the model, with the fused plan that its sheet has."""
+        """Build the model and compile it for the engine."""
         return build_plan(self)
 
     def initial_positions(self) -> Array:
@@ -258,7 +258,7 @@ class Scene:
         return self._turned(self.sheet.positions()) + np.asarray(self.cloth.position)
 
     def _turned(self, vectors: Array) -> Array:
-        """Vectors (n, 3) of the sheet's own axes in those of the world, in an order of sums that no library chooses."""
+        """Turn vectors (n, 3) from the sheet's axes to the world's; written out, so that the order of sums is fixed."""
         turn = rotation_matrix(normalised(self.cloth.orientation))
         x, y, z = np.asarray(vectors, dtype=np.float64).T
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in turn], axis=1)

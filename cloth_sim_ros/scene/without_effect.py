@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that are right by themselves and have no effect in a scene, since others choose what does without them."""
+"""Valid parameters that have no effect in a scene, because other parameters switch off what they describe."""
 
 from __future__ import annotations
 

@@ -39,9 +39,9 @@ def environment() -> dict[str, str]:
 
 
 def differences(recorded: Mapping[str, str]) -> list[str]:
-    """What bits depend on and is not as a session's metadata tells, as ``its code 193821 -> 2c46fa``.
+    """Return how this package differs from what recorded a session, in what bits depend on; empty if it does not.
 
-    What the recording does not tell is not compared.
+    Each difference reads like ``its code 193821 -> 2c46fa``. Entries that the session lacks are not compared.
     """
     present = {"source": _source()}
     return [

@@ -85,7 +85,7 @@ class Simulation:
         self._initial = initial
         self.state = initial.copy() if state is None else state.copy()
         if not initial.v.any():
-            # What a reset returns to as a rule is at rest: one zero stands for all.
+            # The initial state is usually at rest: a single zero then takes the place of the whole array.
             initial.v = np.broadcast_to(0.0, initial.v.shape)
         self.state.cloth = initial.cloth
         self.state.memory.setdefault("paused", np.zeros(1, dtype=bool))
@@ -97,8 +97,8 @@ class Simulation:
             )
         #: Energy balance since it was asked for or parameters changed; None where it is not asked for.
         self.energy_report: EnergyReport | None = None
-        # Derived from the state, whatever it is: whether it sleeps, rightly so under this scene, with the wrenches
-        # noted; and the last frame, if the next one without events can only be the same.
+        # Two shortcuts, both derived from the state. The first: the sheet sleeps, the scene in force allows it, and the
+        # book has its wrenches. The second: the last frame, kept if the next one without events must equal it.
         self._known_to_rest = False
         self._slept: Frame | None = None
         self._apply_scene(scene)
@@ -207,7 +207,7 @@ class Simulation:
                 case Grasp():
                     grasps.append(self._grasp(event))
                 case SetParameters(values=values):
-                    # A motion beyond the fixed step already is none of the parameters' doing.
+                    # If the motion exceeds the fixed step's limit already, the new parameters are not refused for it.
                     stable = values.keys() <= _OBSERVING or self._holds_step()
                     self._apply_scene(self._scene.changed(values))
                     if not values.keys() <= _OBSERVING:
@@ -286,9 +286,9 @@ class Simulation:
             restart(state)
 
     def _sleeps_on(self, t: float) -> bool:
-        """Whether a cloth that sleeps is left in peace; what it pulls on its grippers with is noted then."""
-        # A state that came from elsewhere may have fallen asleep under another scene than this one. One of this scene
-        # passes, whether it is asked or not: the rule is the one by which it fell asleep, at the same place.
+        """Whether a sleeping cloth may sleep on; if so, the book gets its wrenches."""
+        # A loaded state may have fallen asleep under other parameters, so the rule is checked once. A state that fell
+        # asleep under these parameters always passes: the rule and the positions are the same.
         if not self._known_to_rest and not self._sleep.rests(self.state, t):
             wake(self.state)
         if not is_asleep(self.state) or not self._sleep.goes_on(self.state):
@@ -300,7 +300,7 @@ class Simulation:
         return True
 
     def _sleep_on(self, last: Frame) -> Frame:
-        """Sleep through one more frame of which nothing differs from the last but its number."""
+        """Return a frame of a sleeping cloth: the last one with the next number."""
         self.state.frame += 1
         return Frame(
             index=self.frame,

@@ -58,7 +58,7 @@ class Verdict:
     seconds: float = 0.0
     """Wall time that it took [s]."""
     environment: list[str] = field(default_factory=list)
-    """How what bits depend on differs from the recording's, or may: code and files."""
+    """Differences of code and files from the recording's that change bits, or may; a phrase each."""
     other_arithmetic: str = ""
     """By what it was recorded, where that rounds otherwise than this package; empty where it does not."""
     unexplained: str = ""
