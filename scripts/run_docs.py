@@ -7,7 +7,8 @@ A block of bash or Python is run from the clone's top. A comment in front of a b
 <!-- output -->                 what the block before it prints; a line "..." stands for any lines
 <!-- output: numbers vary -->   the same, each number standing for any number
 <!-- file: NAME -->             the content of a file
-<!-- background -->             goes on while the rest of the page is run, then gets SIGINT and must end with status 0
+<!-- background: TEXT -->       goes on, once it has printed the text, while the rest of the page is run; it then gets
+                                SIGINT and must end with status 0
 <!-- skip: REASON -->           is not run: it needs what a machine with Python, make, git and a compiler has not
 
 A block that is none of these is an error, and so is a command that fails.
@@ -26,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import attrs
 from markdown_it import MarkdownIt
@@ -36,8 +38,8 @@ PAGES += ["CONTRIBUTING.md"]
 RUNS = ("bash", "python")
 #: How long a block may take [s]: `make test` from nothing is the longest.
 LIMIT = 3600.0
-#: How long what runs in the background may take to end [s].
-PATIENCE = 15.0
+#: How long what runs in the background may take to be ready, and to end [s].
+READY, PATIENCE = 60.0, 15.0
 _MARK = re.compile(r"<!--\s*(output|file|background|skip)(?::\s*(.*?))?\s*-->\s*$")
 _NUMBER = re.compile(r"\d+(?:[.,:]\d+)*(?:e[+-]?\d+)?")
 
@@ -79,6 +81,8 @@ def blocks_of(text: str, name: str) -> list[Block]:
         if mark == "output":
             if not blocks or blocks[-1].mark or blocks[-1].output is not None:
                 raise PageError(f"{place}: output of no block")
+            if words not in ("", "numbers vary"):
+                raise PageError(f"{place}: output: '{words}' is unknown; write 'numbers vary' or nothing")
             blocks[-1].output, blocks[-1].numbers_vary = token.content, words == "numbers vary"
         elif mark or token.info in RUNS:
             blocks.append(Block(place=place, language=token.info, code=token.content, mark=mark, words=words))
@@ -105,13 +109,13 @@ def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
 class Clone:
     """A clean clone, in which blocks are run as a user's shell runs them."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, *, logs: Path) -> None:
+        self.folder, self._logs = folder, logs
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
         hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
         self._environment = {name: value for name, value in os.environ.items() if name not in hidden}
         self._environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
-        self._background: list[subprocess.Popen[str]] = []
+        self._background: list[tuple[subprocess.Popen[str], Path]] = []
 
     def run(self, block: Block) -> str:
         """Run a block; return what is wrong, empty if nothing is."""
@@ -119,9 +123,8 @@ class Clone:
             (self.folder / block.words).write_text(block.code)
             return ""
         if block.mark == "background":
-            self._background.append(self._start(block))
-            return ""
-        process = self._start(block)
+            return self._begin(block)
+        process = self._start(block, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         try:
             printed, errors = process.communicate(timeout=LIMIT)
         except subprocess.TimeoutExpired:
@@ -135,32 +138,43 @@ class Clone:
 
     def end_background(self) -> Iterator[str]:
         """End what runs in the background; yield what is wrong with each."""
-        for process in self._background:
+        for process, log in self._background:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGINT)
             try:
-                _, errors = process.communicate(timeout=PATIENCE)
-                if process.returncode:
-                    yield f"what ran in the background ended with status {process.returncode}\n{errors[-4000:]}"
+                status: object = process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
                 os.killpg(process.pid, signal.SIGKILL)
-                yield f"what ran in the background did not end within {PATIENCE:g} s of SIGINT"
+                status = f"none, {PATIENCE:g} s after SIGINT"
+            if status:
+                yield f"what ran in the background ended with status {status}\n{log.read_text()[-4000:]}"
         self._background.clear()
 
-    def _start(self, block: Block) -> subprocess.Popen[str]:
+    def _begin(self, block: Block) -> str:
+        log = self._logs / f"{len(self._background)}.log"
+        with log.open("w") as stream:
+            # It takes the shell's place, to get the signal itself.
+            block.code = f"exec {block.code}"
+            process = self._start(block, stdout=stream, stderr=subprocess.STDOUT)
+        self._background.append((process, log))
+        end = time.monotonic() + READY
+        while block.words not in log.read_text():
+            if process.poll() is not None or time.monotonic() > end:
+                return f"did not print '{block.words}' within {READY:g} s\n{log.read_text()[-4000:]}"
+            time.sleep(0.05)
+        return ""
+
+    def _start(self, block: Block, **streams: Any) -> subprocess.Popen[str]:
         bash = block.language == "bash"
-        # A background command takes the shell's place: it gets the signal itself.
-        code = f"exec {block.code}" if block.mark == "background" else block.code
-        shell = ["bash", "-euo", "pipefail", "-c", code]
+        python = [str(self.folder / ".venv" / "bin" / "python"), "-c"]
         return subprocess.Popen(
-            shell if bash else [str(self.folder / ".venv" / "bin" / "python"), "-c", block.code],
+            [*(["bash", "-euo", "pipefail", "-c"] if bash else python), block.code],
             cwd=self.folder,
             env=self._environment,
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            **streams,
         )
 
 
@@ -174,7 +188,7 @@ def main() -> int:
     os.environ.setdefault("ROS_DOMAIN_ID", "87")
     with tempfile.TemporaryDirectory() as temporary:
         begun = time.monotonic()
-        clone = Clone(options.folder or Path(temporary) / "cloth_sim_ros")
+        clone = Clone(options.folder or Path(temporary) / "cloth_sim_ros", logs=Path(temporary))
         wrong = run = skipped = 0
         for name in options.pages:
             for block in blocks_of((ROOT / name).read_text(), name):
