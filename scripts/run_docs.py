@@ -191,7 +191,7 @@ def main() -> int:
         clone = Clone(options.folder or Path(temporary) / "cloth_sim_ros", logs=Path(temporary))
         wrong = run = skipped = 0
         for name in options.pages:
-            for block in blocks_of((ROOT / name).read_text(), name):
+            for block in blocks_of((clone.folder / name).read_text(), name):
                 title = f"{block.place}: {(block.words if block.mark == 'file' else block.code.splitlines()[0])[:90]}"
                 if block.mark == "skip" or block.code.splitlines()[0] in options.leave_out:
                     skipped += 1
