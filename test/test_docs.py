@@ -18,6 +18,13 @@ from cloth_sim_ros.scene.parameter_page import page
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
+#: Pages as they are written, and every file of the source tree.
+WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if path.parent != DOCS / "generated"]
+FILES = [
+    str(path.relative_to(ROOT))
+    for folder in ("cloth_sim_ros", "docs", "examples", "launch", "scripts", "test")
+    for path in (ROOT / folder).rglob("*.*")
+]
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
 #: Questions of a newcomer, and where the answer begins.
 ANSWERS = {
@@ -80,6 +87,12 @@ def test_an_answer_is_less_than_three_clicks_away(question: str) -> None:
     reached = links_of("index.md")
     reached |= {link for name in reached for link in links_of(name.partition("#")[0])}
     assert ANSWERS[question] in reached
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_that_a_page_names_are_there(path: Path) -> None:
+    named = set(re.findall(r"\w[\w./]*\.(?:py|hpp|cpp)\b", path.read_text()))
+    assert not {name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in FILES)}
 
 
 def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -> None:
