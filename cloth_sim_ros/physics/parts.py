@@ -34,11 +34,9 @@ class GridFamily:
     """All springs of a grid that point the same way.
 
     `name`: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.
-    `stiffness` k_s [N], force per strain; `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d
-    of the
-    threads that run along the sheet's border. `parity`: 0 or 1 keeps only springs in cells of which row + column is
-    even
-    or odd, None keeps all. `weak`: may be taken at every second step.
+    `stiffness` k_s [N], force per strain; `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of
+    the threads that run along the sheet's border. `parity`: 0 or 1 keeps only springs in cells of which row + column is
+    even or odd, None keeps all. `weak`: may be taken at every second step.
     """
 
     name: str

@@ -141,11 +141,9 @@ class Recorder:
 
         Times in nanoseconds since the epoch (ValueError if they are none); without a publish time it is the given log
         time. A log time that lies before the last one by less than a second is raised to it, so that whoever sorts by
-        it
-        gets what was recorded in the order in which it was; the clock's greater jumps stay. `qos` counts with the first
-        message of a
-        topic; the newest message of a
-        transient local topic is repeated at the beginning of each further file.
+        it gets what was recorded in the order in which it was; the clock's greater jumps stay. `qos` counts with the
+        first message of a topic; the newest message of a transient local topic is repeated at the beginning of each
+        further file.
         """
         if publish_time is None:
             publish_time = log_time

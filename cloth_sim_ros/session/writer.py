@@ -92,8 +92,7 @@ class SessionWriter:
         """Create ``<folder>/<stem>_<part>.mcap`` (or, if that exists, ``...-2.mcap``) with its snapshot in it.
 
         `log_time` [ns since the epoch] is the time of the snapshot; `session` names what the files of a split session
-        have
-        in common (by default `stem`). Raises RecordingError or OSError where it cannot.
+        have in common (by default `stem`). Raises RecordingError or OSError where it cannot.
         """
         from mcap.records import Attachment, Metadata
 

@@ -18,11 +18,9 @@ class Grips(EngineForce):
     """Zero-length springs between held particles and points fixed to moving grippers.
 
     ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A gripper's path is a
-    row of PATH_NUMBERS numbers: its start time t0; position coefficients p0 to p3 of p0 + p1 s + p2 s^2 + p3 s^3 with
-    s =
-    t - t0; the orientation q0 (x, y, z, w) at s = 0; rotation vector coefficients r1, r2, r3. The orientation is
-    exp(r1 s
-    + r2 s^2 + r3 s^3) q0.
+    row of PATH_NUMBERS numbers: its start time t0; position coefficients p0 to p3 of p0 + p1 s + p2 s^2 + p3 s^3 with s
+    = t - t0; the orientation q0 (x, y, z, w) at s = 0; rotation vector coefficients r1, r2, r3. The orientation is
+    exp(r1 s + r2 s^2 + r3 s^3) q0.
 
     Args:
         gripper_count: number of grippers.

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a cloth is made of: geometry, masses and springs of grids, triangle meshes, chains and raw springs.
 
-Begin with `grid` and `mesh`; `surface` has triangles, edges and hinges of either, `material` and `bending` turn
-moduli into
-stiffnesses, `hinge_shape` measures a fold.
+Begin with `grid` and `mesh`; `surface` has triangles, edges and hinges of either, `material` and `bending` turn moduli
+into stiffnesses, `hinge_shape` measures a fold.
 """

@@ -21,8 +21,7 @@ class SpringLaw:
     """One spring of a lattice and the mass that goes with it, in the lecture's terms.
 
     Damping is given as the dimensionless k_d0, the lecture's material property, or as the viscosity eta = k_d l0, whose
-    damping of slow modes
-    converges under refinement; not both.
+    damping of slow modes converges under refinement; not both.
     """
 
     #: Mass of one particle inside the lattice [kg].

@@ -3,8 +3,8 @@
 """From the moduli of a sheet to the threads of a grid.
 
 A family of threads with stiffness k_s [N], direction d and spacing w acts like a sheet with the modulus tensor (k_s /
-w) d d d d. Summed over the
-families of a grid with spacings hx, hy and diagonals of length l (docs/springs.md has the derivation):
+w) d d d d. Summed over the families of a grid with spacings hx, hy and diagonals of length l (docs/springs.md has the
+derivation):
 
 - diagonals `both` or `alternating`: C66 = C12 = G, C11 = E_x + G (hx/hy)^2, C22 = E_y + G (hy/hx)^2, so that a Young's
 modulus Y along both axes needs

@@ -52,12 +52,10 @@ class MeshSheet:
         """Return edge springs that make a sheet of Young's modulus Y [N/m].
 
         An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
-        3(2), 1998), half of it at the border by
-        itself. On equilateral triangles it is exact, k = Y sqrt(3)/2, isotropic with Poisson's ratio 1/3 and shear
-        modulus 3/8 Y; elsewhere an
-        approximation whose deviation docs/springs.md gives. Damping is k_d0 sqrt(k m) with the mean mass of the edge's
-        ends, or, with a
-        viscosity [N s/m], k viscosity / Y.
+        3(2), 1998), half of it at the border by itself. On equilateral triangles it is exact, k = Y sqrt(3)/2,
+        isotropic with Poisson's ratio 1/3 and shear modulus 3/8 Y; elsewhere an approximation whose deviation
+        docs/springs.md gives. Damping is k_d0 sqrt(k m) with the mean mass of the edge's ends, or, with a viscosity [N
+        s/m], k viscosity / Y.
         """
         a, b = self.surface.edges.T
         away = self.rest[b] - self.rest[a]
