@@ -29,7 +29,7 @@ from cloth_sim_ros.physics.remembered import Sleep as Memory
 from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 
-#: An acceleration of so many roundings of a coordinate, times the largest squared frequency, is none.
+#: Accelerations below so many roundings of a coordinate, times the largest squared frequency, count as zero.
 _ROUNDINGS = 4.0
 #: Longest sleep [frames]: what rounds to no motion at all sleeps for good.
 _FOR_GOOD = 2.0**53
@@ -160,7 +160,7 @@ def _rise(state: State) -> None:
 
 def all_below(vectors: Array, limit: float) -> bool:
     """Return whether every vector of an array (3, n) is at most as long as the limit; False if one is not finite."""
-    # A sheet that moves is known by its last particle: the first ones are often anchored.
+    # The last particle is looked at first: if the sheet moves it mostly does, while the first ones are often anchored.
     x, y, z = vectors[:, -1].tolist()
     if not x * x + y * y + z * z <= limit * limit:
         return False
