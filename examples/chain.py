@@ -23,7 +23,7 @@ def main() -> None:
     for time, at in zip(motion.times, motion.positions, strict=True):
         print(f"{time:.2f} s: lowest point {at[:, 2].min():.4f} m")
     steps = sum(advance.steps for advance in motion.advances)
-    print(f"{steps} steps by {motion.advances[-1].integrator}; last frame: {motion.advances[-1].reason}")
+    print(f"{steps} steps by {motion.advances[-1].integrator}")
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def test_read_session_tells_grasps_and_digests(tmp_path: Path) -> None:
 def test_own_force_carries_the_weight(tmp_path: Path) -> None:
     output = run("own_force.py", cwd=tmp_path)
     (expected,) = numbers(r"sink by m g / k = (\S+) mm", output)
-    assert numbers(r"lowest bead (\S+) mm", output)[-1] == pytest.approx(-expected, abs=0.01)
+    assert numbers(r"lowest bead (\S+) mm", output)[-1] == pytest.approx(-expected, abs=0.02)
 
 
 def test_towel_is_a_scene_in_which_everything_counts() -> None:
