@@ -18,6 +18,7 @@ from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.own_forces import OwnForces
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State
@@ -236,6 +237,27 @@ def test_its_exceptions_reach_the_caller_and_the_plan_goes_on(error, after, grid
     ends = [plan.runs(0.0, 1e-3, (start[0], start[1]), [4])[0][0].x for _ in range(2)]
     assert np.array_equal(*ends)
     assert np.isfinite(ends[0]).all()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_signal_before_the_first_line_that_could_catch_it_ends_the_run(monkeypatch):
+    class Still(Force):
+        name = "still"
+
+        def add_force(self, t, x, v, f):
+            pass
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    plan, at = compile(Model(np.ones(2), [Still()])), np.zeros((3, 2))
+    with monkeypatch.context() as patch:
+        patch.setattr(OwnForces, "call", interrupted)
+        for ask in (lambda: plan.runs(0.0, 1e-3, (at, at), [4]), lambda: plan.accelerations(0.0, at, at, at.copy())):
+            # ctypes has printed it, and returned any number to the engine.
+            with pytest.raises(KeyboardInterrupt):
+                ask()
+    assert np.isfinite(plan.runs(0.0, 1e-3, (at, at), [4])[0][0].x).all()
 
 
 def test_an_exception_in_a_frame_leaves_the_simulation_where_it_was():

@@ -73,7 +73,8 @@ struct Beside {
         if (plan.callback) {
             std::fill(of.begin(), of.end(), 0.0);
             double* const powers = booked ? now : nullptr;
-            if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data(), powers)) return Done::callback_failed;
+            if (plan.callback(middle_of(run, step), ox.data(), ov.data(), of.data(), powers) != called_well)
+                return Done::callback_failed;
         }
         if (booked) {
             other_powers(plan, ox.data(), ov.data(), now[0], now[1]);

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 2
+ABI = 3
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 #: Runs of one frame at most; see frame.hpp.
@@ -37,7 +37,9 @@ KINDS = {
 }
 #: Families of a grid's springs in the engine's order; see grid_row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
-#: What a user's own force is called with: t, x, v, f and powers (or null); returns 0, or another number to end the run.
+#: What a user's own force is called with: t, x, v, f and powers (or null); returns `CALLED_WELL`, or another number to
+#: end the run. ctypes returns any number for an exception that nobody caught.
+CALLED_WELL = 1
 CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctypes.c_double),) * 4)
 
 
@@ -75,6 +77,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_grid": (_INT, _P, _I, _I, _P),
     "cloth_plan_list": (_INT, _P, _INT, _I, _P, _P, _P, _INT),
     "cloth_plan_uniform": (_INT, _P, _P, _P, _D),
+    "cloth_plan_air": (_INT, _P, _P),
     "cloth_plan_order": (_INT, _P, _P),
     "cloth_plan_callback": (_INT, _P, CALLBACK),
     "cloth_plan_held": (_INT, _P, _I, _P, _I, _P, _P, _P, _P, _P),

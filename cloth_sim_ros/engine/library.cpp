@@ -34,7 +34,7 @@ int guarded(F&& work) {
 }  // namespace
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 2; }
+CLOTH_API int cloth_engine_abi() { return 3; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -87,6 +87,13 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
         std::copy(gravity, gravity + 3, plan->gravity);
         std::copy(wind, wind + 3, plan->wind);
         plan->drag = drag;
+    });
+}
+/// Coefficients and wind of the panels, the only list that has numbers in common.
+CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
+    return guarded([&] {
+        for (cloth::List& list : plan->lists)
+            if (!list.numbers) std::copy(common, common + 5, list.common);
     });
 }
 /// Place of each particle inside runs without a grid.

@@ -13,8 +13,9 @@
 namespace cloth {
 
 /// Forces of the caller's own: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n), and, where they
-/// are asked for, to the powers that damping takes and that else is given [W]. Other than 0 ends the run.
+/// are asked for, to the powers that damping takes and that else is given [W]. Other than `called_well` ends the run.
 using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
+inline constexpr int called_well = 1;
 
 /// Particles that one thread looks after, and the listed elements that touch them: those at a border are taken by both
 /// sides, so that every particle's sum runs in one order.

@@ -71,15 +71,18 @@ class Assembly:
 
     def hand_over(self, handle: int) -> None:
         """Tell the engine's plan of it."""
-        engine, uniform = library(), (self.gravity.ctypes.data, self.wind.ctypes.data, self.drag)
-        check(engine.cloth_plan_uniform(handle, *uniform))
+        self.uniform_to(handle)
         if self.gridded is not None:
             table = _table(self.gridded)
-            check(engine.cloth_plan_grid(handle, self.gridded.rows, self.gridded.columns, table.ctypes.data))
+            check(library().cloth_plan_grid(handle, self.gridded.rows, self.gridded.columns, table.ctypes.data))
         for part in self.listed:
             _add_list(handle, part)
         if self.listed and self.gridded is None:
             self._order(handle)
+
+    def uniform_to(self, handle: int) -> None:
+        """Tell the engine's plan of what acts on all particles alike."""
+        check(library().cloth_plan_uniform(handle, self.gravity.ctypes.data, self.wind.ctypes.data, self.drag))
 
     def pair_counts(self) -> list[int]:
         """Elements of each list; 0 where it is none of springs or joints."""

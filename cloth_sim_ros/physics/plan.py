@@ -22,7 +22,6 @@ import numpy as np
 
 from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
-    CALLBACK,
     MOST_RUNS,
     PATH_NUMBERS,
     Frame,
@@ -36,10 +35,11 @@ from cloth_sim_ros.engine.binding import (
 )
 from cloth_sim_ros.physics.assembly import Assembly
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.own_forces import OwnForces
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.turn import one_at_a_time
 
@@ -90,12 +90,26 @@ class Plan:
         weakref.finalize(self, self._library.cloth_plan_free, self._handle).atexit = False
         parts.hand_over(self._handle)
         self._frame.rates = not self._own
-        self._callback: Any = None
-        self._trouble: BaseException | None = None
-        if self._own:
-            # Kept: ctypes does not.
-            self._callback = CALLBACK(_caller(weakref.ref(self)))
-            check(self._library.cloth_plan_callback(self._handle, self._callback))
+        self._called = OwnForces(self._own, self._shape) if self._own else None
+        if self._called is not None:
+            check(self._library.cloth_plan_callback(self._handle, self._called.callback))
+
+    def change_uniform(self, forces: Sequence[Force], uniform: Sequence[Force], *, air: Array | None = None) -> None:
+        """Take over forces that differ from the model's in gravity, drag and wind alone.
+
+        Args:
+            forces: all of them.
+            uniform: those of them that act on all particles alike.
+            air: what panels have in common, `AirPanels.common`; None where there are none.
+        """
+        found = Assembly.of(Model([1.0], uniform))
+        if air is not None or found.drag != self._drag:
+            # What others keep of a model, such as the matrix of implicit steps, holds its damping.
+            self.model = Model(self.model.masses, forces, anchors=self.model.anchors)
+        self.model.forces, self._drag = tuple(forces), found.drag
+        found.uniform_to(self._handle)
+        if air is not None:
+            check(self._library.cloth_plan_air(self._handle, air.ctypes.data))
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         raise TypeError("a plan owns memory of the engine, and can't be copied or pickled; compile its model once more")
@@ -247,9 +261,8 @@ class Plan:
         self._checked(self._library.cloth_accelerations(self._handle, t, *addresses))
 
     def _checked(self, status: int) -> None:
-        if status == 3 and self._trouble is not None:
-            trouble, self._trouble = self._trouble, None
-            raise trouble
+        if status == 3 and self._called is not None:
+            self._called.raise_trouble()
         check(status)
 
     def rates(self, x: Array) -> tuple[float, float]:
@@ -374,25 +387,3 @@ class Plan:
         rows, columns = np.divmod(np.arange(self.model.particle_count), self._gridded.columns)
         flat = np.stack([lengths["right"] * columns, lengths["down"] * rows, np.zeros(len(rows))])
         return _STIFFER * self.rates(flat)[0]
-
-    def call_own(self, t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
-        """Evaluate the forces in numpy for the engine; 0 if all went well."""
-        try:
-            places, speeds, forces = (np.ctypeslib.as_array(array, self._shape) for array in (x, v, f))
-            for force in self._own:
-                force.add_force(t, places, speeds, forces)
-                if powers:
-                    powers[0] += force.dissipation(t, places, speeds)
-                    powers[1] += force.supply(t, places, speeds)
-        except BaseException as trouble:
-            self._trouble = trouble
-            return 1
-        return 0
-
-
-def _caller(plan: weakref.ref[Plan]) -> Any:
-    def call(t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
-        alive = plan()
-        return 1 if alive is None else alive.call_own(t, x, v, f, powers)
-
-    return call

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -53,8 +54,18 @@ class AirPanels(EngineForce):
         self.tangential = float(finite("tangential drag", tangential, (), least=0.0))
         self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
+    def blown(self, wind: ArrayLike) -> AirPanels:
+        """The same panels in another wind [m/s], shape (3,)."""
+        other = copy.copy(self)
+        other.wind = finite("wind", wind, (3,), one_for_all=False)
+        return other
+
+    @property
+    def common(self) -> Array:
+        """c_n, c_t [N s/m^3] and the wind [m/s], shape (5,)."""
+        return np.array([self.normal, self.tangential, *self.wind])
+
     def parts(self, particle_count: int) -> Sequence[Part]:
         panels = indices("panels", self.panels, self.panels.shape[1], particle_count)
         kind = "triangle" if panels.shape[1] == 3 else "quad"
-        common = np.array([self.normal, self.tangential, *self.wind])
-        return (Listed(kind=kind, particles=panels, numbers=np.empty((len(panels), 0)), common=common),)
+        return (Listed(kind=kind, particles=panels, numbers=np.empty((len(panels), 0)), common=self.common),)
