@@ -145,7 +145,7 @@ def running(ros_domain: int) -> Any:
             node,
             scene,
             lambda values: queue.put(SetParameters(values)),
-            lambda _, wanted: refuse_endless_frames(wanted, simulation.state.x),
+            lambda _, wanted: refuse_endless_frames(wanted, simulation),
             contextlib.nullcontext(),
         )
         yield node, simulation, stepper, live

@@ -78,7 +78,7 @@ class ClothNode:
         self._aside = aside
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
-        refuse_endless_frames(scene, self._simulation.state.x)
+        refuse_endless_frames(scene, self._simulation)
         if others := self._simulation.state.left_out:
             self._log.info(
                 "initial state",
@@ -311,7 +311,7 @@ class ClothNode:
             self._extras = {"skipped": skipped}
 
     def _check_parameters(self, values: dict[str, Any], wanted: Scene) -> None:
-        refuse_endless_frames(wanted, self._simulation.state.x)
+        refuse_endless_frames(wanted, self._simulation)
         self._queue.make_room(SetParameters(values))
 
     def _change_parameters(self, values: dict[str, Any]) -> None:

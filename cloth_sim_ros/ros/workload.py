@@ -7,9 +7,9 @@ The library itself has no such bound; a run of millions of steps is a fair thing
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Most particle steps in a frame: about a second of the slowest forces.
 MOST_WORK = 20_000_000
@@ -19,20 +19,20 @@ ALWAYS = 1000
 NEVER = 100_000
 
 
-def refuse_endless_frames(scene: Scene, x: Array) -> None:
+def refuse_endless_frames(scene: Scene, simulation: Simulation) -> None:
     """Refuse a scene whose frames are not over soon.
 
     Args:
         scene: to be judged.
-        x: positions [m], shape (3, n).
+        simulation: the cloth that it is to be in force for.
 
     Raises:
         ParameterError: naming the steps that a frame would take, and what to do.
     """
-    particles = x.shape[1]
+    particles = simulation.state.particle_count
     step, why = scene.step, f"step is {scene.step} s"
     if not step:
-        step = scene.build_integrator().step_limit(*scene.plan().rates(x))
+        step = scene.build_integrator().step_limit(*simulation.rates(scene))
         why = f"the stability limit of '{scene.integrator}' is {step:.3g} s"
     # A frame of ten seconds may take longer than one of a sixtieth.
     patience = max(1.0, 2.0 * scene.period)

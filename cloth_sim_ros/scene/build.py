@@ -111,32 +111,36 @@ def build_model(scene: Scene) -> Model:
     """Build masses, forces and anchors."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
-    forces = [*_elastic_forces(scene, sheet, masses)]
-    if any(scene.gravity):
-        forces.append(Gravity(scene.gravity))
-    if scene.air.drag:
-        forces.append(Drag(scene.air.drag))
-    forces.extend(_air_forces(scene, sheet))
+    forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_panels(scene, sheet)]
     if scene.gripper_names:
         forces.append(Grips(len(scene.gripper_names)))
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
 
 
-def _air_forces(scene: Scene, sheet: Sheet) -> list[Force]:
-    """Build what moving air adds to drag, and what air does to a surface."""
-    wind, forces = scene.wind, list[Force]()
-    if any(wind.velocity) and scene.air.drag:
+def uniform_forces(scene: Scene) -> list[Force]:
+    """Build what acts on every particle alike: gravity, drag, and what moving air adds to drag."""
+    forces = list[Force]()
+    if any(scene.gravity):
+        forces.append(Gravity(scene.gravity))
+    if scene.air.drag:
+        forces.append(Drag(scene.air.drag))
+    if any(scene.wind.velocity) and scene.air.drag:
         from cloth_sim_ros.physics.forces.wind import Wind
 
-        forces.append(Wind(wind.velocity, scene.air.drag))
-    if wind.normal_drag or wind.tangential_drag:
-        from cloth_sim_ros.physics.forces.air_panels import AirPanels
-
-        # A grid's cells, not its triangles: every particle has air on as much surface as it has mass.
-        panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
-        normal, tangential = wind.normal_drag, wind.tangential_drag
-        forces.append(AirPanels(panels, normal=normal, tangential=tangential, wind=wind.velocity))
+        forces.append(Wind(scene.wind.velocity, scene.air.drag))
     return forces
+
+
+def _panels(scene: Scene, sheet: Sheet) -> list[Force]:
+    """Build what air does to a surface."""
+    wind = scene.wind
+    if not wind.normal_drag and not wind.tangential_drag:
+        return []
+    from cloth_sim_ros.physics.forces.air_panels import AirPanels
+
+    # A grid's cells, not its triangles: every particle has air on as much surface as it has mass.
+    panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
+    return [AirPanels(panels, normal=wind.normal_drag, tangential=wind.tangential_drag, wind=wind.velocity)]
 
 
 def build_plan(scene: Scene) -> Plan:
@@ -185,10 +189,10 @@ def _hinge_springs(
 
     model = scene.bending.model
     rest = sheet.positions()
-    hinges = sheet.surface.hinges
     modulus = scene.material.bending_modulus
     options: dict[str, Any] = {}
     if model == "opposite":
+        hinges = sheet.surface.hinges
         ends = rest[hinges[:, 1]] - rest[hinges[:, 0]]
         options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(np.sum(ends * ends, axis=1))
     elif isinstance(sheet, GridSheet):
@@ -198,6 +202,7 @@ def _hinge_springs(
             hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus
         )
     else:
+        hinges = sheet.surface.hinges
         options["hinge_constants"] = calibration.mesh_hinge_constants(hinges, rest, bending_modulus=modulus)
     return [
         *calibration.bending_terms(

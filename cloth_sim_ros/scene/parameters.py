@@ -9,7 +9,8 @@ documentation read its default, unit and limits from there, and whether it may c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import attrs
@@ -49,7 +50,8 @@ class Parameter:
     choices: tuple[str, ...] = ()
     #: May change while the cloth runs; takes effect at the next frame.
     live: bool = False
-    #: A change shows or reports something else, and leaves the motion as it is, to the last bit.
+    #: A change shows or reports something else, or counts for later commands: it leaves the motion as it is, to the
+    #: last bit.
     observes: bool = False
 
     @property
@@ -122,13 +124,20 @@ def section(cls: type) -> Any:
     return attrs.field(factory=cls, metadata={_SECTION: cls})
 
 
-def declared(cls: type, prefix: str = "") -> Iterator[Parameter]:
-    """Yield every parameter of a configuration class, sections included, with its full name."""
+def declared(cls: type) -> tuple[Parameter, ...]:
+    """Every parameter of a configuration class, sections included, with its full name."""
+    return _declared(cls, "")
+
+
+@cache
+def _declared(cls: Any, prefix: str) -> tuple[Parameter, ...]:
+    found: list[Parameter] = []
     for field in attrs.fields(cls):
         if _META in field.metadata:
-            yield attrs.evolve(field.metadata[_META], name=prefix + field.name)
+            found.append(attrs.evolve(field.metadata[_META], name=prefix + field.name))
         elif _SECTION in field.metadata:
-            yield from declared(field.metadata[_SECTION], f"{prefix}{field.name}.")
+            found.extend(_declared(field.metadata[_SECTION], f"{prefix}{field.name}."))
+    return tuple(found)
 
 
 def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:

@@ -152,7 +152,7 @@ class Scene:
     @classmethod
     def declared(cls) -> tuple[parameters.Parameter, ...]:
         """Every parameter of a scene."""
-        return tuple(parameters.declared(cls))
+        return parameters.declared(cls)
 
     @classmethod
     def from_parameters(

@@ -172,7 +172,14 @@ class Gripper:
     """What every gripper is like."""
 
     radius: float = parameter(
-        "double", 0.05, "Closing grabs the particles within this distance", unit="m", least=0.0, most=100.0, live=True
+        "double",
+        0.05,
+        "Closing grabs the particles within this distance",
+        unit="m",
+        least=0.0,
+        most=100.0,
+        live=True,
+        observes=True,
     )
     stiffness: float = parameter(
         "double",
@@ -200,6 +207,7 @@ class Gripper:
         least=0.0,
         most=1e6,
         live=True,
+        observes=True,
     )
     frame: str = parameter(
         "string",

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -19,9 +19,11 @@ from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.identity import difference
+from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
+from cloth_sim_ros.simulation.loads import JUMP, is_gentle
 from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
 
 if TYPE_CHECKING:
@@ -29,8 +31,6 @@ if TYPE_CHECKING:
 
 #: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
 REACH = 1e4
-#: Change of a closed gripper's mean velocity from one frame to the next [m/s] from which its target counts as jumping.
-_JUMP = 0.5
 #: Parameters whose change leaves the motion as it is.
 _OBSERVING = frozenset(entry.name for entry in Scene.declared() if entry.observes)
 
@@ -101,6 +101,7 @@ class Simulation:
         # book has its wrenches. The second: the last frame, kept if the next one without events must equal it.
         self._known_to_rest = False
         self._slept: Frame | None = None
+        self._plans = Plans(scene)
         self._apply_scene(scene)
 
     @property
@@ -145,6 +146,10 @@ class Simulation:
     def energy(self) -> float:
         """Kinetic plus potential energy [J] at the present state."""
         return self.plan.energy(self.time, self.state.x, self.state.v)
+
+    def rates(self, scene: Scene) -> tuple[float, float]:
+        """Bounds of the squared highest frequency [1/s^2] and of the damping rate [1/s] with another scene in force."""
+        return self._plans.rates(scene, self.state.x)
 
     def check(self, event: Event) -> None:
         """Refuse an event that can't take effect.
@@ -207,12 +212,7 @@ class Simulation:
                 case Grasp():
                     grasps.append(self._grasp(event))
                 case SetParameters(values=values):
-                    # If the motion exceeds the fixed step's limit already, the new parameters are not refused for it.
-                    stable = values.keys() <= _OBSERVING or self._holds_step()
-                    self._apply_scene(self._scene.changed(values))
-                    if not values.keys() <= _OBSERVING:
-                        restart(self.state, entirely=stable)
-                        wake(self.state)
+                    self._set_parameters(values)
                 case Relax(factor=factor):
                     relaxation.set_factor(self.state, factor)
                     self._hold_tolerance()
@@ -239,6 +239,18 @@ class Simulation:
         if done and not done.steps and not self.paused and self.grippers.settled:
             self._slept = frame
         return frame
+
+    def _set_parameters(self, values: dict[str, Any]) -> None:
+        before, scene = self._scene, self._scene.changed(values)
+        observing = values.keys() <= _OBSERVING
+        # A motion beyond the fixed step already is none of the parameters' doing.
+        stable = observing or self._holds_step()
+        self._apply_scene(scene)
+        if observing:
+            return
+        if not is_gentle(values, before, scene, self.state.v):
+            restart(self.state, entirely=stable)
+        wake(self.state)
 
     def _grasp(self, event: Grasp) -> GraspResult:
         index = self.grippers.names.index(event.gripper)
@@ -282,7 +294,7 @@ class Simulation:
         before = state.memory["gripper.turn"][:, :3]
         self.grippers.plan_frame(grips, self.model, t, period, gripper.stiffness, gripper.damping)
         jerk = np.abs(state.memory["gripper.turn"][:, :3] - before)[state.memory["gripper.closed"]]
-        if jerk.max(initial=0.0) > _JUMP * period:
+        if jerk.max(initial=0.0) > JUMP * period:
             restart(state)
 
     def _sleeps_on(self, t: float) -> bool:
@@ -324,7 +336,7 @@ class Simulation:
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene = scene
-        self.plan = scene.plan()
+        self.plan = self._plans.change(scene)
         self.model = self.plan.model
         watches = scene.diagnostics.energy
         self._book = Book(self.plan.gripper_count, powers=watches) if self.plan.gripper_count or watches else None

@@ -1,0 +1,77 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of a scene that changes while it runs: what a change leaves as it was is not built anew."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.scene.build import build_plan, uniform_forces
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.scene.scene import Scene
+
+
+class Plans:
+    """The plan of the scene in force.
+
+    Where springs, hinges, panels, masses and anchors stay, it stays the same plan from one scene to the next: gravity,
+    drag and wind, which act on all particles alike, are laid into it.
+
+    Args:
+        scene: in force at the beginning.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        #: Of the scene in force.
+        self.plan = build_plan(scene)
+        # Of one that was asked about.
+        self._ahead: tuple[Scene, Plan] | None = None
+
+    def change(self, scene: Scene) -> Plan:
+        """Let another scene be in force, and return its plan."""
+        before, self._scene = self._scene, scene
+        if not same_elements(before, scene):
+            known, self._ahead = self._ahead, None
+            self.plan = known[1] if known is not None and known[0] == scene else build_plan(scene)
+        elif _uniform(before) != _uniform(scene):
+            self._lay(before, scene)
+        return self.plan
+
+    def _lay(self, before: Scene, scene: Scene) -> None:
+        """Lay gravity, drag and wind into the plan."""
+        uniform, gone = uniform_forces(scene), {force.name for force in uniform_forces(before)}
+        kept, air = [force for force in self.plan.model.forces if force.name not in gone], None
+        if scene.wind.normal_drag or scene.wind.tangential_drag:
+            from cloth_sim_ros.physics.forces.air_panels import AirPanels
+
+            panels = next(force for force in kept if isinstance(force, AirPanels))
+            blown = panels.blown(scene.wind.velocity)
+            kept, air = [blown if force is panels else force for force in kept], blown.common
+        self.plan.change_uniform([*kept, *uniform], uniform, air=air)
+
+    def rates(self, scene: Scene, x: Array) -> tuple[float, float]:
+        """Return `Plan.rates` at positions x [m], (3, n), as they would be with another scene in force."""
+        if same_elements(self._scene, scene):
+            omega2, damping = self.plan.rates(x)
+            return omega2, damping + scene.air.drag - self._scene.air.drag
+        # A change that is asked about is mostly made then.
+        self._ahead = scene, build_plan(scene)
+        return self._ahead[1].rates(x)
+
+
+def same_elements(before: Scene, scene: Scene) -> bool:
+    """Whether two scenes have the same springs, hinges, panels, masses, anchors and grippers."""
+    return _elements(before) == _elements(scene)
+
+
+def _elements(scene: Scene) -> tuple[Any, ...]:
+    panels = scene.wind.normal_drag, scene.wind.tangential_drag
+    return scene.cloth, scene.material, scene.bending, scene.grippers, panels
+
+
+def _uniform(scene: Scene) -> tuple[Any, ...]:
+    return scene.gravity, scene.air, scene.wind.velocity

@@ -1,0 +1,122 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that change while a cloth runs: what stays is not built anew, and the motion is that of a fresh plan."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, State, Target
+from cloth_sim_ros.physics import assembly
+from cloth_sim_ros.physics.integrators.base import MEMORY
+
+GRID: dict[str, Any] = {"cloth.resolution": [9, 8], "wind.velocity": [0.1, 0.0, 0.0]}
+SCENES: dict[str, dict[str, Any]] = {
+    "grid": GRID,
+    "hinges": GRID | {"bending.model": "crossed", "material.bending_modulus": 1e-5},
+    "panels": GRID | {"wind.normal_drag": 0.5, "wind.tangential_drag": 0.1},
+    "implicit": GRID | {"integrator": "implicit", "wind.normal_drag": 0.5, "tolerance": 1e-3},
+    "fixed step": GRID | {"step": 1e-3},
+    "energy": GRID | {"diagnostics.energy": True, "wind.normal_drag": 0.5},
+}
+#: Gusts and the like, one a frame.
+CHANGES: list[dict[str, Any]] = [
+    {"wind.velocity": [1.0, 0.5, 0.0]},
+    {"gravity": [0.0, 0.2, -9.7]},
+    {"air.drag": 0.3},
+    {"air.drag": 0.25, "wind.velocity": [2.0, 0.0, 0.0]},
+    {"material.damping": 0.105},
+    {"wind.velocity": [0.0, 0.0, 0.0]},
+    {"gravity": [0.0, 0.0, 0.0]},
+    {"material.stretch_modulus": 900.0, "gravity": [0.0, 0.0, -9.81]},
+]
+#: Those after which springs, hinges, panels and their order are what they were.
+LIGHT = CHANGES[:4]
+
+
+def started(values: dict[str, Any]) -> Simulation:
+    simulation = Simulation(Scene.from_parameters(values))
+    simulation.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
+    for _ in range(3):
+        simulation.advance([Target("gripper", (0.45, -0.02, 0.5))])
+    return simulation
+
+
+@pytest.mark.parametrize("values", SCENES.values(), ids=SCENES)
+def test_what_is_kept_moves_as_what_is_built_anew(values: dict[str, Any]) -> None:
+    kept = started(values)
+    for change in CHANGES:
+        # From the state and the scene alone, as a session runs again.
+        fresh = Simulation(kept.scene, State.from_bytes(kept.state.to_bytes()))
+        for simulation in (kept, fresh):
+            simulation.advance([SetParameters(change)])
+        for _ in range(2):
+            assert kept.state.digest() == fresh.state.digest(), change
+            kept.advance()
+            fresh.advance()
+
+
+@pytest.mark.parametrize("values", SCENES.values(), ids=SCENES)
+def test_what_acts_on_all_alike_rebuilds_no_list(monkeypatch: pytest.MonkeyPatch, values: dict[str, Any]) -> None:
+    simulation = started(values)
+    plan = simulation.plan
+    if values.get("integrator") != "implicit":
+        # The matrix of implicit steps has plans of its own.
+        monkeypatch.setattr(assembly.Assembly, "hand_over", lambda *_: pytest.fail("a plan was built"))
+    for change in LIGHT:
+        simulation.rates(simulation.scene.changed(change))
+        simulation.advance([SetParameters(change)])
+        assert simulation.plan is plan
+
+
+def test_a_change_that_was_asked_about_is_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation, built = started(SCENES["hinges"]), []
+    whole = assembly.Assembly.hand_over
+    monkeypatch.setattr(assembly.Assembly, "hand_over", lambda self, handle: (built.append(1), whole(self, handle))[1])
+    simulation.rates(simulation.scene.changed({"material.density": 0.3}))
+    simulation.advance([SetParameters({"material.density": 0.3})])
+    assert len(built) == 1
+
+
+def test_a_gust_is_no_reason_to_judge_steps_anew_and_a_storm_is() -> None:
+    simulation = started({"cloth.resolution": [9, 8]})
+    for _ in range(40):
+        simulation.advance()
+    for change, judged in (
+        ({"wind.velocity": [1.0, 0.0, 0.0]}, False),
+        ({"gravity": [0.0, 0.0, -9.0]}, False),
+        ({"air.drag": 0.3}, False),
+        ({"material.damping": 0.105}, False),
+        ({"gripper.radius": 0.1}, False),
+        ({"gravity": [0.0, 0.0, 90.0]}, True),
+        ({"air.drag": 100.0}, True),
+        ({"material.damping": 0.3}, True),
+        ({"material.stretch_modulus": 1100.0}, True),
+        ({"tolerance": 2e-4}, True),
+    ):
+        before = simulation.state.memory[MEMORY].copy()
+        restore = simulation.state.share()
+        simulation._set_parameters(change)
+        after = simulation.state.memory.get(MEMORY)
+        forgotten = after is None or not np.array_equal(after, before)
+        assert forgotten is judged, change
+        simulation.state.restore(restore)
+
+
+def test_a_change_that_fails_leaves_the_plan_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, other = started(SCENES["panels"]), started(SCENES["panels"])
+
+    def fails(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    for change in ({"gravity": [0.0, 0.0, 5.0]}, {"air.drag": 3.0}, {"wind.velocity": [5.0, 0.0, 0.0]}):
+        with monkeypatch.context() as patch:
+            patch.setattr(type(tried.plan), "runs", fails)
+            with pytest.raises(MemoryError):
+                tried.advance([SetParameters(change)])
+        tried.advance()
+        other.advance()
+        assert tried.state.digest() == other.state.digest(), change
