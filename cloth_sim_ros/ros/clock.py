@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Protocol
@@ -54,7 +55,8 @@ class WallPacer:
     """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral.
 
     Args:
-        node: has the timer.
+        node: has the guard condition that a frame is due by. A thread of its own rings it: a timer of the executor's
+            would cost it one more turn a frame.
         rate: frames a second.
         on_due: called for each frame.
         settled: whether all messages that have arrived were taken. In each turn an executor runs timers first, then
@@ -72,22 +74,30 @@ class WallPacer:
         self._start = 0
         self._last = 0
         self._stamp: int | None = None
-        self._timer: object | None = None
+        self._stopped = threading.Event()
+        self._bell: threading.Thread | None = None
 
     def start(self) -> None:
-        # Read before the timer begins to count, so that its k-th call never comes before the k-th due time.
         self._start = self._steady.now().nanoseconds
-        # rclpy truncates seconds to nanoseconds; the half keeps the period exact.
-        self._timer = self._node.create_timer((self.period + 0.5) / _SECOND, self._guard.trigger, clock=self._steady)
+        self._bell = threading.Thread(target=self._ring, name="due", daemon=True)
+        self._bell.start()
 
     def stop(self) -> None:
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-            self._timer = None
+        if self._bell is not None:
+            self._stopped.set()
+            self._bell.join()
+            self._bell = None
             self._node.destroy_guard_condition(self._guard)
 
+    def _ring(self) -> None:
+        while not self._stopped.wait((self.period - self._since_start() % self.period) / _SECOND):
+            self._guard.trigger()
+
+    def _since_start(self) -> int:
+        return int(self._steady.now().nanoseconds) - self._start
+
     def _serve(self) -> None:
-        if self._timer is None:
+        if self._bell is None:
             return
         if not self._settled():
             self._guard.trigger()

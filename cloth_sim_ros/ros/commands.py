@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -86,7 +87,10 @@ class Commands:
                     self._take, gripper, leaf, kind, qos, self._node.resolve_topic_name(topic, only_expand=True), handle
                 )
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-                self._node.create_subscription(kind, topic, self._single(take), qos, raw=True)
+                # Best effort meets every publisher: nothing is to be told, and each event costs time every turn.
+                misfits = qos.reliability == ReliabilityPolicy.RELIABLE
+                events = SubscriptionEventCallbacks(use_default_callbacks=misfits)
+                self._node.create_subscription(kind, topic, self._single(take), qos, raw=True, event_callbacks=events)
 
     def heard(self, gripper: str) -> int | None:
         """When the newest target of a gripper came, ROS time [ns]; None if none has."""

@@ -8,8 +8,9 @@ from typing import Any, Protocol
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
@@ -54,11 +55,16 @@ class Output:
         self._kind = kind
         self._tape = tape
         self._droppable = droppable
+        self._warn = node.get_logger().warning
         # A profile of its own: rclpy writes the overrides of a topic into the very object that it is given.
         own = QoSProfile(depth=qos.depth, reliability=qos.reliability, durability=qos.durability)
         try:
             self._publisher = node.create_publisher(
-                kind, topic, own, qos_overriding_options=QoSOverridingOptions.with_default_policies()
+                kind,
+                topic,
+                own,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                event_callbacks=PublisherEventCallbacks(incompatible_qos=self._misfit, use_default_callbacks=False),
             )
         except _BAD_PROFILE as error:
             name, reason = node.resolve_topic_name(topic), str(error) or type(error).__name__
@@ -68,6 +74,13 @@ class Output:
             ) from error
         #: Under the node's own name, whatever the topic is remapped to: a session looks the same everywhere.
         self.topic = node.resolve_topic_name(topic, only_expand=True)
+
+    def _misfit(self, event: Any) -> None:
+        """Warn as rclpy does by default; its other events are left out: each costs the executor time in every turn."""
+        self._warn(
+            f"a subscription of {self.topic} asks for a quality of service that is not offered "
+            f"({qos_policy_name_from_kind(event.last_policy_kind)}); it will receive nothing"
+        )
 
     @property
     def heard(self) -> bool:

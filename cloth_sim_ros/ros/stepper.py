@@ -76,6 +76,8 @@ class Stepper:
         return frame
 
     def _advance(self, entries: list[Entry]) -> Frame:
+        if not entries and self._simulation.sleeps_on:
+            return self._simulation.advance()
         return self._aside(lambda: self._simulation.advance([entry.event for entry in entries]))
 
 

@@ -130,6 +130,11 @@ class Simulation:
         return is_asleep(self.state)
 
     @property
+    def sleeps_on(self) -> bool:
+        """Whether the next frame, unless events come, costs nothing: it can only be the last one again."""
+        return self._slept is not None
+
+    @property
     def positions(self) -> Array:
         """Particle positions [m], a copy of shape (particle_count, 3)."""
         return self.state.positions
