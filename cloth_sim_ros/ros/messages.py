@@ -18,9 +18,10 @@ from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.forces.force import Array
 
-_SECOND = 1_000_000_000
+#: [ns]
+SECOND = 1_000_000_000
 #: CDR, little endian, as every ROS 2 middleware sends.
-_CDR = b"\x00\x01\x00\x00"
+CDR = b"\x00\x01\x00\x00"
 
 
 class CloudMessage:
@@ -51,17 +52,17 @@ class CloudMessage:
         message.header.frame_id = frame_id
         self._points = np.empty((height * width, len(names)), dtype="<f4")
         # Behind the row step come the number of bytes, the bytes, and is_dense; before it all stays but the stamp.
-        start = bytes(serialize_message(message))[len(_CDR) + 8 : -5]
+        start = bytes(serialize_message(message))[len(CDR) + 8 : -5]
         self._middle = start + struct.pack("<I", self._points.nbytes)
         # To a multiple of four, as it travels: what is recorded is what subscribers receive, to the last byte.
-        self._end = _aligned(b"\x01", 4)
+        self._end = aligned(b"\x01", 4)
 
     def serialized(self, x: Array, stamp: int, v: Array | None = None) -> bytes:
         """Return the CDR bytes for positions x [m] at a ROS time [ns]; velocities v [m/s] where it has them; (3, n)."""
         self._points[:, :3] = x.T
         if v is not None:
             self._points[:, 3:] = v.T
-        head = _CDR + struct.pack("<iI", *divmod(stamp, _SECOND))
+        head = CDR + struct.pack("<iI", *divmod(stamp, SECOND))
         return b"".join((head, self._middle, self._points.data, self._end))
 
 
@@ -74,7 +75,7 @@ def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
     """
     head = struct.pack("<I", len(triangles)) + np.ascontiguousarray(triangles, dtype="<u4").tobytes()
     head += struct.pack("<I", len(vertices))
-    return _CDR + _aligned(head, 8) + np.ascontiguousarray(vertices, dtype="<f8").tobytes()
+    return CDR + aligned(head, 8) + np.ascontiguousarray(vertices, dtype="<f8").tobytes()
 
 
 class SurfaceMarker:
@@ -103,7 +104,7 @@ class SurfaceMarker:
         empty = bytes(serialize_message(self._message))
         head, tail = empty[4 : -self._tail - 4], empty[-self._tail :]
         points = np.ascontiguousarray(x[:, self._corners].T, dtype="<f8").tobytes()
-        return _CDR + _aligned(head + struct.pack("<I", len(self._corners)), 8) + points + tail
+        return CDR + aligned(head + struct.pack("<I", len(self._corners)), 8) + points + tail
 
     @staticmethod
     def _tail_length() -> int:
@@ -128,13 +129,14 @@ def wrench_message(wrench: ArrayLike, *, frame_id: str, stamp: int) -> bytes:
 
 def set_stamp(stamp: object, nanoseconds: int) -> None:
     """Write a ROS time [ns] into a builtin_interfaces/Time."""
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, _SECOND)  # type: ignore[attr-defined]
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, SECOND)  # type: ignore[attr-defined]
 
 
 def read_stamp(stamp: object) -> int:
     """Return a builtin_interfaces/Time as ROS time [ns]."""
-    return int(stamp.sec) * _SECOND + int(stamp.nanosec)  # type: ignore[attr-defined]
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)  # type: ignore[attr-defined]
 
 
-def _aligned(data: bytes, size: int) -> bytes:
+def aligned(data: bytes, size: int) -> bytes:
+    """Fill up with zeros to a multiple of a size."""
     return data + bytes(-len(data) % size)

@@ -17,6 +17,7 @@ from rclpy.parameter_service import ParameterService
 from cloth_sim_ros.ros import diagnostics, parameters
 from cloth_sim_ros.ros.accuracy import Accuracy
 from cloth_sim_ros.ros.aside import at_once
+from cloth_sim_ros.ros.broadcast import FrameBroadcaster
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import GripperCompanions
@@ -31,6 +32,7 @@ from cloth_sim_ros.ros.recording import RecordingNotInstalledError, RecordingUna
 from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report
 from cloth_sim_ros.ros.services import Services
+from cloth_sim_ros.ros.states import States
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
 from cloth_sim_ros.ros.workload import refuse_endless_frames
@@ -93,6 +95,8 @@ class ClothNode:
         self._stepper = Stepper(self._simulation, self._queue, aside=aside)
         self._recording = SessionRecording(node_name=self.node.get_fully_qualified_name(), simulation=self._simulation)
         self._outputs = Outputs(self.node, scene, self._recording)
+        self._states = States(self.node, self._simulation, self._recording)
+        self._broadcaster = FrameBroadcaster(self.node, self._simulation, self._recording)
         self._commands = Commands(
             self.node,
             grippers=scene.gripper_names,
@@ -202,6 +206,8 @@ class ClothNode:
             self._forecaster.tell()
         self._started = time.monotonic()
         self.tally.begin()
+        # Last: who hears it may rely on all else.
+        self._states.start(now)
         self._pacer.start()
         count = self._simulation.state.particle_count
         grippers = ", ".join(scene.gripper_names) or "none"
@@ -227,6 +233,7 @@ class ClothNode:
         # If a signal cut a frame off, there is no whole state to report.
         if self._pacer is not None and not self._cut_off and self.node.context.ok():
             try:
+                self._states.end(self.node.get_clock().now().nanoseconds)
                 self._diagnostics.send()
                 self._outputs.flush()
                 self._diagnostics.flush()
@@ -276,6 +283,8 @@ class ClothNode:
             self._extras = {}
             state, told = self._simulation.state, self._simulation.scene.points.velocity
             self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=state.v if told else None)
+            self._states.show(frame, due.stamp)
+            self._broadcaster.send(due.stamp)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
@@ -336,6 +345,7 @@ class ClothNode:
                 now = self.node.get_clock().now().nanoseconds
                 self._recording.begin(now)
                 self._outputs.record_topology(now)
+                self._states.record(now)
             else:
                 self._recording.end_soon(reason="~/record")
         except RecordingUnavailableError as error:

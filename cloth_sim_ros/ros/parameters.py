@@ -242,7 +242,8 @@ class LiveParameters:
 
 def _profiles(node: Node, scene: Scene) -> list[str]:
     """Return the names of the overrides that the node's publishers look at; those of the topics after remapping."""
-    topics = ["~/points", "~/topology", "~/mesh", "/diagnostics", *(f"~/{name}/wrench" for name in scene.gripper_names)]
+    topics = ["~/points", "~/topology", "~/mesh", "~/state", "/diagnostics", "/tf"]
+    topics += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     return [
         _PROFILE.format(topic=node.resolve_topic_name(topic), policy=policy) for topic in topics for policy in _POLICIES
     ]

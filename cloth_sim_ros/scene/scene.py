@@ -35,7 +35,7 @@ from cloth_sim_ros.scene.build import (
 )
 from cloth_sim_ros.scene.identity import cloth_of, difference
 from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
-from cloth_sim_ros.scene.sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record, Wind
+from cloth_sim_ros.scene.sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record, Tf, Wind
 
 MOST_PARTICLES = 4_000_000
 #: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
@@ -119,6 +119,7 @@ class Scene:
         observes=True,
     )
     points: Points = section(Points)
+    tf: Tf = section(Tf)
     record: Record = section(Record)
     diagnostics: Diagnostics = section(Diagnostics)
     #: Content of the files that parameters name, by that name; what a recording must hold to run again.
@@ -143,6 +144,8 @@ class Scene:
                 raise ParameterError(f"gripper name '{name}' is no ROS name; use letters, digits and _, a letter first")
             if names.count(name) > 1:
                 raise ParameterError(f"two grippers are named '{name}'; give each its own name")
+        if self.tf.publish and "cloth" in names:
+            raise ParameterError("a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it")
         try:
             normalised(self.cloth.orientation)
         except ValueError as error:

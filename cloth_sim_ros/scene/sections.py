@@ -226,6 +226,19 @@ class Points:
 
 
 @attrs.frozen(kw_only=True)
+class Tf:
+    """Coordinate frames that the node broadcasts."""
+
+    publish: bool = parameter(
+        "bool",
+        False,
+        "Send /tf: every gripper as <node>/<gripper>, the cloth's centre of mass as <node>/cloth. Needs tf2_msgs",
+        live=True,
+        observes=True,
+    )
+
+
+@attrs.frozen(kw_only=True)
 class Record:
     """Recording of sessions."""
 

@@ -1,0 +1,97 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The grippers and the cloth as TF frames, where they are asked for and tf2_msgs is installed."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Sequence
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from cloth_sim_ros.ros.messages import CDR, SECOND, aligned
+from cloth_sim_ros.ros.outputs import Output, Tape
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: As tf2's own broadcaster offers it.
+TRANSFORMS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+#: Of the cloth, behind the node's name as the grippers' names are.
+CLOTH = "cloth"
+
+
+class FrameBroadcaster:
+    """Sends /tf while `tf.publish` is set: `<node>/<gripper>`, and `<node>/cloth`, at the centre of mass.
+
+    Args:
+        node: the node.
+        simulation: the cloth.
+        tape: records them.
+    """
+
+    def __init__(self, node: Node, simulation: Simulation, tape: Tape) -> None:
+        self._node = node
+        self._simulation = simulation
+        self._tape = tape
+        self._prefix = node.get_fully_qualified_name().strip("/")
+        self._output: Output | None = None
+        self._asked = False
+
+    def send(self, stamp: int) -> None:
+        """Send the frames as they are at a ROS time [ns], where they are asked for."""
+        wanted = self._simulation.scene.tf.publish
+        if wanted and not self._asked:
+            self._open()
+        self._asked = wanted
+        if wanted and self._output is not None and self._output.wanted:
+            parent = self._simulation.scene.frame_id
+            self._output.send(transforms_bytes(self._transforms(), frame_id=parent, stamp=stamp), stamp)
+
+    def _open(self) -> None:
+        """Begin to publish, or say why not; once for each time that it is asked for."""
+        if self._output is not None:
+            return
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            self._node.get_logger().error(
+                "tf.publish is set, and tf2_msgs is not installed: no frames are sent; "
+                "sudo apt install ros-jazzy-tf2-msgs"
+            )
+            return
+        try:
+            self._output = Output(self._node, TFMessage, "/tf", self._tape, qos=TRANSFORMS, droppable=True)
+        except ParameterError as error:
+            self._node.get_logger().error(f"no frames are sent: {error}")
+
+    def _transforms(self) -> list[tuple[str, list[float]]]:
+        simulation = self._simulation
+        masses = simulation.model.masses
+        centre = (simulation.state.x * masses).sum(axis=1) / simulation.model.mass
+        frames = [(f"{self._prefix}/{CLOTH}", [*centre.tolist(), 0.0, 0.0, 0.0, 1.0])]
+        poses = simulation.grippers.poses().tolist()
+        for index, name in enumerate(simulation.grippers.names):
+            # One that has had no target is nowhere.
+            if simulation.grippers.is_placed(index):
+                frames.append((f"{self._prefix}/{name}", poses[index]))
+        return frames
+
+
+def transforms_bytes(frames: Iterable[tuple[str, Sequence[float]]], *, frame_id: str, stamp: int) -> bytes:
+    """Return the CDR bytes of a tf2_msgs/TFMessage.
+
+    Args:
+        frames: name, and position [m] and quaternion x, y, z, w in the parent, 7 numbers.
+        frame_id: the parent.
+        stamp: ROS time [ns].
+    """
+    listed = list(frames)
+    data = struct.pack("<I", len(listed))
+    for name, pose in listed:
+        data = aligned(data, 4) + struct.pack("<iI", *divmod(stamp, SECOND))
+        for text in (frame_id, name):
+            encoded = text.encode() + b"\0"
+            data = aligned(data, 4) + struct.pack("<I", len(encoded)) + encoded
+        data = aligned(data, 8) + struct.pack("<7d", *pose)
+    return CDR + data
