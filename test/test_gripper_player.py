@@ -8,8 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rclpy.task import Future
-from std_srvs.srv import SetBool
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from cloth_sim_ros.ros import gripper_player
 from cloth_sim_ros.ros.gripper_main import describe_holds
@@ -28,7 +27,7 @@ SCRIPT = GripperScript.from_dict(
 
 
 class Cloth:
-    """The other side: a gripper that answers how much it holds, some time after it was asked."""
+    """The other side: a gripper that says how much it holds, some time after it was closed."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, held: int = 3, answers_after: float = 0.02) -> None:
         #: What is sent and when [s]: x of targets, and grasps.
@@ -38,12 +37,13 @@ class Cloth:
         self.held_up_at, self.held_up_for = 0.0, 0.0
         self._held = held
         self._answers_after = answers_after
-        self._asked: list[tuple[float, Future]] = []
+        #: What the gripper will say, and when [s].
+        self._answers: list[tuple[float, bool]] = []
+        self._hear: Any = None
         publisher = SimpleNamespace(publish=self._publish, wait_for_all_acked=lambda _: True)
-        client = SimpleNamespace(call_async=self._ask, remove_pending_request=lambda _: None)
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.time * 1e9)))
         self.node: Any = SimpleNamespace(
-            create_publisher=lambda *_: publisher, create_client=lambda *_: client, get_clock=lambda: clock
+            create_publisher=lambda *_: publisher, create_subscription=self._subscribe, get_clock=lambda: clock
         )
         executor = SimpleNamespace(add_node=lambda _: None, spin_once=self._spin_once)
         monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
@@ -62,18 +62,19 @@ class Cloth:
         before, self.time = self.time, self.time + timeout_sec
         if before < self.held_up_at <= self.time:
             self.time += self.held_up_for
-        for asked, future in self._asked:
-            if self.time >= asked + self._answers_after and not future.done():
-                words = f"holds {self._held} particles: it is closed already: open it first"
-                future.set_result(SetBool.Response(success=self._held > 0, message=words))
+        while self._answers and self.time >= self._answers[0][0]:
+            _, closed = self._answers.pop(0)
+            values = {"closed": str(closed).lower(), "held": str(self._held if closed else 0)}
+            self._hear(DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
 
     def _publish(self, message: Any) -> None:
         self.sent.append((self.time, message.data if hasattr(message, "data") else message.pose.position.x))
+        if hasattr(message, "data"):
+            self._answers.append((self.time + self._answers_after, message.data))
 
-    def _ask(self, request: SetBool.Request) -> Future:
-        assert request.data
-        self._asked.append((self.time, Future()))
-        return self._asked[-1][1]
+    def _subscribe(self, _kind: Any, topic: str, hear: Any, _qos: Any) -> None:
+        assert topic == "/cloth_sim/gripper/state"
+        self._hear = hear
 
 
 @pytest.mark.parametrize(("at", "for_long"), [(0.5, 0.0), (0.95, 0.7), (0.3, 30.0), (1.8, 5.0)])
@@ -97,7 +98,7 @@ def test_what_was_held_is_known(monkeypatch: pytest.MonkeyPatch, held: int) -> N
 
 
 def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Asked by closing it: an answer that comes after the opening would have closed it once more.
+    # What is said after the opening is of an open gripper.
     cloth = Cloth(monkeypatch, answers_after=2.5)
     player = cloth.play()
     closed, opened = (cloth.sent[k][0] for k in cloth.grasps())

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -20,6 +21,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.ros.outputs import LATCHED
 
 TARGET = "/cloth_sim/gripper/target"
 
@@ -88,10 +90,21 @@ def test_gripper_waits_for_the_node_and_not_for_its_middleware(
         idle.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
         gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "2.0"])
         gripper.wait_for_output("waiting for")
-        idle.node.create_service(SetBool, "/cloth_sim/gripper/close", lambda _, answer: answer)
+        # What it said once stays: nobody need run for it to be heard.
+        said = idle.node.create_publisher(DiagnosticStatus, "/cloth_sim/gripper/state", LATCHED)
+        said.publish(DiagnosticStatus(values=[KeyValue(key="closed", value="false")]))
         assert gripper.wait() == 1
-    assert "/cloth_sim serves the gripper 'gripper', but it does not answer" in gripper.output
+    assert "/cloth_sim serves the gripper 'gripper', but does not say that it is open" in gripper.output
     assert "playing" not in gripper.output
+
+
+def test_gripper_waits_for_a_node_that_says_nothing_yet(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    with Client("cloth_sim") as silent:
+        silent.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
+        silent.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "2.0"])
+        assert gripper.wait() == 1
+    assert "/cloth_sim is there, but was not ready within 2 s" in gripper.output
 
 
 def test_a_grasp_of_nothing_is_a_failure(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:

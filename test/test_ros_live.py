@@ -130,7 +130,13 @@ def check_second_reader_agrees(session: Session) -> None:
         second = sorted((connection.topic, time, bytes(data)) for connection, time, data in reader.messages())
     assert first == second
     topics = {topic for topic, _, _ in first}
-    own = ("points", "topology", "frame", "gripper/wrench", "gripper/target", "gripper/grasp")
+    own = (
+        "points",
+        "topology",
+        "state",
+        "frame",
+        *(f"gripper/{leaf}" for leaf in ("wrench", "state", "target", "grasp")),
+    )
     assert {"/rosout", "/diagnostics", *(f"/cloth_sim/{name}" for name in own)} <= topics
     logged = [decode(data, "rcl_interfaces/msg/Log") for topic, _, data in first if topic == "/rosout"]
     assert {message.name for message in logged} == {"cloth_sim"}
@@ -145,6 +151,9 @@ def check_runs_again(session: Session) -> None:
             frame = simulation.advance([events.from_dict(dict(event)) for event in record.events])
             assert (frame.index, simulation.state.digest()) == (record.frame, record.digest)
         clouds = list(reader.clouds())
+        # The client asks nothing that would change the cloth: it opens once before it begins.
+        grasps = [event["closed"] for record in reader.frames() for event in record.events if event["kind"] == "grasp"]
+    assert grasps == [False, True, False]
     assert simulation.frame > 120
     np.testing.assert_array_equal(clouds[-1].cloud.xyz, simulation.positions.astype(np.float32))
     assert all(cloud.frame is not None for cloud in clouds)

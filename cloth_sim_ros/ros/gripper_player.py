@@ -4,29 +4,29 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from typing import Any
 
 import attrs
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
-from std_srvs.srv import SetBool
 
 from cloth_sim_ros.ros.gripper_script import GraspAt, GripperScript
 from cloth_sim_ros.ros.messages import set_stamp
+from cloth_sim_ros.ros.outputs import LATCHED
 
 #: Discovery is gradual: a gripper counts as unknown only if it has not appeared this long after other services of the
 #: node [s].
 _SETTLING = 1.0
 #: How often a wait looks whether it shall go on.
 _POLL = Duration(seconds=0.1)
-#: A node answers after its frame, and where none is due says so after 5 s: later than this it has gone [s].
+#: A node says what a grasp did after its frame: later than this it has gone, or no frame is due [s].
 _ANSWER = 7.0
 #: Services that rclpy makes with the node itself, before it is ready.
 _OF_RCLPY = "/get_type_description"
@@ -49,24 +49,6 @@ class Hold:
     held: int | None
     #: What the node said, or why it said nothing.
     words: str
-
-
-class Question:
-    """A call of ~/<gripper>/close that is waited for, but not for ever."""
-
-    def __init__(self, client: Any, *, closed: bool) -> None:
-        self._client = client
-        self._future = client.call_async(SetBool.Request(data=closed))
-        self._end = time.monotonic() + _ANSWER
-
-    def answer(self) -> Any | None:
-        """Return the answer, None while there is none, or an answer without success that says so."""
-        if self._future.done():
-            return self._future.result()
-        if time.monotonic() <= self._end:
-            return None
-        self._client.remove_pending_request(self._future)
-        return SetBool.Response(success=False, message=f"it did not answer within {_ANSWER:g} s")
 
 
 class GripperPlayer:
@@ -92,9 +74,11 @@ class GripperPlayer:
         self._grasps = node.create_publisher(
             Bool, f"{prefix}/grasp", QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         )
-        #: Grasps are sent by topic, as a robot does. The service repeats them, because only a service answers.
-        self._close = node.create_client(SetBool, f"{prefix}/close")
-        self._question: Question | None = None
+        # What the node says of the gripper: at once to those that come later, and again after each grasp.
+        node.create_subscription(DiagnosticStatus, f"{prefix}/state", self._said, LATCHED)
+        self._status: dict[str, str] | None = None
+        #: Until when an answer to the newest closing is waited for [s]; None where none is.
+        self._open_question: float | None = None
         #: One for each time that the script closes the gripper.
         self.holds: list[Hold] = []
         self._executor = SingleThreadedExecutor()
@@ -116,8 +100,10 @@ class GripperPlayer:
             # A node that only has a name is still preparing.
             settling = (settling or now) if self._is_served() else None
             if settling is not None and now - settling > _SETTLING:
-                known = ", ".join(self._known_grippers()) or "none"
-                raise GripperError(f"{self._target} has no gripper '{self._script.gripper}'; it has {known}")
+                known = self._known_grippers()
+                if self._script.gripper not in known:
+                    there = ", ".join(known) or "none"
+                    raise GripperError(f"{self._target} has no gripper '{self._script.gripper}'; it has {there}")
             if now - begun > limit:
                 raise GripperError(self._what_is_missing(limit))
             self._executor.spin_once(timeout_sec=0.02)
@@ -125,34 +111,41 @@ class GripperPlayer:
 
     def _is_met(self) -> bool:
         listens = self._targets.get_subscription_count() and self._grasps.get_subscription_count()
-        return bool(listens and self._close.service_is_ready())
+        return bool(listens and self._status is not None)
+
+    def _said(self, status: Any) -> None:
+        values = {entry.key: entry.value for entry in status.values}
+        self._status = values | {"words": str(status.message)}
+
+    def _status_where(self, *, closed: bool) -> dict[str, str] | None:
+        """What was said since it was last forgotten, where it is of a gripper that is closed, or open."""
+        status = self._status
+        return status if status is not None and status.get("closed") == str(closed).lower() else None
 
     def _begin_open(self, end: float) -> bool:
-        """Open the gripper, first by its topic, then by its service.
+        """Open the gripper, once, and wait until the node says that it is open.
 
         We have met the node's subscriptions; its middleware may take seconds longer to meet our publishers, and
         targets, sent as best effort, would be lost until then. It acknowledges the grasp once it has met the publisher
-        of grasps, which was announced after that of targets. That is the middleware alone: the service is answered by
-        the node itself, after a frame.
+        of grasps, which was announced after that of targets. That is the middleware alone: what the gripper's state
+        is the node itself says, after a frame.
 
         Raises:
             GripperError: if no answer comes until `end`.
         """
+        # What was said before is of an earlier grasp.
+        self._status, met = None, False
         self._grasps.publish(Bool(data=False))
-        met, last = False, "it does not answer"
         while self._proceed():
             met = met or self._grasps.wait_for_all_acked(_POLL)
-            if self._question is None:
-                self._question = Question(self._close, closed=False)
             self._executor.spin_once(timeout_sec=0.02)
-            answer = self._question.answer()
-            if answer is not None:
-                self._question = None
-                if answer.success and met:
-                    return True
-                last = answer.message or last
+            if met and self._status_where(closed=False) is not None:
+                return True
             if time.monotonic() > end:
-                raise GripperError(f"{self._target} serves the gripper '{self._script.gripper}', but {last}")
+                raise GripperError(
+                    f"{self._target} serves the gripper '{self._script.gripper}', but does not say that it is open; "
+                    "does /clock stand still? What does its log say?"
+                )
         return False
 
     def play(self) -> bool:
@@ -189,21 +182,23 @@ class GripperPlayer:
         return False
 
     def _grasp(self, closed: bool) -> None:
+        self._status = None
         self._grasps.publish(Bool(data=closed))
         if closed:
-            # Whichever of the two comes first closes it, the other changes nothing.
-            self._question = Question(self._close, closed=True)
+            self._open_question = time.monotonic() + _ANSWER
 
     def _is_answered(self) -> bool:
-        """Whether no question is open; notes what the answer says."""
-        if self._question is None:
+        """Whether it is known what the last closing did; notes it."""
+        if self._open_question is None:
             return True
-        answer = self._question.answer()
-        if answer is None:
+        status = self._status_where(closed=True)
+        if status is not None:
+            self.holds.append(Hold(int(status["held"]), status["words"]))
+        elif time.monotonic() > self._open_question:
+            self.holds.append(Hold(None, f"it did not answer within {_ANSWER:g} s"))
+        else:
             return False
-        self._question = None
-        number = re.search(r"holds (\d+) particle", answer.message or "")
-        self.holds.append(Hold(int(number.group(1)) if number else None, answer.message or "it did not answer"))
+        self._open_question = None
         return True
 
     def _send_target(self, elapsed: float) -> None:
