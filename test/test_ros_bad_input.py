@@ -88,7 +88,7 @@ def test_gripper_waits_for_the_node_and_not_for_its_middleware(
     with Client("cloth_sim") as idle:
         idle.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
         idle.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
-        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "2.0"])
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "6.0"])
         gripper.wait_for_output("waiting for")
         # What it said once stays: nobody need run for it to be heard.
         said = idle.node.create_publisher(DiagnosticStatus, "/cloth_sim/gripper/state", LATCHED)
@@ -102,9 +102,9 @@ def test_gripper_waits_for_a_node_that_says_nothing_yet(ros_domain: int, start_p
     with Client("cloth_sim") as silent:
         silent.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
         silent.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
-        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "2.0"])
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "6.0"])
         assert gripper.wait() == 1
-    assert "/cloth_sim is there, but was not ready within 2 s" in gripper.output
+    assert "/cloth_sim is there, but was not ready within 6 s" in gripper.output
 
 
 def test_a_grasp_of_nothing_is_a_failure(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:

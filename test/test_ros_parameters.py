@@ -114,7 +114,7 @@ def other_value(entry: Any, value: Any) -> Any:
     if entry.kind == "string":
         return f"other_{value}"
     if entry.is_array:
-        return tuple(0.5 * number + 0.25 for number in value)
+        return ("left", "3") if entry.element == "string" else tuple(0.5 * number + 0.25 for number in value)
     return 0.9 * value if value else 0.001 * entry.most**0.5
 
 

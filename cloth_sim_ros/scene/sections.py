@@ -41,6 +41,7 @@ class Cloth:
         "string[]",
         ("top",),
         "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none: ['']",
+        live=True,
     )
     shear_layout: str = parameter(
         "string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS

@@ -23,6 +23,7 @@ from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
 from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
+from cloth_sim_ros.simulation.holding import hold, stop
 from cloth_sim_ros.simulation.loads import JUMP, is_gentle
 from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
 
@@ -82,6 +83,7 @@ class Simulation:
             raise ValueError(f"the state {other}: a state only continues the cloth that it was saved from")
         # It may have been saved asleep, under other parameters.
         wake(initial)
+        hold(scene, initial)
         self._initial = initial
         self.state = initial.copy() if state is None else state.copy()
         if not initial.v.any():
@@ -250,9 +252,11 @@ class Simulation:
         observing = values.keys() <= _OBSERVING
         # A motion beyond the fixed step already is none of the parameters' doing.
         stable = observing or self._holds_step()
+        anchors = self.model.anchors
         self._apply_scene(scene)
         if observing:
             return
+        stop(self.state, np.setdiff1d(self.model.anchors, anchors))
         if not is_gentle(values, before, scene, self.state.v):
             restart(self.state, entirely=stable)
         wake(self.state)
@@ -334,6 +338,7 @@ class Simulation:
     def _reset(self) -> None:
         frame, paused, factor = self.state.frame, self.paused, relaxation.factor_of(self.state)
         self.state.restore(self._initial)
+        hold(self._scene, self.state)
         relaxation.set_factor(self.state, factor)
         self.state.frame = frame
         self.state.memory["paused"] = np.array([paused])
