@@ -11,16 +11,21 @@ from cloth_sim_ros.ros.stopping import StopSignals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node.
+    """Run the node, or say what it would run.
 
     Returns:
         Exit status: 0 when stopped by a signal, 1 if it could not start or its recording could not be closed.
     """
+    argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
+    if any(argument == "--check" or argument.startswith("--check=") for argument in argv):
+        from cloth_sim_ros.ros.check import main as check
+
+        return check(argv[1:])
     signals = StopSignals()
     signals.install()
     with signals.ending():
         from cloth_sim_ros.ros.process import run
-    return run(list(sys.argv if arguments is None else ["cloth_sim", *arguments]), signals)
+    return run(argv, signals)
 
 
 if __name__ == "__main__":

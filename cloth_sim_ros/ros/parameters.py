@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -16,6 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from cloth_sim_ros.ros.initial_state import session_state
+from cloth_sim_ros.ros.unknown import FOREIGN, suggestion
 from cloth_sim_ros.scene.parameters import Parameter, ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.without_effect import without_effect
@@ -31,8 +31,6 @@ _TYPES = {
     "string[]": RosParameter.Type.STRING_ARRAY,
 }
 _SIM_TIME = "use_sim_time"
-#: What rclpy declares by itself.
-_FOREIGN = (_SIM_TIME, "start_type_description_service")
 #: Quality of service of a topic that the node publishes, and what of it may be overridden.
 _PROFILE = "qos_overrides.{topic}.publisher.{policy}"
 _POLICIES = ("reliability", "history", "depth")
@@ -43,7 +41,7 @@ class UnknownParametersError(ParameterNotDeclaredException):
 
     def __init__(self, names: list[str], known: Sequence[str]) -> None:
         super().__init__(names)
-        self._sentences = [f"there is no parameter '{name}'{_suggestion(name, known)}" for name in names]
+        self._sentences = [f"there is no parameter '{name}'{suggestion(name, known)}" for name in names]
 
     def __str__(self) -> str:
         return "; ".join(self._sentences)
@@ -98,11 +96,6 @@ def _empty_lists(name: str, options: dict[str, Any]) -> str:
     )
 
 
-def _suggestion(name: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean '{close[0]}'?" if close else ""
-
-
 def declare(node: Node) -> Scene:
     """Declare every parameter of a scene on a node that declared its overrides by itself; return the scene they make.
 
@@ -122,7 +115,7 @@ def declare(node: Node) -> Scene:
         node.declare_parameter(
             entry.name, RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value, describe(entry), True
         )
-    _warn_of_unknown(node, [*(entry.name for entry in known), *_FOREIGN, *_profiles(node, scene)])
+    _warn_of_unknown(node, [*(entry.name for entry in known), *FOREIGN, *_profiles(node, scene)])
     for sentence in without_effect(scene, values):
         node.get_logger().warning(sentence)
     return scene
@@ -256,7 +249,7 @@ def _warn_of_unknown(node: Node, known: Sequence[str]) -> None:
             continue
         node.undeclare_parameter(name)
         node.get_logger().warning(
-            f"there is no parameter '{name}', what sets it has no effect{_suggestion(name, known)}"
+            f"there is no parameter '{name}', what sets it has no effect{suggestion(name, known)}"
         )
 
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gc
 import sys
 from collections.abc import Sequence
@@ -18,11 +17,11 @@ from rclpy.exceptions import (
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-from cloth_sim_ros import __version__
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.aside import Aside
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
 
@@ -47,14 +46,8 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
     Returns:
         Exit status: 0 when stopped by a signal, 1 if it could not start or its recording could not be closed.
     """
-    parser = argparse.ArgumentParser(
-        prog="cloth_sim",
-        description="A live cloth in a ROS 2 graph. Parameters: --ros-args -p name:=value, or --params-file file.yaml; "
-        "ros2 param describe tells what they mean.",
-    )
-    parser.add_argument("--version", action="version", version=__version__)
     try:
-        read_and_start(parser, argv)
+        read_and_start(parser(), argv)
     except ArgumentsError as error:
         return _refuse(str(error))
     aside = Aside(signals.interruptible)

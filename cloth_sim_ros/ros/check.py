@@ -1,0 +1,127 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`cloth_sim --check scene.yaml`: what would run, how fast, and what sets its step, without joining a graph."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.ros.forecast import Forecaster, try_frames
+from cloth_sim_ros.ros.initial_state import session_state
+from cloth_sim_ros.ros.log import counted
+from cloth_sim_ros.ros.options import parser
+from cloth_sim_ros.ros.step_setters import in_words, step_setters
+from cloth_sim_ros.ros.unknown import unknown
+from cloth_sim_ros.ros.workload import refuse_endless_frames
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: The beginning of the motion that is tried: simulated [s], and at most so long by the clock on the wall [s].
+_TRIED, _PATIENCE = 1.0, 5.0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run `cloth_sim --check FILE`, of which only these arguments are allowed.
+
+    Returns:
+        Exit status: 0, or 1 where the node would refuse the file, 130 if a signal ended it.
+    """
+    options = parser().parse_args(arguments)
+    try:
+        return check(options.check, node=options.node)
+    except KeyboardInterrupt:
+        return 130
+
+
+def check(path: str, *, node: str) -> int:
+    """Print what a parameter file would let run, as the node of a name reads it.
+
+    Returns:
+        Exit status: 0, or 1 where the node would refuse it, with the node's words.
+    """
+    try:
+        values = parameter_file.read(path, node=node)
+        known = {entry.name for entry in Scene.declared()}
+        own = {name: value for name, value in values.items() if name in known}
+        scene = Scene.from_parameters(own, files=session_state(str(own.get("initial_state", ""))))
+        simulation = Simulation(scene)
+        refuse_endless_frames(scene, simulation)
+        cost = try_frames(scene)
+    except (ParameterError, ValueError) as error:
+        print(f"cloth_sim: {error}", file=sys.stderr)
+        return 1
+    for sentence in [*unknown([name for name in values if name not in known], known), *without_effect(scene, own)]:
+        print(f"warning: {sentence}")
+    _print_cloth(scene, simulation)
+    setters = step_setters(simulation.plan, simulation.state.x)
+    _print_forecast(simulation, cost)
+    _print_trial(Simulation(scene))
+    for line in in_words(setters, scene.sheet):
+        print(line)
+    return 0
+
+
+class _Lines:
+    """What the node's log would say, printed."""
+
+    def info(self, text: str) -> None:
+        print(text)
+
+    def warning(self, text: str) -> None:
+        print(f"warning: {text}")
+
+
+def _print_cloth(scene: Scene, simulation: Simulation) -> None:
+    rows, columns = scene.shape
+    if scene.cloth.mesh:
+        what = f"the mesh {scene.cloth.mesh}"
+    elif scene.cloth.springs:
+        what = f"the springs of {scene.cloth.springs}"
+    else:
+        what = f"a grid of {rows} x {columns}"
+    count, anchored = simulation.state.particle_count, len(simulation.model.anchors)
+    forces = ", ".join(force.name for force in simulation.model.forces)
+    print(f"{what}: {count} particles, {anchored} anchored; forces: {forces}")
+    held = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
+    print(f"{scene.rate:g} frames a second; {held}; grippers: {', '.join(scene.gripper_names) or 'none'}")
+
+
+def _print_forecast(simulation: Simulation, cost: float | None) -> None:
+    forecaster = Forecaster(simulation, _Lines())
+    forecaster.calibrate(cost)
+    forecaster.tell()
+
+
+def _print_trial(simulation: Simulation) -> None:
+    """Run the beginning of the motion, and say how it went."""
+    period = simulation.scene.period
+    taken: list[float] = []
+    done: list[Advance] = []
+    end = time.perf_counter() + _PATIENCE
+    try:
+        while simulation.time < _TRIED and time.perf_counter() < end:
+            begun = time.perf_counter()
+            advance = simulation.advance().advance
+            taken.append(time.perf_counter() - begun)
+            if advance is not None:
+                done.append(advance)
+    except UnstableError as error:
+        print(f"warning: after {simulation.time:.3g} s of motion time would be stopped: {error}")
+    if not done:
+        return
+    steps = statistics.median(advance.steps for advance in done)
+    print(f"integrator: {done[-1].integrator}, {steps:g} steps a frame; {done[-1].reason}")
+    median, longest, factor = statistics.median(taken), max(taken), len(taken) * period / sum(taken)
+    frames = counted(len(taken), "frame")
+    print(
+        f"tried here: the first {frames} took {median * 1e3:.3g} ms of {period * 1e3:.3g} ms each "
+        f"(median; the longest {longest * 1e3:.3g} ms), real-time factor {factor:.3g}; "
+        f"steps were mostly set by: {statistics.mode(advance.binds for advance in done)}"
+    )

@@ -1,0 +1,155 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which edges and triangles of a cloth set its step, and how much longer steps would be without them."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.wind import Wind
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.scene.build import Sheet
+
+#: Share of the particles that counts as few.
+FEW = 0.01
+#: Below this gain in the length of steps no few particles are to blame.
+LITTLE = 1.2
+#: Edges and triangles that are named.
+_NAMED = 5
+#: Rows and columns of a block's numbers, see `Plan.add_bounds`.
+_BLOCK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+
+
+@attrs.frozen(kw_only=True)
+class StepSetters:
+    """What bounds the step at given positions."""
+
+    #: Longest stable step of the leapfrog by the bounds [s]; infinite where nothing bounds it.
+    limit: float
+    #: Particle that has it; None where none has.
+    particle: int | None
+    #: Name of the force that has the largest share of the stiffness there, and that share.
+    force: str = ""
+    share: float = 0.0
+    #: Particles that are stiffer than all others by far, at most `FEW` of them, the stiffest first.
+    few: tuple[int, ...] = ()
+    #: By how much steps would be longer without them; 1 or a little more where stiffness is spread evenly.
+    gain: float = 1.0
+
+
+def step_setters(plan: Plan, x: Array) -> StepSetters:
+    """Find what bounds the step at positions x [m], shape (3, n)."""
+    model = plan.model
+    moving = np.flatnonzero(model.inverse_masses > 0.0)
+    limits = _limits(plan, x)[moving]
+    order = np.argsort(limits, kind="stable")
+    if not len(order) or not np.isfinite(limits[order[0]]):
+        return StepSetters(limit=float("inf"), particle=None)
+    few = max(1, int(FEW * len(moving)))
+    particle, limit = int(moving[order[0]]), float(limits[order[0]])
+    gain = float(limits[order[min(few, len(order) - 1)]]) / limit
+    # Those alone that are shorter than what would be left.
+    named = [k for k in order[:few] if limits[k] * LITTLE <= gain * limit]
+    force, share = _stiffest(model, x, particle)
+    return StepSetters(
+        limit=limit, particle=particle, force=force, share=share, few=tuple(int(moving[k]) for k in named), gain=gain
+    )
+
+
+def in_words(found: StepSetters, sheet: Sheet) -> list[str]:
+    """Return what sets the step, as sentences."""
+    if found.particle is None:
+        return ["nothing bounds the step by its stability"]
+    lines = [
+        f"the step's limit of {found.limit * 1e3:.3g} ms is that of particle {found.particle}, where '{found.force}' "
+        f"has {found.share:.0%} of the stiffness"
+    ]
+    if found.gain < LITTLE or not found.few:
+        lines.append(
+            f"no few particles set it: without the stiffest {FEW:.0%} steps would be {found.gain:.2f} times as long"
+        )
+        return lines
+    count = "1 particle" if len(found.few) == 1 else f"{len(found.few)} particles"
+    lines.append(
+        f"{count} set it: without them steps would be {found.gain:.2g} times as long, and frames as much faster"
+    )
+    if isinstance(sheet, MeshSheet):
+        lines += _places(sheet, found.few)
+    else:
+        lines.append("they are " + ", ".join(str(particle) for particle in found.few[:_NAMED]))
+    return lines
+
+
+def _limits(plan: Plan, x: Array) -> Array:
+    """Longest stable step by the bounds of each particle [s], shape (n,)."""
+    stiff, damped = np.zeros((2, 6, plan.model.particle_count))
+    plan.add_bounds(x, stiff, damped)
+    omega2, rates = (np.maximum(_largest(blocks), 0.0) / plan.model.masses for blocks in (stiff, damped))
+    # As `leapfrog_limit`.
+    with np.errstate(divide="ignore"):
+        return np.asarray(2.0 / (0.5 * rates + np.sqrt(0.25 * rates * rates + omega2)))
+
+
+def _largest(blocks: Array) -> Array:
+    """Largest eigenvalues of blocks (6, n), shape (n,)."""
+    return np.asarray(np.linalg.eigvalsh(blocks[_BLOCK].transpose(2, 0, 1))[:, -1])
+
+
+def _stiffest(model: Model, x: Array, particle: int) -> tuple[str, float]:
+    """The force that adds most to the stiffness of a particle, and its share."""
+    stiffness: dict[str, float] = {}
+    for force in model.forces:
+        if not isinstance(force, Gravity | Drag | Wind | Grips):
+            stiffness[force.name] = _stiffness_at(model, force, x, particle)
+    total = sum(stiffness.values())
+    if not total:
+        return "", 0.0
+    name = max(stiffness, key=lambda name: stiffness[name])
+    return name, stiffness[name] / total
+
+
+def _stiffness_at(model: Model, force: Force, x: Array, particle: int) -> float:
+    blocks = np.zeros((2, 6, model.particle_count))
+    compile(Model(model.masses, [force])).add_bounds(x, blocks[0], blocks[1])
+    return float(_largest(blocks[0][:, [particle]])[0])
+
+
+def _places(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str]:
+    """The shortest edges of particles, and the flattest triangles."""
+    edges = sheet.surface.edges
+    lengths = _norms(sheet.rest[edges[:, 1]] - sheet.rest[edges[:, 0]])
+    touched = np.flatnonzero(np.isin(edges, particles).any(axis=1))
+    shortest = touched[np.argsort(lengths[touched], kind="stable")][:_NAMED]
+    triangles = sheet.surface.triangles
+    heights = _heights(sheet)
+    near = np.flatnonzero(np.isin(triangles, particles).any(axis=1))
+    flattest = near[np.argsort(heights[near], kind="stable")][:_NAMED]
+    named = [f"{edges[e, 0]}-{edges[e, 1]} ({_mm(lengths[e])})" for e in shortest]
+    flat = [f"{t} ({_mm(heights[t])})" for t in flattest]
+    return [
+        f"the shortest edges there, by particles: {', '.join(named)}; median of the mesh {_mm(np.median(lengths))}",
+        f"the flattest triangles there, by height: {', '.join(flat)}; median of the mesh {_mm(np.median(heights))}",
+    ]
+
+
+def _heights(sheet: MeshSheet) -> Array:
+    """Smallest height of each triangle [m]."""
+    corners = [sheet.rest[sheet.surface.triangles[:, k]] for k in range(3)]
+    longest = np.max([_norms(corners[k] - corners[k - 1]) for k in range(3)], axis=0)
+    return np.asarray(2.0 * sheet.areas() / longest)
+
+
+def _mm(length: float) -> str:
+    return f"{length * 1e3:.3g} mm"
+
+
+def _norms(vectors: NDArray[np.float64]) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=1))

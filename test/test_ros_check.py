@@ -1,0 +1,164 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`cloth_sim --check scene.yaml`: what would run, how fast, what sets its step; refused in the node's own words."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.ros import main as node_main
+from cloth_sim_ros.ros.step_setters import in_words, step_setters
+from cloth_sim_ros.scene import parameter_file
+
+#: As a machine without ROS has it.
+WITHOUT_ROS = (
+    "import sys; sys.modules['rclpy'] = None; from cloth_sim_ros.ros.main import main; sys.exit(main(sys.argv[1:]))"
+)
+
+
+def written(folder: Path, values: dict[str, Any]) -> str:
+    path = folder / "scene.yaml"
+    path.write_text(parameter_file.dump(values))
+    return str(path)
+
+
+def check(*arguments: str) -> int:
+    return node_main.main(["--check", *arguments])
+
+
+def sliver_mesh(folder: Path, *, moved: float) -> str:
+    """A mesh of 21 x 21 particles 50 mm apart, one of which, 220, is moved along its row."""
+    x, y = np.meshgrid(np.arange(21) * 0.05, np.arange(21) * 0.05)
+    x[10, 10] += moved
+    lines = [f"v {a} {b} 0.0" for a, b in zip(x.ravel(), y.ravel(), strict=True)]
+    for row in range(20):
+        for column in range(20):
+            a = 21 * row + column + 1
+            lines += [f"f {a} {a + 1} {a + 22}", f"f {a} {a + 22} {a + 21}"]
+    path = folder / "mesh.obj"
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def test_it_says_what_would_run_and_how_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, {"cloth.resolution": [12, 10], "rate": 50.0, "grippers": ["left", "right"]})
+    assert check(path) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "a grid of 12 x 10: 120 particles, 10 anchored; forces: structural, shear, bend, gravity, drag, grips",
+        "50 frames a second; tolerance 0.0001 m; grippers: left, right",
+        "expected real-time factor: ",
+        "steps a frame by the stability limit",
+        "integrator: extrapolated, ",
+        "auto: explicit steps are affordable",
+        "tried here: the first 50 frames took ",
+        "where 'structural' has ",
+        "no few particles set it",
+    ):
+        assert words in said, words
+    assert "warning" not in said
+
+
+def test_it_needs_no_ros(tmp_path: Path) -> None:
+    path = written(tmp_path, {"cloth.resolution": [5, 5]})
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROS, "--check", path], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "a grid of 5 x 5: 25 particles" in done.stdout
+
+
+def test_another_nodes_parameters_are_read_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "cloths.yaml"
+    path.write_text("/left/towel:\n  ros__parameters:\n    cloth: {resolution: [4, 6]}\n")
+    assert check(str(path), "--node", "towel") == 0
+    assert "a grid of 4 x 6" in capsys.readouterr().out
+
+
+def test_what_has_no_effect_is_told_as_the_node_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = {
+        "cloth.resolution": [5, 5],
+        "cloth.sizes": [1.0, 1.0],
+        "use_sim_time": True,
+        "qos_overrides./cloth_sim/points.publisher.depth": 3,
+        "bending.model": "none",
+        "bending.stiffness": 1.0,
+    }
+    assert check(written(tmp_path, values)) == 0
+    warnings = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 2
+    assert warnings[0].endswith(
+        "there is no parameter 'cloth.sizes', what sets it has no effect; did you mean 'cloth.size'?"
+    )
+    assert "bending.stiffness" in warnings[1]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"rate": -1.0}, "rate is -1.0 Hz; it must be at least 0.1 Hz"),
+        ({"cloth.anchors": ["middle"]}, "'middle' is no edge or corner of a grid"),
+        ({"step": 0.01}, "step 0.01 s is above the stability limit"),
+        ({"material.stretch_modulus": 1e9, "material.density": 1e-6, "integrator": "leapfrog"}, "a frame would take"),
+        ({"cloth.mesh": "nowhere.obj"}, "cannot read 'nowhere.obj'"),
+        ({"initial_state": "nowhere.mcap@3"}, "nowhere.mcap"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_what_the_node_refuses_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], values: dict[str, Any], words: str
+) -> None:
+    assert check(written(tmp_path, values)) == 1
+    said = capsys.readouterr()
+    assert said.err.startswith("cloth_sim: ")
+    assert words in said.err
+    assert said.out == ""
+
+
+def test_a_file_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert check(str(tmp_path / "nowhere.yaml")) == 1
+    assert "cannot read parameter file" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        check(str(tmp_path / "nowhere.yaml"), "--nodes", "towel")
+    assert ended.value.code == 2
+
+
+def test_what_few_edges_of_a_mesh_cost_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = sliver_mesh(tmp_path, moved=0.048)
+    values = {"cloth.mesh": mesh, "bending.model": "none", "cloth.anchors": ["0", "20"]}
+    assert check(written(tmp_path, values)) == 0
+    said = capsys.readouterr().out
+    assert "220-221 (2 mm)" in said
+    assert "set it: without them steps would be" in said
+    assert "median of the mesh 50 mm" in said
+    # Without the sliver there is no few to blame, and the limit is longer by what was told.
+    simulation = Simulation(Scene.from_parameters(values))
+    found = step_setters(simulation.plan, simulation.state.x)
+    whole = Simulation(Scene.from_parameters(values | {"cloth.mesh": sliver_mesh(tmp_path, moved=0.0)}))
+    without = step_setters(whole.plan, whole.state.x)
+    assert {220, 221} <= set(found.few) | {found.particle}
+    assert found.gain > 2.0
+    assert without.limit / found.limit == pytest.approx(found.gain, rel=0.25)
+    assert without.gain < 1.2
+    assert "no few particles set it" in in_words(without, whole.scene.sheet)[1]
+
+
+def test_the_limit_is_that_of_the_plan() -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [9, 9], "material.damping": 0.0}))
+    found = step_setters(simulation.plan, simulation.state.x)
+    omega2, _ = simulation.plan.rates(simulation.state.x)
+    assert found.limit == pytest.approx(2.0 / np.sqrt(omega2), rel=1e-3)
+
+
+def test_without_springs_nothing_bounds_the_step() -> None:
+    anchored = [str(k) for k in range(4)]
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [2, 2], "cloth.anchors": anchored}))
+    found = step_setters(simulation.plan, simulation.state.x)
+    assert in_words(found, simulation.scene.sheet) == ["nothing bounds the step by its stability"]
