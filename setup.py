@@ -82,9 +82,13 @@ EXTRAS["dev"] = [
     "mypy>=2.0",
     "types-PyYAML",
     "catkin_pkg>=1.0",
+    # What the documented commands need: --packages-select, setup.bash, test-result.
     "colcon-core",
-    "colcon-ros",
+    "colcon-bash",
+    "colcon-package-selection",
     "colcon-python-setup-py",
+    "colcon-ros",
+    "colcon-test-result",
 ]
 
 setup(

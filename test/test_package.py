@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import configparser
+import importlib.metadata
 import importlib.util
 import json
 import os
@@ -249,3 +250,29 @@ def test_colcon_builds_the_layout_of_ros2_run(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert "usage: cloth_session" in done.stdout
     assert done.stdout.splitlines()[-1].startswith(str(prefix))
+
+
+def documented(program: str) -> list[list[str]]:
+    """The commands of a program that the documents show."""
+    texts = [
+        path.read_text()
+        for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+    ]
+    shown = re.findall(rf"\b({program} (?:\w[\w-]*)(?: +--?[\w-]+| +[\w./]+)*)", "\n".join(texts))
+    return [command.split() for command in sorted(set(shown)) if "--" in command]
+
+
+def test_documented_colcon_commands_are_there() -> None:
+    pytest.importorskip("colcon_core")
+    commands = documented("colcon")
+    assert ["colcon", "build", "--packages-select", "cloth_sim_ros"] in commands
+    helps: dict[str, str] = {}
+    for _, verb, *arguments in commands:
+        if verb not in helps:
+            call = [sys.executable, "-m", "colcon", verb, "--help"]
+            helps[verb] = subprocess.run(call, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+        for option in (argument for argument in arguments if argument.startswith("--")):
+            assert re.search(rf"{option}\b", helps[verb]), f"colcon {verb} has no {option}"
+    # `source install/setup.bash` is what they tell to do next.
+    shells = [entry.name for entry in importlib.metadata.entry_points(group="colcon_core.shell")]
+    assert "bash" in shells
