@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,9 @@ import pytest
 import rclpy
 from ros_client import start_cloth
 
+from cloth_sim_ros.ros.aside import Aside
 from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
 
 #: What issue and launch files promise is 2 s; the rest is for a busy machine.
 LIMIT = 10.0
@@ -101,6 +105,54 @@ def test_a_signal_while_starting_ends_in_order(ros_domain: int, start_process: C
     assert "Traceback" not in process.output
     said = [line for line in process.output.splitlines() if not line.startswith("import time:")]
     assert said == ["cloth_sim: SIGINT: stopped while starting"]
+
+
+@pytest.fixture
+def signals() -> Iterator[StopSignals]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signals = StopSignals()
+    signals.install()
+    yield signals
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_signal_raises_nothing_amid_whatever_it_meets(signals: StopSignals) -> None:
+    aside = Aside(signals.name)
+
+    def interrupted() -> str:
+        os.kill(os.getpid(), signal.SIGINT)
+        return "done"
+
+    # What is done soon is done; what would begin afterwards does not.
+    assert aside.run(interrupted) == "done"
+    assert not aside.left
+    with pytest.raises(StopRequestedError, match="SIGINT"):
+        aside.run(lambda: pytest.fail("it began"))
+
+
+def test_a_job_that_goes_on_is_left(signals: StopSignals) -> None:
+    aside, ended = Aside(signals.name), threading.Event()
+
+    def endless() -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        ended.wait()
+
+    with pytest.raises(StopRequestedError, match="SIGTERM"):
+        aside.run(endless)
+    assert aside.left
+    ended.set()
+
+
+@pytest.mark.parametrize("rate", [60.0, 1000.0])
+def test_signals_at_any_moment_end_it_with_one_line(
+    ros_domain: int, start_process: Callable[..., Any], rate: float
+) -> None:
+    for _ in range(3):
+        process = start_cloth(start_process, f"rate:={rate}", "cloth.resolution:=[12, 12]")
+        assert process.interrupt(limit=LIMIT) == 0, process.output
+        assert process.output.count("SIGINT") == 1
+        assert process.output.splitlines()[-1].endswith("[cloth_sim]: SIGINT: stopping")
 
 
 def test_a_gripper_that_waits_ends_at_once(ros_domain: int, start_process: Callable[..., Any]) -> None:

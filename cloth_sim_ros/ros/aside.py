@@ -3,22 +3,24 @@
 """A thread for what may take long, so that a signal is heard meanwhile.
 
 Python handles signals between two instructions of the main thread: while that is inside the engine, they wait. A
-main thread that waits for another one hears them at once.
+main thread that waits for another one hears them, and looks now and then whether one has come. Nothing is raised out
+of a signal's handler: where that happens amid a callback of rclpy's or of the garbage collection's, it is printed and
+forgotten.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from queue import Empty, SimpleQueue
 from typing import Any, NoReturn, TypeVar
 
+from cloth_sim_ros.ros.stopping import StopRequestedError
+
 T = TypeVar("T")
-#: How often the waiting thread looks up [s]: a signal that comes just before it falls asleep does not wake it.
+#: How often the waiting thread looks up [s].
 _GLANCE = 0.1
 
 
@@ -31,11 +33,11 @@ class Aside:
     """Runs one job at a time in a thread of its own while the caller, the main thread, waits.
 
     Args:
-        interruptible: context within which a signal raises `StopRequestedError`.
+        stopped: returns the name of the signal that has come, empty while none has.
     """
 
-    def __init__(self, interruptible: Callable[[], AbstractContextManager[None]]) -> None:
-        self._interruptible = interruptible
+    def __init__(self, stopped: Callable[[], str]) -> None:
+        self._stopped = stopped
         self._jobs: SimpleQueue[Callable[[], Any]] = SimpleQueue()
         self._outcomes: SimpleQueue[tuple[Any, BaseException | None]] = SimpleQueue()
         self._thread: threading.Thread | None = None
@@ -50,17 +52,19 @@ class Aside:
         """Run a job and return what it returns, or raise what it raises.
 
         Raises:
-            StopRequestedError: if a signal came; a job that had begun is left to itself.
+            StopRequestedError: if a signal came before, or comes and the job is not done soon; one that had begun is
+                left to itself.
         """
+        if self._stopped():
+            raise StopRequestedError(self._stopped())
         if self._thread is None:
             # A daemon: it must not hold up the end of the process.
             self._thread = threading.Thread(target=self._work, name="frames", daemon=True)
             self._thread.start()
-        with self._interruptible():
-            self._running = True
-            self._jobs.put(job)
-            result, error = self._wait()
-            self._running = False
+        self._running = True
+        self._jobs.put(job)
+        result, error = self._wait()
+        self._running = False
         if error is not None:
             raise error
         outcome: T = result
@@ -68,8 +72,12 @@ class Aside:
 
     def _wait(self) -> tuple[Any, BaseException | None]:
         while True:
-            with contextlib.suppress(Empty):
+            stopped = self._stopped()
+            try:
                 return self._outcomes.get(timeout=_GLANCE)
+            except Empty:
+                if stopped:
+                    raise StopRequestedError(stopped) from None
 
     def end_process(self, status: int) -> NoReturn:
         """End the process at once.

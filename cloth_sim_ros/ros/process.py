@@ -50,7 +50,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
         read_and_start(parser(), argv)
     except ArgumentsError as error:
         return _refuse(str(error))
-    aside = Aside(signals.interruptible)
+    aside = Aside(signals.name)
     try:
         status = _run(signals, aside)
     finally:

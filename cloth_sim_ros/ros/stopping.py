@@ -22,12 +22,11 @@ class StopSignals:
     """Takes note of signals. `ros2 launch` sends SIGINT twice on Ctrl-C: the second one changes nothing.
 
     rclpy's own handlers would shut the context down at once, with a recording still open and frames still to publish;
-    Python's would raise anywhere. Here the loop looks at `requested`, and only what is `interruptible` is interrupted.
+    Python's would raise anywhere. Here those who loop or wait look at `requested`; nothing is raised.
     """
 
     def __init__(self) -> None:
         self.requested: signal.Signals | None = None
-        self._interruptible = False
         self._ending = False
 
     def install(self) -> None:
@@ -40,20 +39,9 @@ class StopSignals:
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
-    @contextmanager
-    def interruptible(self) -> Iterator[None]:
-        """Within, the first signal raises `StopRequestedError`.
-
-        Raises:
-            StopRequestedError: also at once, if a signal came before.
-        """
-        self._interruptible = True
-        try:
-            if self.requested is not None:
-                raise StopRequestedError(self.requested.name)
-            yield
-        finally:
-            self._interruptible = False
+    def name(self) -> str:
+        """Name of the signal that has come; empty while none has."""
+        return "" if self.requested is None else self.requested.name
 
     @contextmanager
     def ending(self) -> Iterator[None]:
@@ -73,11 +61,8 @@ class StopSignals:
         print(f"cloth_sim: {name}: stopped while starting", file=sys.stderr, flush=True)
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
-        first = self.requested is None
         self.requested = signal.Signals(number)
         if self._ending:
             # Not by print: the signal may have come amid one.
             os.write(2, f"cloth_sim: {self.requested.name}: stopped while starting\n".encode())
             os._exit(0)
-        if first and self._interruptible:
-            raise StopRequestedError(self.requested.name)
