@@ -39,6 +39,24 @@ def test_start_is_measured_from_the_process_to_the_first_cloud():
     assert told["met"] == (told["warm_median_s"] < told["goal_s"])
 
 
+def test_what_the_node_adds_to_a_frame_is_measured():
+    told = ask("measure_node", "idle", "--seconds", "0.5", "--settle", "0.2", "--resolution", "5")
+    for how in ("at rest", "swinging"):
+        found = told[how]
+        assert found["added_ms_a_frame"] == pytest.approx(
+            found["node_ms_a_frame"] - found["simulation_ms_a_frame"], abs=1e-3
+        )
+    assert told["met"] == all(told[how]["added_ms_a_frame"] <= told["goal_ms"] for how in ("at rest", "swinging"))
+
+
+def test_late_frames_are_counted_with_and_without_parameters_that_are_set(ros_domain):
+    told = ask("measure_node", "sets", "--seconds", "0.5", "--rounds", "1", "--resolution", "5")
+    # A thousand a minute, all of them taken.
+    assert 6 <= told["set"] <= 12
+    assert told["refused"] == 0
+    assert [len(told["late_frames"][how]) for how in ("with", "without")] == [1, 1]
+
+
 def stream(**values):
     """Ten clouds a second for a second, each a little after it was due."""
     due = np.arange(10) / 10.0

@@ -88,9 +88,16 @@ class Commands:
                 )
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
                 # Best effort meets every publisher: nothing is to be told, and each event costs time every turn.
-                misfits = qos.reliability == ReliabilityPolicy.RELIABLE
-                events = SubscriptionEventCallbacks(use_default_callbacks=misfits)
+                reliable = qos.reliability == ReliabilityPolicy.RELIABLE
+                misfit = functools.partial(self._tell_misfit, topic) if reliable else None
+                events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
                 self._node.create_subscription(kind, topic, self._single(take), qos, raw=True, event_callbacks=events)
+
+    def _tell_misfit(self, topic: str, _event: Any) -> None:
+        self._log.warn(
+            f"misfit {topic}",
+            f"a publisher of {topic} offers best effort, and nothing that it sends is heard: make it reliable",
+        )
 
     def heard(self, gripper: str) -> int | None:
         """When the newest target of a gripper came, ROS time [ns]; None if none has."""

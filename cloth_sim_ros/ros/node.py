@@ -145,7 +145,7 @@ class ClothNode:
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
         self._overheard = Overheard(self.node, self._recording, self._turn)
         self._pacer: Pacer | None = None
-        self._started = time.monotonic()
+        self._started = self._report_due = time.monotonic()
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
         self._follows_clock = False
@@ -201,10 +201,10 @@ class ClothNode:
             self._pacer = WallPacer(self.node, rate=scene.rate, on_due=self._on_due, settled=self._commands.settled)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=steady)
-        self.node.create_timer(diagnostics.PERIOD, self._report, clock=steady)
         if not self._follows_clock:
             self._forecaster.tell()
         self._started = time.monotonic()
+        self._report_due = self._started + diagnostics.PERIOD
         self.tally.begin()
         # Last: who hears it may rely on all else.
         self._states.start(now)
@@ -381,12 +381,13 @@ class ClothNode:
 
     # Once in a while
 
-    def _report(self) -> None:
-        with self._turn:
-            self._diagnostics.send()
-
     def _keep_house(self) -> None:
         with self._turn:
+            # No timer of its own: the executor would look at it in each of its turns.
+            now = time.monotonic()
+            if now >= self._report_due:
+                self._report_due = max(self._report_due, now - _HOUSEKEEPING) + diagnostics.PERIOD
+                self._diagnostics.send()
             self._services.give_up_waiting()
             self._overheard.listen()
             reason = self._recording.poll()

@@ -10,7 +10,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
@@ -55,7 +55,6 @@ class Output:
         self._kind = kind
         self._tape = tape
         self._droppable = droppable
-        self._warn = node.get_logger().warning
         # A profile of its own: rclpy writes the overrides of a topic into the very object that it is given.
         own = QoSProfile(depth=qos.depth, reliability=qos.reliability, durability=qos.durability)
         try:
@@ -64,7 +63,9 @@ class Output:
                 topic,
                 own,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                event_callbacks=PublisherEventCallbacks(incompatible_qos=self._misfit, use_default_callbacks=False),
+                # A subscriber that asks for what is not offered is told so by its own side; each event that this side
+                # waits for costs the executor time in every turn.
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             )
         except _BAD_PROFILE as error:
             name, reason = node.resolve_topic_name(topic), str(error) or type(error).__name__
@@ -74,13 +75,6 @@ class Output:
             ) from error
         #: Under the node's own name, whatever the topic is remapped to: a session looks the same everywhere.
         self.topic = node.resolve_topic_name(topic, only_expand=True)
-
-    def _misfit(self, event: Any) -> None:
-        """Warn as rclpy does by default; its other events are left out: each costs the executor time in every turn."""
-        self._warn(
-            f"a subscription of {self.topic} asks for a quality of service that is not offered "
-            f"({qos_policy_name_from_kind(event.last_policy_kind)}); it will receive nothing"
-        )
 
     @property
     def heard(self) -> bool:
