@@ -37,6 +37,8 @@ def test_start_is_measured_from_the_process_to_the_first_cloud():
     assert len(told["warm_s"]) == 1
     assert 0.0 < told["warm_processor_median_s"] < told["warm_s"][0] * 4.0
     assert told["met"] == (told["warm_median_s"] < told["goal_s"])
+    assert len(told["answers_after_s"]) == 2
+    assert min(told["answers_after_s"]) >= 0.0
 
 
 def test_what_the_node_adds_to_a_frame_is_measured():

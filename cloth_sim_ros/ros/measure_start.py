@@ -5,6 +5,7 @@
 `python -m cloth_sim_ros.ros.measure_start` starts `cloth_sim` so often, each time in a namespace of its own. The first
 start, which reads the libraries from the disk, is told apart: the others find them in memory. Beside the wall time
 stands the processor time that the process had taken by then: where the machine is busy, the wall time is above it.
+`answers_after_s` is the time from the node's name in the graph to its answer to a question for a parameter.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -34,9 +37,19 @@ _PATIENCE = 60.0
 GOAL = 2.0
 
 
-def measure_start(index: int, arguments: Sequence[str] = ()) -> tuple[float, float]:
-    """Start a cloth, wait for its first cloud, stop it; return the wall time from one to the other and its processor
-    time then [s].
+@attrs.frozen(kw_only=True)
+class Start:
+    """One start."""
+
+    #: From the start of the process to the first cloud, by the wall, and the process's processor time by then [s].
+    wall: float
+    busy: float
+    #: From the name in the graph to the first answer [s].
+    answers_after: float
+
+
+def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
+    """Start a cloth, wait for its first cloud and its first answer, stop it; return how long that took.
 
     Args:
         index: tells its namespace.
@@ -58,11 +71,19 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> tuple[float, flo
         raw=True,
     )
     command = [sys.executable, "-m", "cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments]
+    question = node.create_client(GetParameters, "cloth_sim/get_parameters")
+    seen = answered = asked = None
     begun = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        while not arrivals:
-            executor.spin_once(timeout_sec=0.05)
+        while not arrivals or answered is None:
+            executor.spin_once(timeout_sec=0.02)
+            if seen is None and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
+                seen = time.monotonic()
+            if asked is None and question.service_is_ready():
+                asked = question.call_async(GetParameters.Request(names=["rate"]))
+            if answered is None and asked is not None and asked.done():
+                answered = time.monotonic()
             if process.poll() is not None:
                 _, said = process.communicate()
                 raise RuntimeError(f"the cloth ended with status {process.returncode}: {said[-2000:]}")
@@ -76,7 +97,7 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> tuple[float, flo
         process.kill()
         executor.shutdown()
         node.destroy_node()
-    return arrivals[0] - begun, busy
+    return Start(wall=arrivals[0] - begun, busy=busy, answers_after=answered - (seen or answered))
 
 
 def _processor_time(pid: int) -> float:
@@ -103,12 +124,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
     finally:
         rclpy.try_shutdown()
-    median = float(np.median([wall for wall, _ in warm]))
+    median = float(np.median([start.wall for start in warm]))
     told: dict[str, Any] = {
-        "first_s": round(first[0], 3),
-        "warm_s": [round(wall, 3) for wall, _ in warm],
+        "first_s": round(first.wall, 3),
+        "warm_s": [round(start.wall, 3) for start in warm],
         "warm_median_s": round(median, 3),
-        "warm_processor_median_s": round(float(np.median([busy for _, busy in warm])), 3),
+        "warm_processor_median_s": round(float(np.median([start.busy for start in warm])), 3),
+        "answers_after_s": [round(start.answers_after, 3) for start in (first, *warm)],
         "goal_s": GOAL,
         "met": median < GOAL,
     }
