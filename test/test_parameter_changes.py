@@ -120,3 +120,21 @@ def test_a_change_that_fails_leaves_the_plan_as_it_was(monkeypatch: pytest.Monke
         tried.advance()
         other.advance()
         assert tried.state.digest() == other.state.digest(), change
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+def test_gusts_leave_the_motion_within_its_tolerance(tolerance: float) -> None:
+    values = {"cloth.resolution": [16, 16], "air.drag": 1.0, "wind.velocity": [0.1, 0.0, 0.0], "material.damping": 0.3}
+
+    def flown(held: float) -> np.ndarray:
+        simulation = Simulation(Scene.from_parameters(values | {"tolerance": held}))
+        gusts = np.random.default_rng(3)
+        places = []
+        for frame in range(20):
+            gust = [SetParameters({"wind.velocity": gusts.uniform(-2.0, 2.0, 3).tolist()})] if frame % 4 == 0 else []
+            simulation.advance(gust)
+            places.append(simulation.positions)
+        return np.array(places)
+
+    found, exact = flown(tolerance), flown(1e-9)
+    assert np.linalg.norm(found - exact, axis=2).max() < tolerance
