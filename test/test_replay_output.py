@@ -87,6 +87,24 @@ def test_what_happened_is_shown(tmp_path: Path) -> None:
     assert spheres[-1] == [[0.0, 0.0, 0.0]]
 
 
+def test_anchors_that_change_are_shown_and_not_grabbed(tmp_path: Path) -> None:
+    maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"cloth.anchors": [""], "gripper.radius": 0.08}))
+    last = maker.simulation.state.particle_count - 1
+    corner = tuple(maker.simulation.positions[last].tolist())
+    maker.add()
+    maker.add([SetParameters({"cloth.anchors": ["top", str(last)]})])
+    maker.add([Target("gripper", corner), Grasp("gripper", True)])
+    maker.add([SetParameters({"cloth.anchors": [""]})])
+    held = maker.simulation.grippers.held(0).tolist()
+    assert last not in held
+    out = tmp_path / "out.rrd"
+    assert main([str(maker.finish()), "--save", str(out)]) == 0
+    assert [len(points or []) for points in _rows(out, "/world/anchors", "Points3D:positions")[1]] == [10, 10, 0]
+    assert {len(points) for points in _rows(out, "/world/held/gripper", "Points3D:positions")[1] if points} == {
+        len(held)
+    }
+
+
 def test_every_nth_cloud_and_all_of_the_plots(tmp_path: Path) -> None:
     session = make_grasp(tmp_path, seconds=0.5, cloth__resolution=[8, 9])
     out = tmp_path / "out.rrd"

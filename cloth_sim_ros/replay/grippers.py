@@ -63,13 +63,18 @@ class GripperTracks:
         #: Within this distance of a gripper particles are grabbed [m].
         self.radius = opening.gripper_radius
         self._free = np.ones(len(opening.positions), dtype=bool)
-        self._free[anchored] = False
+        self.anchor(anchored)
         self.tracks = {
             start.name: GripperTrack(
                 start.name, pose=start.pose, target=start.target, closed=start.closed, held=start.held
             )
             for start in opening.grippers
         }
+
+    def anchor(self, particles: NDArray[np.intp]) -> None:
+        """Let these be the anchored particles from now on; nobody grabs them."""
+        self._free[:] = True
+        self._free[particles] = False
 
     def advance(self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating]]) -> None:
         """Take a frame's events over; `positions_before` gives the particles (n, 3) as they were before it."""

@@ -40,8 +40,11 @@ class Opening:
     positions: NDArray[np.float64]
     """Particle positions before the first frame [m], shape (particle_count, 3)."""
 
-    def anchored(self, rows: int, columns: int) -> NDArray[np.intp]:
-        """Numbers of the anchored particles of a grid; of a mesh (one row), those given by number."""
+    def anchored(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
+        """Numbers of the anchored particles of a grid; of a mesh (one row), those given by number.
+
+        Those of the snapshot, or by other values of `cloth.anchors`.
+        """
         grid = np.arange(rows * columns, dtype=np.intp).reshape(rows, columns)
         lines = {"top": grid[0], "bottom": grid[-1], "left": grid[:, 0], "right": grid[:, -1]}
         corners = {
@@ -49,7 +52,7 @@ class Opening:
         }
         known = {**lines, **corners}
         found: set[int] = set()
-        for name in self.anchors:
+        for name in self.anchors if anchors is None else anchors:
             if name.isdecimal() and int(name) < grid.size:
                 found.add(int(name))
             elif rows > 1 and name in known:

@@ -18,6 +18,7 @@ from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, ex
 from cloth_sim_ros.replay.rows import Moment, Rows
 from cloth_sim_ros.replay.survey import Survey, check_fit
 from cloth_sim_ros.session.cdr import decode, decode_cloud
+from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import read_frame
 
@@ -79,12 +80,14 @@ class Stream:
         self._every, self._only = every, only
         self._anchored = survey.opening.anchored(survey.rows, survey.columns)
         self._grippers = GripperTracks(survey.opening, self._anchored)
+        #: Whether anything was anchored so far.
+        self._pinned = len(self._anchored) > 0
         self._before: Message | None = None
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
         self._view = GripperView(self._grippers, self._table)
         self._mesh = self._table(CLOTH, rr.Mesh3D)
-        self._pins = self._table(ANCHORS, rr.Points3D)
+        self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
         self._kept: _Shown | None = None
         self._sent = 0
         #: Clouds that were in the messages, and those that were shown.
@@ -163,6 +166,7 @@ class Stream:
         record = read_frame(message)
         moment = self._moment = Moment(record.time, message.log_time, record.frame)
         self._grippers.advance(record, self._positions_before)
+        self._anchor(record)
         self._scalar("plots/steps/steps", moment, float(record.steps))
         for path, value in extra_numbers(record.extras):
             self._scalar(path, moment, value)
@@ -174,6 +178,16 @@ class Stream:
             if told:
                 self._say(moment, told, "INFO")
         self._view.show(moment)
+
+    def _anchor(self, record: FrameRecord) -> None:
+        """Take over anchors that a frame has changed, after its grasps."""
+        for event in record.events:
+            anchors = event["values"].get("cloth.anchors") if event.get("kind") == "set_parameters" else None
+            if anchors is not None:
+                survey = self._survey
+                self._anchored = survey.opening.anchored(survey.rows, survey.columns, anchors)
+                self._grippers.anchor(self._anchored)
+                self._pinned = self._pinned or len(self._anchored) > 0
 
     def _add_cloud(self, message: Message) -> None:
         self._before = message
@@ -210,7 +224,7 @@ class Stream:
         limit = self._survey.strain_limit if self._accuracy is None else self._accuracy.limit
         colours.strain_colours(shade, limit, colour)
         self._mesh.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
-        if len(self._anchored):
+        if self._pinned:
             self._pins.add(moment, positions=xyz[self._anchored])
         self._view.show_held(moment, held)
         self.clouds_shown += 1
