@@ -134,7 +134,7 @@ class Simulation:
     @property
     def sleeps_on(self) -> bool:
         """Whether the next frame, unless events come, costs nothing: it can only be the last one again."""
-        return self._slept is not None
+        return self._slept is not None and self.frame < sleeps_until(self.state)
 
     @property
     def positions(self) -> Array:
@@ -192,7 +192,7 @@ class Simulation:
             EventError: for an event that can't take effect.
             UnstableError: if the motion does not stay finite.
         """
-        if self._slept is not None and not events and self.frame < sleeps_until(self.state):
+        if self._slept is not None and not events and self.sleeps_on:
             return self._sleep_on(self._slept)
         self._slept = None
         in_order = ordered(list(events))
@@ -248,18 +248,17 @@ class Simulation:
         return frame
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
-        before, scene = self._scene, self._scene.changed(values)
+        before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
         observing = values.keys() <= _OBSERVING
         # A motion beyond the fixed step already is none of the parameters' doing.
         stable = observing or self._holds_step()
-        anchors = self.model.anchors
         self._apply_scene(scene)
         if observing:
             return
-        stop(self.state, np.setdiff1d(self.model.anchors, anchors))
         if not is_gentle(values, before, scene, self.state.v):
             restart(self.state, entirely=stable)
         wake(self.state)
+        stop(self.state, np.setdiff1d(self.model.anchors, anchors))
 
     def _grasp(self, event: Grasp) -> GraspResult:
         index = self.grippers.names.index(event.gripper)
