@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from clocked_cloth import ClockedCloth
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_client import Client
+from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.node import ClothNode
 
@@ -70,3 +72,19 @@ def test_a_sleeping_frame_wakes_no_other_thread(client: Client) -> None:
         client.executor.remove_node(cloth.node)
         cloth.close()
         cloth.node.destroy_node()
+
+
+def test_a_publisher_of_grasps_that_would_not_be_heard_is_told(
+    client: Client, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with ClockedCloth(client, AT_REST):
+        effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", effort)
+        said = ""
+
+        def told() -> bool:
+            nonlocal said
+            said += capfd.readouterr().err
+            return "a publisher of /cloth_sim/gripper/grasp offers best effort" in said
+
+        client.spin_until(told, what="a warning")

@@ -89,7 +89,9 @@ class Commands:
                 # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
                 # Best effort meets every publisher: nothing is to be told, and each event costs time every turn.
                 reliable = qos.reliability == ReliabilityPolicy.RELIABLE
-                misfit = functools.partial(self._tell_misfit, topic) if reliable else None
+                misfit = (
+                    functools.partial(self._tell_misfit, self._node.resolve_topic_name(topic)) if reliable else None
+                )
                 events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
                 self._node.create_subscription(kind, topic, self._single(take), qos, raw=True, event_callbacks=events)
 
