@@ -40,6 +40,8 @@ GOAL = 0.3
 AT_REST = {"gravity": [0.0, 0.0, 0.0]}
 #: Time for a start, and for an answer [s].
 _PATIENCE = 60.0
+#: Questions that wait for an answer at a time.
+_MOST_WAITING = 8
 #: Sets a minute.
 RATE = 1000.0
 
@@ -122,16 +124,25 @@ class Setter:
         self._next_report()
         late, sent = int(self._status["late_frames"]), 0
         begun = time.monotonic()
-        futures = []
+        waiting: list[Any] = []
         while (elapsed := time.monotonic() - begun) < seconds:
-            while sent < elapsed * rate:
-                futures.append(self._client.call_async(SetParameters.Request(parameters=[_change(sent)])))
+            # A service keeps ten questions; where the machine has been elsewhere more would be lost.
+            while sent < elapsed * rate and len(waiting) < _MOST_WAITING:
+                waiting.append(self._client.call_async(SetParameters.Request(parameters=[_change(sent)])))
                 sent += 1
             self._executor.spin_once(timeout_sec=0.005)
-        self._wait(lambda: all(future.done() for future in futures))
-        self.refused += sum(not result.successful for future in futures for result in future.result().results)
+            waiting = self._count(waiting)
+        while waiting:
+            self._wait(lambda waiting=waiting: any(future.done() for future in waiting))
+            waiting = self._count(waiting)
         self._next_report()
         return sent, int(self._status["late_frames"]) - late
+
+    def _count(self, waiting: list[Any]) -> list[Any]:
+        """Count what was refused; those that are not answered yet."""
+        done = [future.result() for future in waiting if future.done()]
+        self.refused += sum(not result.successful for answer in done for result in answer.results)
+        return [future for future in waiting if not future.done()]
 
     def wait(self) -> None:
         """Wait until the node answers."""
