@@ -93,3 +93,11 @@ def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:
             + (f" ({reader.missing})" if reader.missing else "")
         )
     return simulation.state.to_bytes()
+
+
+def begins_anew(simulation: Simulation) -> str:
+    """Say what of the state that a simulation began with is not taken over: what another version remembered."""
+    name, left_out = simulation.scene.initial_state, ", ".join(simulation.state.left_out)
+    return (
+        f"initial_state '{name}' was saved by another version: what it remembered of its steps ({left_out}) begins anew"
+    )

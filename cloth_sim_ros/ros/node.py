@@ -24,6 +24,7 @@ from cloth_sim_ros.ros.companions import GripperCompanions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frames import FrameTransformer
+from cloth_sim_ros.ros.initial_state import begins_anew
 from cloth_sim_ros.ros.lateness import Lateness
 from cloth_sim_ros.ros.log import ThrottledLog, counted
 from cloth_sim_ros.ros.outputs import Outputs
@@ -81,12 +82,8 @@ class ClothNode:
         self._log = ThrottledLog(self.node.get_logger())
         self._simulation = Simulation(scene)
         refuse_endless_frames(scene, self._simulation)
-        if others := self._simulation.state.left_out:
-            self._log.info(
-                "initial state",
-                f"initial_state '{scene.initial_state}' was saved by another version: what it remembered of its steps "
-                f"({', '.join(others)}) begins anew",
-            )
+        if self._simulation.state.left_out:
+            self._log.info("initial state", begins_anew(self._simulation))
         # Held by whoever works on the cloth or on what waits for it. Services wait for their frame, so they run beside
         # it where the executor has several threads; and parameters may be set from anywhere.
         self._turn = threading.RLock()
@@ -121,7 +118,7 @@ class ClothNode:
         self._parameters = parameters.LiveParameters(
             self.node,
             scene,
-            self._change_parameters,
+            lambda values: self._queue.put(SetParameters(values), promised=True),
             self._check_parameters,
             self._turn,
         )
@@ -322,9 +319,6 @@ class ClothNode:
     def _check_parameters(self, values: dict[str, Any], wanted: Scene) -> None:
         refuse_endless_frames(wanted, self._simulation)
         self._queue.make_room(SetParameters(values))
-
-    def _change_parameters(self, values: dict[str, Any]) -> None:
-        self._queue.put(SetParameters(values), promised=True)
 
     # Recording and state
 
