@@ -53,7 +53,7 @@ _LISTS = list(binding.KINDS.values())
 CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_plan_new": ("h", ("i", _given(1, 0), _given(1, 0))),
     "cloth_plan_free": ("v", ("h",)),
-    "cloth_plan_grid": ("i", ("h", "i", "i", _fixed(7 * len(binding.FAMILIES)))),
+    "cloth_plan_grid": ("i", ("h", "i", "i", _fixed(6 * len(binding.FAMILIES)))),
     "cloth_plan_list": (
         "i",
         (
@@ -63,7 +63,6 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             lambda a, _: a[2] * _LISTS[a[1]][1],
             lambda a, _: a[2] * _LISTS[a[1]][2],
             _fixed(5),
-            "i",
         ),
     ),
     "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),
@@ -95,7 +94,6 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_product": ("i", ("h", _X, _X, _X, _X, _X)),
     "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
-    "cloth_alternation": ("i", ("h", "d", _fixed(1))),
     "cloth_pose": ("i", (_fixed(binding.PATH_NUMBERS), "d", _fixed(18))),
     "cloth_lengths": ("i", ("i", "i", _given(4, 1), _given(3, 4), "i", _given(1, 1), _given(4, 1))),
     "cloth_combine": ("i", ("i", "a", _given(1, 0), "i", _given(1, 3))),

@@ -281,7 +281,6 @@ def test_arrays_that_do_not_fit_are_refused_by_name(plan, call, name, what):
         ({"steps": [NAN]}, "runs of"),
         ({"steps": [2**70]}, "runs of"),
         ({"steps": list(range(1, 40))}, "runs of"),
-        ({"steps": [2], "alternate": True}, "odd"),
         ({"steps": [1, 2], "weights": [1.0]}, "weights"),
         ({"steps": [1], "weights": [1.0, 2.0]}, "weights"),
         ({"t": NAN}, "from time"),

@@ -269,52 +269,6 @@ def test_errors_name_the_value():
         GridSprings(2, 2, [family("down", 1.0, 0.0, 0.0)])
 
 
-def weak(families):
-    """The same families, all but the edges marked as weak."""
-    return tuple(evolve(family, weak=family.name not in ("right", "down")) for family in families)
-
-
-def plain_alternating_leapfrog(x, v, springs, inverse_mass, steps, dt):
-    """Weak families at even steps only, twice as strong, 1.5 times at the first and the last step."""
-    x, v = x.copy(), v.copy()
-
-    def acceleration(position, velocity, factor):
-        families = [family for family in springs.families if factor or not family.weak]
-        scaled = [
-            evolve(family, stiffness=factor * family.stiffness, damping=factor * family.damping)
-            if family.weak
-            else family
-            for family in families
-        ]
-        return inverse_mass * plain_forces(position, velocity, GridSprings(springs.rows, springs.columns, scaled))
-
-    before = a = acceleration(x, v, 1.0)
-    for step in range(steps):
-        x += 0.5 * dt * v
-        factor = 0.0 if step % 2 else (2.0 if 0 < step < steps - 1 else 1.5)
-        factor = 1.0 if steps == 1 else factor
-        a, before = acceleration(x, v + 0.25 * dt * (a + before), factor), a
-        v += dt * a
-        x += 0.5 * dt * v
-    return x, v
-
-
-@pytest.mark.parametrize(("steps", "dt"), [(9, 2e-4), (1, 2e-4), (3, 1e-4)])
-def test_weak_families_at_every_second_step_equal_the_plain_scheme(steps, dt):
-    springs, inverse = GridSprings(11, 13, weak(ALL)), some_masses(143)
-    x, v = crumpled(11, 13)
-    expected_x, expected_v = plain_alternating_leapfrog(x, v, springs, inverse, steps, dt)
-    done = run(sheet(springs, inverse), x, v, steps, dt, alternate=True)
-    assert close(done.x, expected_x, 1e-12)
-    assert close(done.v, expected_v, 1e-11)
-
-
-def test_an_even_number_of_steps_cannot_leave_weak_families_out():
-    x, v = crumpled(3, 3)
-    with pytest.raises(ValueError, match=r"runs of \[10\] steps"):
-        run(sheet(GridSprings(3, 3, weak(ALL))), x, v, 10, 2e-4, alternate=True)
-
-
 def smooth(rows, columns):
     """A gently bent sheet in slow motion."""
     down, right = np.meshgrid(np.linspace(0.0, 1.0, rows), np.linspace(0.0, 1.0, columns), indexing="ij")
@@ -323,42 +277,37 @@ def smooth(rows, columns):
     return np.ascontiguousarray(x.reshape(3, -1)), np.ascontiguousarray(v.reshape(3, -1))
 
 
-def observed_order(springs, *, drag=0.0, alternate=False):
+def observed_order(springs, drag):
     """Order from three step counts, each against a much finer one."""
     inverse = np.full(springs.rows * springs.columns, 1.0 / MASS)
     plan = sheet(springs, inverse, gravity=GRAVITY, drag=drag)
 
-    def end(steps, alternate):
-        return run(plan, *smooth(springs.rows, springs.columns), steps, 0.05 / steps, alternate=alternate).x
+    def end(steps):
+        return run(plan, *smooth(springs.rows, springs.columns), steps, 0.05 / steps).x
 
-    finest = end(12801, alternate=False)
-    errors = [np.abs(end(steps, alternate) - finest).max() for steps in (201, 401, 801)]
+    finest = end(12801)
+    errors = [np.abs(end(steps) - finest).max() for steps in (201, 401, 801)]
     return np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
 
 
-def test_damped_leapfrog_is_of_second_order():
-    orders = observed_order(GridSprings(8, 9, weak(ALL)), drag=1.5)
+@pytest.mark.parametrize(("choice", "drag"), [("all", 1.5), ("undamped", 0.0)])
+def test_leapfrog_is_of_second_order(choice, drag):
+    orders = observed_order(GridSprings(8, 9, CHOICES[choice]), drag)
     assert all(1.9 < order < 2.1 for order in orders), orders
-
-
-def test_weak_undamped_families_at_every_second_step_are_of_second_order():
-    orders = observed_order(GridSprings(8, 9, weak(CHOICES["undamped"])), alternate=True)
-    assert all(1.9 < order < 2.15 for order in orders), orders
 
 
 @pytest.mark.parametrize("rows", [11, 40], ids=lambda rows: f"{rows} rows")
 @pytest.mark.parametrize(
-    ("choice", "narrow", "alternate"),
-    [("all", True, True), ("all", False, False), ("undamped", False, False), ("alternating", True, False)],
+    ("choice", "narrow"), [("all", True), ("all", False), ("undamped", False), ("alternating", True)]
 )
-def test_any_number_of_threads_gives_the_same_bits(choice, narrow, alternate, rows):
-    springs, results = GridSprings(rows, 13, weak(CHOICES[choice])), []
+def test_any_number_of_threads_gives_the_same_bits(choice, narrow, rows):
+    springs, results = GridSprings(rows, 13, CHOICES[choice]), []
     x, v = crumpled(rows, 13)
     for threads in (1, 2, 3, 16):
         plan = sheet(springs, some_masses(13 * rows), gravity=GRAVITY, drag=1.5, grips=some_grips())
         for steps in (1, 7, 33):
-            options = {"narrow": narrow, "alternate": alternate, "powers": True, "threads": threads}
-            results.append((threads, steps, run(plan, x, v, steps, 1e-4, **options)))
+            done = run(plan, x, v, steps, 1e-4, narrow=narrow, powers=True, threads=threads)
+            results.append((threads, steps, done))
     alone = {steps: done for threads, steps, done in results if threads == 1}
     for threads, steps, done in results:
         for name, mine, others in zip(done._fields, done, alone[steps], strict=True):

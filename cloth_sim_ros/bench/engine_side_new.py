@@ -113,8 +113,7 @@ def _sheet(resolution: int) -> tuple[Array, Force]:
     for name, reach, modulus in kinds:
         rest, k_s = reach * spacing, modulus * spacing
         damping = float(lecture_damping(0.2, k_s / rest, mass))
-        weak = name not in ("right", "down")
-        families.append(GridFamily(name=name, stiffness=k_s, rest_length=rest, damping=damping, weak=weak))
+        families.append(GridFamily(name=name, stiffness=k_s, rest_length=rest, damping=damping))
     return np.full(resolution**2, mass), GridSprings(resolution, resolution, families)
 
 

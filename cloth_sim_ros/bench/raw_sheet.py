@@ -69,15 +69,7 @@ class RawSheet:
         for name, reach, modulus in kinds:
             rest, k_s = self.rest * reach * h, self.stiffness * modulus * h
             damping = float(lecture_damping(self.k_d0, k_s / rest, self.mass))
-            families.append(
-                GridFamily(
-                    name=name,
-                    stiffness=k_s,
-                    rest_length=rest,
-                    damping=damping,
-                    weak=name not in ("right", "down"),
-                )
-            )
+            families.append(GridFamily(name=name, stiffness=k_s, rest_length=rest, damping=damping))
         return families
 
     def sheet(self) -> GridSprings:
@@ -93,7 +85,7 @@ class RawSheet:
             near, far = index[r0 : r0 + rows, c0 : c0 + columns], index[r1 : r1 + rows, c1 : c1 + columns]
             pairs = np.stack([near.ravel(), far.ravel()], axis=1)
             numbers = family.rest_length, family.stiffness, family.damping
-            forces.append(PairSprings(pairs, *numbers, name=family.name, weak=family.weak))
+            forces.append(PairSprings(pairs, *numbers, name=family.name))
         return forces
 
     def model(self, anchors: Iterable[int], extra: Iterable[Force] = (), *, listed: bool = False) -> Model:

@@ -74,15 +74,7 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
     compiler = find_compiler()
     if compiler is None:
         report.notes.append("no C compiler here ($CC, cc, gcc, clang): our engine alone, nothing to compare them with")
-    columns = [
-        "N",
-        "precision",
-        "C forces",
-        "whole step",
-        "to C",
-        "accelerations by themselves",
-        "weak springs every second step: faster by",
-    ]
+    columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
     table = Table("Nanoseconds per spring, one core", columns)
     lines: dict[str, list[tuple[float, float]]] = {}
     for dtype in (np.float32, np.float64):
@@ -90,7 +82,7 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
             row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
             known = ["-", row.step, "-"] if row.c is None else [row.c, row.step, row.ratio]
             alone = "-" if row.accelerations is None else row.accelerations
-            table.rows.append([resolution, row.precision, *known, alone, row.step / row.alternate])
+            table.rows.append([resolution, row.precision, *known, alone])
             for name, value in (("C forces", row.c), ("whole step", row.step)):
                 if value is not None:
                     lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))

@@ -41,7 +41,6 @@ class KernelTime:
     `c`: one evaluation of the C kernel, forces alone; None without a C compiler. `step`: a whole step of the engine,
     what a run costs beside its steps left out. `ratio`: step to C, the median over rounds. `accelerations`: one
     evaluation asked for by itself, copying the state included; None in single precision, in which there is none.
-    `alternate`: a step with shear and bend springs at every second one.
     """
 
     resolution: int
@@ -50,7 +49,6 @@ class KernelTime:
     accelerations: float | None
     ratio: float | None
     step: float
-    alternate: float
 
 
 @attrs.frozen(kw_only=True)
@@ -75,26 +73,21 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
     sheet = RawSheet(resolution=resolution, drag=1.0)
     plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
     single = np.dtype(dtype) == np.float32
-    steps = 2 * (max(_UPDATES_A_TURN // resolution**2, _FEWEST_STEPS) // 2)
-    few = 21
+    steps = max(_UPDATES_A_TURN // resolution**2, _FEWEST_STEPS)
+    few = 20
     out = np.empty_like(x)
 
     def evaluate() -> None:
         for _ in range(steps):
             plan.accelerations(0.0, x, v, out)
 
-    def runner(count: int, *, alternate: bool = False) -> Callable[[], None]:
+    def runner(count: int) -> Callable[[], None]:
         def run() -> None:
-            plan.runs(0.0, count * _STILL, (x, v), [count], narrow=single, alternate=alternate, threads=1)
+            plan.runs(0.0, count * _STILL, (x, v), [count], narrow=single, threads=1)
 
         return run
 
-    candidates: dict[str, Callable[[], None]] = {
-        "few": runner(few),
-        "many": runner(few + steps),
-        "few, alternate": runner(few, alternate=True),
-        "many, alternate": runner(few + steps, alternate=True),
-    }
+    candidates: dict[str, Callable[[], None]] = {"few": runner(few), "many": runner(few + steps)}
     if not single:
         candidates["accelerations"] = evaluate
     if compiler is not None:
@@ -103,7 +96,8 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
         candidates["c"] = lambda: kernel.evaluate(steps)
     turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
     unit = 1e9 / (steps * len(sheet.sheet().pairs))
-    whole, alternate = _differences(turns, ""), _differences(turns, ", alternate")
+    # What the steps more of the long run took, round by round [s].
+    whole = [many - few for many, few in zip(turns.seconds["many"], turns.seconds["few"], strict=True)]
     ratio = None
     if compiler is not None:
         ratio = statistics.median(mine / theirs for mine, theirs in zip(whole, turns.seconds["c"], strict=True))
@@ -114,14 +108,7 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
         accelerations=None if single else unit * turns.median("accelerations"),
         ratio=ratio,
         step=unit * statistics.median(whole),
-        alternate=unit * statistics.median(alternate),
     )
-
-
-def _differences(turns: Turns, which: str) -> list[float]:
-    """What the steps more of the long run took, round by round [s]."""
-    pairs = zip(turns.seconds[f"many{which}"], turns.seconds[f"few{which}"], strict=True)
-    return [many - few for many, few in pairs]
 
 
 def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:

@@ -51,14 +51,10 @@ struct Beside {
         T* const f = share.f.data();
         std::fill(f + 4 * share.low, f + 4 * share.high, T(0));
         std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
-        const T weak = static_cast<T>(weak_factor(run, step));
         const bool booked = run.powers && step >= 0;
         Powers seen;
-        for (std::size_t k = 0; k < share.lists.size(); ++k) {
-            const T factor = plan.lists[k].weak ? weak : T(1);
-            if (factor != T(0))
-                add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, factor, booked ? &seen : nullptr);
-        }
+        for (std::size_t k = 0; k < share.lists.size(); ++k)
+            add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, booked ? &seen : nullptr);
         return whole() ? asked(step, f, booked, seen) : Done::well;
     }
     Done asked(std::int64_t step, T* f, bool booked, const Powers& seen) {

@@ -53,7 +53,6 @@ struct Frame {
     const std::int64_t* steps;
     const double* weights;           ///< of the runs in the combination
     std::int64_t narrow;             ///< whether runs calculate in single precision
-    std::int64_t alternate;          ///< whether the first takes weak springs at every second step
     std::int64_t bands;
     const double *x0, *v0;
     double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
@@ -73,7 +72,6 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
                       frame.duration / static_cast<double>(frame.steps[k]),
                       frame.steps[k],
                       frame.narrow != 0,
-                      frame.alternate && k == 0 && plan.has_weak(),
                       static_cast<int>(frame.bands),
                       frame.x0,
                       frame.v0,
@@ -105,7 +103,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
 
 /// One evaluation of all forces over masses; zero where anchored.
 inline Done accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
-    const Run run{t, 1.0, 0, false, false, 1, x, v, nullptr, out, nullptr, nullptr};
+    const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     return plan.grid ? GridForces(plan, run).go() : evaluate_lists(plan, run);
 }
 

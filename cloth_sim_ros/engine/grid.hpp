@@ -15,7 +15,7 @@ namespace cloth {
 /// All springs of a sheet that point the same way. k_s [N], rest length [m], c [N s/m]; `border`: factor for threads
 /// along the sheet's border; `parity`: 0 or 1 keeps only cells of which row + column is even or odd, -1 keeps all.
 struct GridFamily {
-    bool present = false, weak = false;
+    bool present = false;
     double stiffness = 0.0, rest = 1.0, damping = 0.0, border = 1.0;
     int parity = -1;
 };
@@ -30,11 +30,6 @@ struct Grid {
             if (f.present && f.damping > 0.0) return true;
         return false;
     }
-    bool has_weak() const {
-        for (const GridFamily& f : families)
-            if (f.present && f.weak) return true;
-        return false;
-    }
     /// Factor on a family's spring that a row and column own; zero where there is none.
     double weight(int family, std::int64_t row, std::int64_t column) const {
         const GridFamily& f = families[family];
@@ -46,12 +41,11 @@ struct Grid {
                           (across == 0 && (column == 0 || column == columns - 1));
         return edge ? f.border : 1.0;
     }
-    /// Families with springs, as bits of `take_row`; weak ones where wanted. Edge springs count as present: their weights
-    /// may be zero.
-    unsigned shape(bool with_weak) const {
+    /// Families with springs, as bits of `take_row`. Edge springs count as present: their weights may be zero.
+    unsigned shape() const {
         unsigned bits = 1u << right | 1u << down;
         for (int f = diagonal; f < family_count; ++f)
-            if (families[f].present && (with_weak || !families[f].weak)) bits |= 1u << f;
+            if (families[f].present) bits |= 1u << f;
         if (bits & (1u << right2 | 1u << down2)) bits |= 1u << right2 | 1u << down2;
         return bits;
     }

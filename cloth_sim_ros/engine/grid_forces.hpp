@@ -31,8 +31,8 @@ public:
             const Done done = beside_.forces(-1, 0);
             if (done != Done::well) return done;
         }
-        const TakeRow<T> take = row_taker<T>(grid_.shape(true), plan_.mode());
-        const GridConstants<T> constants = grid_constants<T>(plan_, 1.0);
+        const TakeRow<T> take = row_taker<T>(grid_.shape(), plan_.mode());
+        const GridConstants<T> constants = grid_constants<T>(plan_);
         T *const ring = window_.data() + rows_of_window * (seen + 3) * pitch_, *const out = ring + 3 * 3 * pitch_;
         std::fill(ring, out, T(0));
         load_row(0);

@@ -41,10 +41,8 @@ public:
         boxes_.resize(std::max<std::size_t>((bands_ - 1) * 4, boxes_.size()));
         for (auto& box : boxes_) box.resize(halo_ * stride_);
         done_ = std::vector<Counter>(bands_);
-        const unsigned shape = grid_.shape(true);
-        whole_ = row_taker<T>(shape, mode_);
-        fast_ = row_taker<T>(grid_.shape(false), mode_);
-        for (int k = 0; k < 4; ++k) constants_[k] = grid_constants<T>(plan, weak_factors[k]);
+        take_ = row_taker<T>(grid_.shape(), mode_);
+        constants_ = grid_constants<T>(plan);
     }
 
     Done go() {
@@ -228,11 +226,7 @@ private:
         at.pitch = pitch_;
         at.length = length_;
         if (own) beside_.add_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
-        const double weak = weak_factor(run_, step);
-        const TakeRow<T> take = weak == 0.0 ? fast_ : whole_;
-        // What is left out has no strength either: a row taker may know families only together.
-        const auto factor = std::find(std::begin(weak_factors), std::end(weak_factors), weak) - weak_factors;
-        take(at, constants_[factor], motion_of<T>(run_, step), own);
+        take_(at, constants_, motion_of<T>(run_, step), own);
     }
     void export_rows(int b) {
         for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
@@ -267,9 +261,8 @@ private:
     int bands_ = 1, levels_ = 1;
     std::vector<std::int64_t> border_;
     std::vector<Counter> done_;
-    TakeRow<T> whole_ = nullptr, fast_ = nullptr;
-    static constexpr double weak_factors[4] = {1.0, 1.5, 2.0, 0.0};  ///< see weak_factor
-    GridConstants<T> constants_[4];
+    TakeRow<T> take_ = nullptr;
+    GridConstants<T> constants_;
 };
 
 }  // namespace cloth

@@ -35,15 +35,14 @@ inline TakeRow<T> row_taker(unsigned shape, Mode mode) {
     }
 }
 
-/// What the loop needs of a plan, weak springs times a factor.
+/// What the loop needs of a plan.
 template <class T>
-inline GridConstants<T> grid_constants(const Plan& plan, double weak) {
+inline GridConstants<T> grid_constants(const Plan& plan) {
     GridConstants<T> c{};
     for (int f = 0; f < family_count; ++f) {
         const GridFamily& family = plan.grid->families[f];
         if (!family.present) continue;
-        const double s = family.weak ? weak : 1.0;
-        c.families[f] = {T(s * family.stiffness), T(s * family.stiffness / family.rest), T(s * family.damping)};
+        c.families[f] = {T(family.stiffness), T(family.stiffness / family.rest), T(family.damping)};
     }
     c.drag = T(plan.drag);
     for (int k = 0; k < 3; ++k) c.push[k] = T(plan.push(k));

@@ -4,7 +4,6 @@
 // What Python sees: a C interface, called without the interpreter's lock. binding.py checks shapes, types and ranges
 // before; arrays are (3, n) doubles by component unless said otherwise. Every call returns a Status.
 
-#include "alternation.hpp"
 #include "frame.hpp"
 #include "measures.hpp"
 
@@ -62,25 +61,23 @@ CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const d
 }
 CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
 
-/// Families as rows of present, weak, k_s, rest length, damping, border, parity.
+/// Families as rows of present, k_s, rest length, damping, border, parity.
 CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
     return guarded([&] {
         cloth::Grid grid;
         grid.rows = rows;
         grid.columns = columns;
         for (int f = 0; f < cloth::family_count; ++f) {
-            const double* const row = families + 7 * f;
-            grid.families[f] = {row[0] != 0.0, row[1] != 0.0, row[2], row[3], row[4], row[5], static_cast<int>(row[6])};
+            const double* const row = families + 6 * f;
+            grid.families[f] = {row[0] != 0.0, row[1], row[2], row[3], row[4], static_cast<int>(row[5])};
         }
         plan->grid = grid;
         plan->tables = cloth::Tables<double>(grid, plan->inverse.data());
     });
 }
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
-                              const double* common, int weak) {
-    return guarded([&] {
-        plan->lists.emplace_back(static_cast<cloth::Kind>(kind), count, corners, params, common, weak != 0);
-    });
+                              const double* common) {
+    return guarded([&] { plan->lists.emplace_back(static_cast<cloth::Kind>(kind), count, corners, params, common); });
 }
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
     return guarded([&] {
@@ -190,10 +187,6 @@ CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const doubl
                                 double* out) {
     return guarded([&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
 }
-/// See stable_share.
-CLOTH_API int cloth_alternation(const Plan* plan, double mass, double* out) {
-    return guarded([&] { *out = plan->grid ? cloth::stable_share(*plan->grid, mass) : 0.0; });
-}
 /// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
 CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     return guarded([&] {
@@ -229,7 +222,7 @@ CLOTH_API int cloth_lengths(int kind, std::int64_t count, const std::int64_t* co
                             double* lengths, double* squares) {
     return guarded([&] {
         const std::vector<double> params(3 * count, 0.0);
-        const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr, false);
+        const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr);
         const auto all = [&](auto law) {
             using Law = decltype(law);
             for (std::int64_t e = 0; e < count; ++e) {

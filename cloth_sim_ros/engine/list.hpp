@@ -42,9 +42,8 @@ struct Elements {
 
 class List {
 public:
-    List(Kind kind, std::int64_t count, const std::int64_t* corners, const double* params, const double* common,
-         bool weak)
-        : kind(kind), weak(weak), count(count) {
+    List(Kind kind, std::int64_t count, const std::int64_t* corners, const double* params, const double* common)
+        : kind(kind), count(count) {
         with_law(kind, [&](auto law) {
             using Law = decltype(law);
             width = Law::corners;
@@ -98,7 +97,7 @@ public:
     }
 
     Kind kind;
-    bool weak, damped = false;
+    bool damped = false;
     std::int64_t count;
     int width = 0, numbers = 0;
     std::vector<std::int64_t> corners;

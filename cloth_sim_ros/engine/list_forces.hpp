@@ -44,9 +44,9 @@ struct Batch {
     }
 };
 
-/// One list's elements with the particles' positions x, velocities v and forces f, all quads. Forces are times a factor
-/// if Scaled; what elements lose and are given is noted if Watched.
-template <class Law, class T, bool Damped, bool Scaled, bool Watched>
+/// One list's elements with the particles' positions x, velocities v and forces f, all quads. What elements lose and are
+/// given is noted if Watched.
+template <class Law, class T, bool Damped, bool Watched>
 class Forces {
     static constexpr int C = Law::corners;
     // The more a law calculates, the more wider vectors gain; gathering loses with them.
@@ -56,8 +56,8 @@ class Forces {
     static constexpr int given = own ? C : C - 1;
 
 public:
-    Forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, T factor, Powers* powers)
-        : common_(common), x_(x), v_(v), f_(f), scale_(splat<V>(factor)), powers_(powers), count_(list.count) {
+    Forces(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, Powers* powers)
+        : common_(common), x_(x), v_(v), f_(f), powers_(powers), count_(list.count) {
         for (int c = 0; c < C; ++c) corner_[c] = list.corner[c].data();
         for (int p = 0; p < Law::params; ++p) param_[p] = list.param[p].data();
     }
@@ -142,7 +142,6 @@ private:
         const auto numbers = params(e);
         Given g;
         Law::force(numbers, seen.d, seen.u, g.d, Damped);
-        for (int c = 0; Scaled && c < given; ++c) g.d[c] = scale_ * g.d[c];
         watch(e, numbers, seen);
         return g;
     }
@@ -152,7 +151,7 @@ private:
         const V factor = Law::factor(numbers, seen.d[0], seen.u[0], Damped);
         watch(e, numbers, seen);
         T factors[L];
-        store_as<V>(factors, Scaled ? scale_ * factor : factor);
+        store_as<V>(factors, factor);
         for (int k = 0; k < L; ++k) {
             T *const near = f_ + std::size_t{corner_[0][e + k]}, *const far = f_ + std::size_t{corner_[1][e + k]};
             const quad<T> q{factors[k], factors[k], factors[k], factors[k]};
@@ -178,10 +177,10 @@ private:
                             [[maybe_unused]] const typename Law::template Params<V>& numbers,
                             [[maybe_unused]] const Sight<Law, V>& seen) const {
         if constexpr (Watched && Damped) {
-            const V lost = scale_ * Law::lost(numbers, seen.d, seen.u);
+            const V lost = Law::lost(numbers, seen.d, seen.u);
             for (int k = 0; k < L; ++k) powers_->lost[(e + k) & 15] += static_cast<double>(lost[k]);
             if constexpr (own) {
-                const V power = scale_ * Law::given(numbers, seen.d, seen.u);
+                const V power = Law::given(numbers, seen.d, seen.u);
                 for (int k = 0; k < L; ++k) powers_->given[(e + k) & 15] += static_cast<double>(power[k]);
             }
         }
@@ -192,31 +191,27 @@ private:
     const T* param_[3] = {};
     const T *x_, *v_;
     T* f_;
-    V scale_;
     Powers* powers_;
     std::int64_t count_;
 };
 
 /// Add the forces of all elements at positions x and velocities v to f, all quads by particle.
 template <class T>
-inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, T factor,
-                       Powers* powers) {
+inline void add_forces(const List& list, const Elements<T>& taken, const T* x, const T* v, T* f, Powers* powers) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
-        const auto add = [&](auto damped, auto scaled, auto watched) {
-            Forces<Law, T, damped.value, scaled.value, watched.value>(taken, list.common, x, v, f, factor, powers).add();
+        const auto add = [&](auto damped, auto watched) {
+            Forces<Law, T, damped.value, watched.value>(taken, list.common, x, v, f, powers).add();
         };
         constexpr std::true_type yes;
         constexpr std::false_type no;
         const bool damped = Law::own_velocities || list.damped;
         if (powers && damped)
-            add(yes, yes, yes);
-        else if (factor != T(1))
-            add(yes, yes, no);
+            add(yes, yes);
         else if (damped)
-            add(yes, no, no);
+            add(yes, no);
         else if constexpr (!Law::own_velocities)
-            add(no, no, no);
+            add(no, no);
     });
 }
 

@@ -121,18 +121,13 @@ struct Plan {
         for (const List& list : lists) moving = moving || list.damped;
         return moving ? Mode::drag : Mode::still;
     }
-    bool has_weak() const {
-        bool weak = grid && grid->has_weak();
-        for (const List& list : lists) weak = weak || list.weak;
-        return weak;
-    }
 };
 
 /// One run of the leapfrog: so many equal steps.
 struct Run {
     double t, step;
     std::int64_t steps;
-    bool narrow, alternate;
+    bool narrow;
     int bands;
     const double *x0, *v0;  ///< at the start, (3, n)
     double *x, *v;          ///< at the end; v may be null
@@ -152,13 +147,6 @@ inline Motion<T> motion_of(const Run& run, std::int64_t step) {
 /// Of a single evaluation: it moves nothing, and velocities that were zero become accelerations.
 template <class T>
 inline constexpr Motion<T> evaluation{T(1), T(0), T(0), T(0)};
-/// How often the weak springs of a step count: where they are taken at every second step only, impulses lie
-/// symmetrically in the run.
-inline double weak_factor(const Run& run, std::int64_t step) {
-    if (!run.alternate || step < 0 || run.steps == 1) return 1.0;
-    if (step % 2 == 1) return 0.0;
-    return step == 0 || step == run.steps - 1 ? 1.5 : 2.0;
-}
 inline double middle_of(const Run& run, std::int64_t step) { return step < 0 ? run.t : run.t + (step + 0.5) * run.step; }
 
 /// A number at the end of a run: in single precision what changed is added to what it was.

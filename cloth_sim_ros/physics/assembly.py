@@ -128,11 +128,11 @@ def _one_sheet(parts: Sequence[Gridded]) -> Gridded | None:
 
 def _table(sheet: Gridded) -> Array:
     """The engine's row of numbers for each family."""
-    table = np.zeros((len(FAMILIES), 7))
-    table[:, 3], table[:, 6] = 1.0, -1.0
+    table = np.zeros((len(FAMILIES), 6))
+    table[:, 2], table[:, 5] = 1.0, -1.0
     for family in sheet.families:
         parity = -1 if family.parity is None else family.parity
-        numbers = (1, family.weak, family.stiffness, family.rest_length, family.damping, family.border, parity)
+        numbers = (1, family.stiffness, family.rest_length, family.damping, family.border, parity)
         table[FAMILIES.index(family.name)] = numbers
     return table
 
@@ -145,7 +145,7 @@ def _add_list(handle: int, part: Listed) -> None:
         raise ValueError(f"a list of kind '{part.kind}' has shapes {particles.shape} and {values.shape}")
     common = None if part.common is None else np.ascontiguousarray(part.common, dtype=np.float64)
     addresses = particles.ctypes.data, values.ctypes.data, None if common is None else common.ctypes.data
-    check(library().cloth_plan_list(handle, kind, len(particles), *addresses, int(part.weak)))
+    check(library().cloth_plan_list(handle, kind, len(particles), *addresses))
 
 
 def _pairs(groups: NDArray[np.int64]) -> NDArray[np.int64]:

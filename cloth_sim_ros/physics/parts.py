@@ -25,8 +25,6 @@ class Listed:
     numbers: Array
     #: For panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,).
     common: Array | None = None
-    #: Whether they may be taken at every second step.
-    weak: bool = False
 
 
 @attrs.frozen(kw_only=True)
@@ -36,7 +34,7 @@ class GridFamily:
     `name`: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.
     `stiffness` k_s [N], force per strain; `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of
     the threads that run along the sheet's border. `parity`: 0 or 1 keeps only springs in cells of which row + column is
-    even or odd, None keeps all. `weak`: may be taken at every second step.
+    even or odd, None keeps all.
     """
 
     name: str
@@ -45,7 +43,6 @@ class GridFamily:
     damping: float = 0.0
     border: float = 1.0
     parity: int | None = None
-    weak: bool = False
 
 
 @attrs.frozen(kw_only=True)

@@ -15,7 +15,6 @@ import os
 import threading
 import weakref
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,6 @@ from cloth_sim_ros.engine.binding import (
 from cloth_sim_ros.physics.assembly import Assembly
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.own_forces import OwnForces
@@ -45,9 +43,6 @@ from cloth_sim_ros.physics.turn import one_at_a_time
 
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
-#: Squared frequency, relative to that of the unstretched sheet, up to which its waves say something of a stretched
-#: one's.
-_STIFFER = 1.08
 
 
 def compile(model: Model) -> Plan:
@@ -180,7 +175,6 @@ class Plan:
         *,
         weights: Sequence[float] | None = None,
         narrow: bool = False,
-        alternate: bool = False,
         powers: bool = False,
         threads: int | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
@@ -193,7 +187,6 @@ class Plan:
             steps: of each run, at least 1.
             weights: of the runs in a combination that is wanted too; None where it is not.
             narrow: whether they calculate in single precision.
-            alternate: whether the first one takes weak springs at every second step; its steps must be odd then.
             powers: whether powers are noted.
             threads: of a sheet; None chooses. No bit depends on it.
 
@@ -206,11 +199,9 @@ class Plan:
         self._sync()
         x0, v0 = start
         count, n = len(steps), self.model.particle_count
-        known = 1 <= count <= MOST_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS
-        if not known or (alternate and steps[0] % 2 == 0):
+        if not (1 <= count <= MOST_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS):
             raise ValueError(
-                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of 1 to {MOST_STEPS}, the first "
-                "odd where weak springs alternate"
+                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of 1 to {MOST_STEPS} steps"
             )
         if not (math.isfinite(t) and math.isfinite(duration)):
             raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
@@ -224,7 +215,7 @@ class Plan:
         out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2))
         frame = self._frame
         frame.t, frame.duration, frame.runs = t, duration, count
-        frame.narrow, frame.alternate, frame.powers, frame.bands = narrow, alternate, powers, self._threads(threads)
+        frame.narrow, frame.powers, frame.bands = narrow, powers, self._threads(threads)
         frame.x0, frame.v0 = doubles("x", x0, self._shape), doubles("v", v0, self._shape)
         frame.out, frame.notes = address(out), address(notes)
         frame.result = frame.told = None
@@ -366,24 +357,3 @@ class Plan:
     def narrows(self) -> bool:
         """Whether single precision would make a difference to runs."""
         return not self._own
-
-    @cached_property
-    def alternate_share(self) -> float:
-        """Share of the step limit up to which a sheet's weak springs may be taken at every second step, see
-        alternation.hpp; 0 where they may not.
-        """
-        # Of hinges nothing is known.
-        weak = any(force.weak and not isinstance(force, GridSprings) for force in self.model.forces)
-        if self._gridded is None or weak:
-            return 0.0
-        out, masses = ctypes.c_double(), np.sort(self.model.masses)
-        check(self._library.cloth_alternation(self._handle, float(masses[len(masses) // 2]), ctypes.addressof(out)))
-        return float(out.value)
-
-    def alternate_stiffest(self) -> float:
-        """Return the bound of the squared frequency [1/s^2] up to which that holds, held as the sheet is held now."""
-        assert self._gridded is not None
-        lengths = {family.name: family.rest_length for family in self._gridded.families}
-        rows, columns = np.divmod(np.arange(self.model.particle_count), self._gridded.columns)
-        flat = np.stack([lengths["right"] * columns, lengths["down"] * rows, np.zeros(len(rows))])
-        return _STIFFER * self.rates(flat)[0]

@@ -213,7 +213,6 @@ def _hinge_springs(
             damping=scene.material.damping,
             masses=masses,
             existing=existing,
-            weak=True,
             **options,
         )
     ]

@@ -27,7 +27,6 @@ class AltitudeSprings(HingeSprings):
         stiffness: κ̂ [N/m], shape (m,) or one number.
         damping: k_d [N s/m], shape (m,) or one number.
         name: the force's name in a model.
-        weak: whether it may be evaluated less often than every step.
 
     Raises:
         ValueError: as `HingeSprings` does.
@@ -43,6 +42,5 @@ class AltitudeSprings(HingeSprings):
         damping: ArrayLike = 0.0,
         *,
         name: str = "altitude",
-        weak: bool = False,
     ) -> None:
-        super().__init__(quads, rest_length, stiffness, damping, name=name, weak=weak)
+        super().__init__(quads, rest_length, stiffness, damping, name=name)

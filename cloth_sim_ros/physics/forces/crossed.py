@@ -26,7 +26,6 @@ class CrossedSprings(HingeSprings):
         stiffness: κ̂ [N/m], shape (m,) or one number.
         damping: k_d [N s/m], shape (m,) or one number.
         name: the force's name in a model.
-        weak: whether it may be evaluated less often than every step.
 
     Raises:
         ValueError: as `HingeSprings` does.
@@ -45,11 +44,10 @@ class CrossedSprings(HingeSprings):
         damping: ArrayLike = 0.0,
         *,
         name: str = "crossed",
-        weak: bool = False,
     ) -> None:
         first = indices(f"edges of '{name}'", edges, 2, np.iinfo(np.int64).max)
         second = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
         if len(first) != len(second):
             raise ValueError(f"'{name}' has {len(first)} edges and {len(second)} pairs of wings; give one pair an edge")
         hinges = np.concatenate((first, second), axis=1)
-        super().__init__(hinges, rest_length, stiffness, damping, name=name, weak=weak)
+        super().__init__(hinges, rest_length, stiffness, damping, name=name)

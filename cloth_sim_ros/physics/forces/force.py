@@ -33,8 +33,6 @@ class Force:
 
     #: Short name, unique within a model.
     name: str = "force"
-    #: True where the force may be evaluated less often than every step (multirate).
-    weak: bool = False
     #: True where the force depends on velocities.
     damped: bool = False
     #: True where there are places next to which the force grows beyond all bounds.

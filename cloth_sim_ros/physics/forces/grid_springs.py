@@ -62,7 +62,6 @@ class GridSprings(EngineForce):
                 raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
         self.rows, self.columns, self.name = int(rows), int(columns), name
         self.families = tuple(sorted(families, key=lambda family: FAMILIES.index(family.name)))
-        self.weak = bool(families) and all(family.weak for family in families)
         self.damped = any(family.damping > 0.0 for family in families)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
@@ -78,7 +77,7 @@ class GridSprings(EngineForce):
         found = [self._of(family) for family in self.families]
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)])
         every = np.concatenate([np.empty((0, 3)), *(numbers for _, numbers in found)])
-        return PairSprings(pairs, every[:, 0], every[:, 1], every[:, 2], name=self.name, weak=self.weak)
+        return PairSprings(pairs, every[:, 0], every[:, 1], every[:, 2], name=self.name)
 
     @property
     def pairs(self) -> NDArray[np.int64]:

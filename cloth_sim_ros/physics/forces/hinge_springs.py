@@ -27,7 +27,6 @@ class HingeSprings(EngineForce):
         stiffness: κ̂ [N/m], shape (m,) or one number, at least 0.
         damping: k_d [N s/m], shape (m,) or one number, at least 0.
         name: the force's name in a model.
-        weak: whether it may be evaluated less often than every step.
 
     Raises:
         ValueError: for a shape that does not fit, a particle that a hinge names twice, or a value that is not finite
@@ -45,10 +44,8 @@ class HingeSprings(EngineForce):
         damping: ArrayLike = 0.0,
         *,
         name: str,
-        weak: bool = False,
     ) -> None:
         self.name = name
-        self.weak = weak
         self.hinges: NDArray[np.int64] = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
         count = len(self.hinges)
         ordered = np.sort(self.hinges, axis=1)
@@ -67,7 +64,7 @@ class HingeSprings(EngineForce):
         if not len(hinges):
             return ()
         numbers = np.stack([self.rest_length, self.stiffness, self.damping], axis=1)
-        return (Listed(kind=self.kind, particles=hinges, numbers=numbers, weak=self.weak),)
+        return (Listed(kind=self.kind, particles=hinges, numbers=numbers),)
 
     def lengths(self, x: Array) -> Array:
         """Return the signed length h [m] of every hinge at positions x (3, n), NaN where undefined, shape (m,)."""

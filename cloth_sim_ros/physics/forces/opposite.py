@@ -24,7 +24,6 @@ class OppositeSprings(PairSprings):
         stiffness: k_s [N], force per strain, shape (m,) or one number.
         damping: k_d [N s/m], shape (m,) or one number.
         name: the force's name in a model.
-        weak: whether it may be evaluated less often than every step.
 
     Raises:
         ValueError: for a rest length of 0, and as `PairSprings` does.
@@ -38,7 +37,6 @@ class OppositeSprings(PairSprings):
         damping: ArrayLike = 0.0,
         *,
         name: str = "opposite",
-        weak: bool = False,
     ) -> None:
         pairs = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
         rest = finite(f"rest_length of '{name}'", rest_length, (len(pairs),))
@@ -48,4 +46,4 @@ class OppositeSprings(PairSprings):
                 f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is {rest[wrong[0]]}; "
                 "it must be above 0: a pair folded shut at rest has no such spring"
             )
-        super().__init__(pairs, rest, stiffness, damping, name=name, weak=weak)
+        super().__init__(pairs, rest, stiffness, damping, name=name)

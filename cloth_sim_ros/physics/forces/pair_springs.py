@@ -26,7 +26,6 @@ class PairSprings(EngineForce):
         stiffness: k_s, force per unit strain [N], shape (m,) or one number; of a joint k [N/m].
         damping: k_d [N s/m], shape (m,) or one number.
         name: the force's name in a model.
-        weak: whether it may be evaluated less often than every step.
 
     Raises:
         ValueError: for a shape that does not fit, a spring from a particle to itself, or a negative or non-finite
@@ -41,7 +40,6 @@ class PairSprings(EngineForce):
         damping: ArrayLike = 0.0,
         *,
         name: str = "springs",
-        weak: bool = False,
     ) -> None:
         self.pairs: NDArray[np.int64] = indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
         count = len(self.pairs)
@@ -53,7 +51,6 @@ class PairSprings(EngineForce):
             particle = self.pairs[loops[0], 0]
             raise ValueError(f"spring {loops[0]} of '{name}' joins particle {particle} to itself; give two particles")
         self.name = name
-        self.weak = weak
         self.damped = bool(np.any(self.damping))
 
     @property
@@ -67,10 +64,10 @@ class PairSprings(EngineForce):
         found: list[Part] = []
         if not joint.all():
             numbers = np.stack([self.stiffness, self.rigidity, self.damping], axis=1)[~joint]
-            found.append(Listed(kind="spring", particles=pairs[~joint], numbers=numbers, weak=self.weak))
+            found.append(Listed(kind="spring", particles=pairs[~joint], numbers=numbers))
         if joint.any():
             numbers = np.stack([self.stiffness, self.damping], axis=1)[joint]
-            found.append(Listed(kind="joint", particles=pairs[joint], numbers=numbers, weak=self.weak))
+            found.append(Listed(kind="joint", particles=pairs[joint], numbers=numbers))
         return found
 
 

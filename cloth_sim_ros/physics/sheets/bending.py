@@ -110,7 +110,6 @@ def bending_terms(
     damping: float = 0.0,
     masses: ArrayLike | None = None,
     existing: ArrayLike | None = None,
-    weak: bool = False,
 ) -> list[PairSprings | HingeSprings]:
     """Build the terms of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
 
@@ -127,7 +126,6 @@ def bending_terms(
         damping: the dimensionless k_d0 of every bending spring.
         masses: particle masses [kg], shape (n,); needed where there is damping.
         existing: springs that are there already, (s, 2): S7 leaves their pairs out.
-        weak: whether the terms may be evaluated less often than every step.
 
     Raises:
         ValueError: for a parameter that does not belong to the model or is out of range.
@@ -149,7 +147,7 @@ def bending_terms(
         if spring_stiffness is None:
             raise ValueError("bending model 'opposite' needs spring_stiffness, k_s in N")
         k_s = np.array(np.broadcast_to(np.asarray(spring_stiffness, dtype=np.float64), distance.shape))
-        return [_opposite(quads, distance, k_s, kept, damping, mass, weak)]
+        return [_opposite(quads, distance, k_s, kept, damping, mass)]
     if spring_stiffness is not None or hinge_constants is None:
         raise ValueError(f"bending model '{model}' takes hinge_constants (k_θ in N m), not spring_stiffness")
     stiffness, opposite = spring_constants(model, shape, hinge_constants, ratio=ratio)
@@ -157,11 +155,11 @@ def bending_terms(
     rest = shape.length("altitude" if blend else "crossed")
     k_d = _hinge_damping(damping, stiffness, shape, quads, mass, blend)
     second: HingeSprings = (
-        AltitudeSprings(quads, rest, stiffness, k_d, weak=weak)
+        AltitudeSprings(quads, rest, stiffness, k_d)
         if blend
-        else CrossedSprings(quads[:, :2], quads[:, 2:], rest, stiffness, k_d, weak=weak)
+        else CrossedSprings(quads[:, :2], quads[:, 2:], rest, stiffness, k_d)
     )
-    return [_opposite(quads, distance, opposite * distance, kept, damping, mass, weak), second]
+    return [_opposite(quads, distance, opposite * distance, kept, damping, mass), second]
 
 
 def spring_constants(
@@ -227,7 +225,7 @@ def refuse_bending_modulus(model: str) -> None:
 
 
 def _opposite(
-    quads: np.ndarray, distance: Array, k_s: Array, kept: np.ndarray, damping: float, mass: Array, weak: bool
+    quads: np.ndarray, distance: Array, k_s: Array, kept: np.ndarray, damping: float, mass: Array
 ) -> OppositeSprings:
     """S7 between the wings of the kept hinges; springs of one pair and rest length are one, stiffnesses added."""
     pairs, first, same = np.unique(np.sort(quads[kept][:, 2:], axis=1), axis=0, return_index=True, return_inverse=True)
@@ -240,7 +238,7 @@ def _opposite(
     inverse = 1.0 / mass[pairs[:, 0]] + 1.0 / mass[pairs[:, 1]]
     # the lecture's m of two unequal ends is the reduced mass times two
     k_d = damping * np.sqrt(2.0 / inverse * stiffness / rest)
-    return OppositeSprings(pairs, rest, stiffness, k_d, weak=weak)
+    return OppositeSprings(pairs, rest, stiffness, k_d)
 
 
 def _hinge_damping(

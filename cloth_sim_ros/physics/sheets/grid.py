@@ -93,15 +93,8 @@ class GridSheet:
         ) -> GridFamily:
             k = k_s / length
             damping = k * retardation or float(lecture_damping(k_d0, k, mass))
-            weak = name not in ("right", "down")
             return GridFamily(
-                name=name,
-                stiffness=k_s,
-                rest_length=length,
-                damping=damping,
-                border=border,
-                parity=parity,
-                weak=weak,
+                name=name, stiffness=k_s, rest_length=length, damping=damping, border=border, parity=parity
             )
 
         terms = {
