@@ -7,7 +7,7 @@ import json
 import pytest
 
 from cloth_sim_ros.bench.main import main
-from cloth_sim_ros.physics.control import automatic, last_resort
+from cloth_sim_ros.physics.control import automatic, fallback
 from cloth_sim_ros.physics.integrators import stage_matrix
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -32,7 +32,7 @@ def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
     monkeypatch.setattr(automatic, "AFFORDABLE", 1e-9)
     with pytest.raises(AssertionError, match="a matrix was asked for"):
         Simulation(scene).advance()
-    monkeypatch.setattr(last_resort, "MOST_IMPLICIT", 100)
+    monkeypatch.setattr(fallback, "MOST_IMPLICIT", 100)
     Simulation(scene).advance()
 
 

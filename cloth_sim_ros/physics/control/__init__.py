@@ -1,9 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choosing steps, orders and integrators by stability, error and energy, and remembering why.
+"""Choosing steps, orders and integrators by four rules: stability, error, energy, fallback.
 
-Begin with `controlled` (one advance, attempted until it is stable and accurate) and `control` (what it remembers, and
-its
-constants); `economies` says what single runs save on, `energy_guard` looks at energy, `last_resort` takes what explicit
-steps can't follow, `automatic` chooses the integrator.
+Begin with `explicit` (one advance, attempted until the rules hold); `stability`, `error`, `energy` and `fallback` are
+the rules, `precision` says where single precision does, `automatic` chooses the integrator. What they remember is in
+`physics.remembered`, their tuned numbers in `physics.constants`.
 """
