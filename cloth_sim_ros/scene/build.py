@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +23,44 @@ from cloth_sim_ros.physics.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.parameters import ParameterError
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.scene.scene import Scene
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
 
-def build_sheet(scene: Scene) -> Sheet:
+class Configuration(Protocol):
+    """What of a `Scene` physics is made of."""
+
+    @property
+    def cloth(self) -> sections.Cloth: ...
+
+    @property
+    def material(self) -> sections.Material: ...
+
+    @property
+    def bending(self) -> sections.Bending: ...
+
+    @property
+    def gravity(self) -> tuple[float, ...]: ...
+
+    @property
+    def air(self) -> sections.Air: ...
+
+    @property
+    def wind(self) -> sections.Wind: ...
+
+    @property
+    def files(self) -> dict[str, bytes]: ...
+
+    @property
+    def gripper_names(self) -> list[str]: ...
+
+    @property
+    def sheet(self) -> Sheet: ...
+
+
+def build_sheet(scene: Configuration) -> Sheet:
     """Return the geometry that a scene names: a mesh file, a springs file, or a grid.
 
     Raises:
@@ -61,7 +90,7 @@ def _parsed(parameter: str, path: str, data: bytes) -> MeshSheet | RawSprings:
     return springs_file.parse(data)
 
 
-def grid_threads_of(scene: Scene, sheet: GridSheet) -> Threads:
+def grid_threads_of(scene: Configuration, sheet: GridSheet) -> Threads:
     """Return the spring stiffnesses of a scene's grid.
 
     Raises:
@@ -79,7 +108,7 @@ def grid_threads_of(scene: Scene, sheet: GridSheet) -> Threads:
         raise ParameterError(str(error)) from error
 
 
-def anchored_particles(scene: Scene, sheet: Sheet) -> list[int]:
+def anchored_particles(scene: Configuration, sheet: Sheet) -> list[int]:
     """Return the indices of the anchored particles.
 
     Raises:
@@ -107,7 +136,7 @@ def anchored_particles(scene: Scene, sheet: Sheet) -> list[int]:
     return sorted(found)
 
 
-def build_model(scene: Scene) -> Model:
+def build_model(scene: Configuration) -> Model:
     """Build masses, forces and anchors."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
@@ -117,7 +146,7 @@ def build_model(scene: Scene) -> Model:
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
 
 
-def uniform_forces(scene: Scene) -> list[Force]:
+def uniform_forces(scene: Configuration) -> list[Force]:
     """Build what acts on every particle alike: gravity, drag, and what moving air adds to drag."""
     forces = list[Force]()
     if any(scene.gravity):
@@ -131,7 +160,7 @@ def uniform_forces(scene: Scene) -> list[Force]:
     return forces
 
 
-def _panels(scene: Scene, sheet: Sheet) -> list[Force]:
+def _panels(scene: Configuration, sheet: Sheet) -> list[Force]:
     """Build what air does to a surface."""
     wind = scene.wind
     if not wind.normal_drag and not wind.tangential_drag:
@@ -143,12 +172,12 @@ def _panels(scene: Scene, sheet: Sheet) -> list[Force]:
     return [AirPanels(panels, normal=wind.normal_drag, tangential=wind.tangential_drag, wind=wind.velocity)]
 
 
-def build_plan(scene: Scene) -> Plan:
+def build_plan(scene: Configuration) -> Plan:
     """Build the equations of motion."""
     return compile(build_model(scene))
 
 
-def _grid_families(scene: Scene, sheet: GridSheet) -> dict[str, list[GridFamily]]:
+def _grid_families(scene: Configuration, sheet: GridSheet) -> dict[str, list[GridFamily]]:
     material = scene.material
     return sheet.families(
         grid_threads_of(scene, sheet),
@@ -158,7 +187,7 @@ def _grid_families(scene: Scene, sheet: GridSheet) -> dict[str, list[GridFamily]
     )
 
 
-def _elastic_forces(scene: Scene, sheet: Sheet, masses: Array) -> list[Force]:
+def _elastic_forces(scene: Configuration, sheet: Sheet, masses: Array) -> list[Force]:
     material = scene.material
     if isinstance(sheet, RawSprings):
         return [sheet.term]
@@ -182,7 +211,7 @@ def _elastic_forces(scene: Scene, sheet: Sheet, masses: Array) -> list[Force]:
 
 
 def _hinge_springs(
-    scene: Scene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
+    scene: Configuration, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
 ) -> list[Force]:
     """Build the forces of S7, of S7 and S8, or of S7 and S9."""
     from cloth_sim_ros.physics.sheets import bending as calibration

@@ -18,9 +18,6 @@ from cloth_sim_ros.physics.integrators.base import (
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
-#: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
-GAMMA = 1.0 - math.sqrt(0.5)
-
 
 class Implicit(Integrator):
     """Two-stage singly diagonally implicit Runge-Kutta (Alexander, SIAM J. Numer. Anal. 14, 1977), gamma = 1 -
@@ -66,10 +63,3 @@ class Implicit(Integrator):
         from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
 
         return ImplicitAdvance(self, plan, state, t, duration, book).run()
-
-
-def error_constant() -> float:
-    """Return the coefficient of h^3 in the difference of the method's stability function from the exponential."""
-    # R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
-    third = GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA))
-    return abs(third - 1.0 / 6.0)

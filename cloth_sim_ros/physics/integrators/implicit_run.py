@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import attrs
 import numpy as np
@@ -20,9 +20,8 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Implicit as Memory
 from cloth_sim_ros.physics.state import State
 
-if TYPE_CHECKING:
-    from cloth_sim_ros.physics.integrators.implicit import Implicit
-
+#: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
+GAMMA = 1.0 - math.sqrt(0.5)
 #: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
 _MARGIN = 0.1
 #: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.
@@ -44,6 +43,15 @@ _GAIN = 1e-4
 _ROUNDING = 1e-12
 
 
+class Options(Protocol):
+    """What is asked of the method, see `Implicit`."""
+
+    name: str
+    step: float | None
+    tolerance: float | None
+    work: float
+
+
 @attrs.frozen
 class _Step:
     """One step: positions and velocities at its end, its last acceleration, and its estimated error [m]."""
@@ -61,7 +69,7 @@ class ImplicitAdvance:
 
     def __init__(
         self,
-        integrator: Implicit,
+        integrator: Options,
         plan: Plan,
         state: State,
         t: float,
@@ -172,8 +180,6 @@ class ImplicitAdvance:
 
     def _step(self, t: float, h: float, guess: Array) -> _Step | None:
         """Take one step of the method; None if a stage does not converge."""
-        from cloth_sim_ros.physics.integrators.implicit import GAMMA, error_constant
-
         x, v, d = self._state.x, self._state.v, GAMMA * h
         first = self._stage(t + d, x, v, d, guess)
         if first is None:
@@ -299,3 +305,10 @@ def _largest(vectors: Array) -> float:
     x, y, z = vectors
     square = float((x * x + y * y + z * z).max())
     return math.sqrt(square) if math.isfinite(square) else math.inf
+
+
+def error_constant() -> float:
+    """Return the coefficient of h^3 in the difference of the method's stability function from the exponential."""
+    # R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
+    third = GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA))
+    return abs(third - 1.0 / 6.0)
