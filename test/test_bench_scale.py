@@ -7,7 +7,8 @@ import json
 import pytest
 
 from cloth_sim_ros.bench.main import main
-from cloth_sim_ros.physics.control import automatic, fallback
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control import fallback
 from cloth_sim_ros.physics.integrators import stage_matrix
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -29,7 +30,7 @@ def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
         raise AssertionError("a matrix was asked for")
 
     monkeypatch.setattr(stage_matrix, "stage_matrix", refuse)
-    monkeypatch.setattr(automatic, "AFFORDABLE", 1e-9)
+    monkeypatch.setattr(CONSTANTS, "affordable", 1e-9)
     with pytest.raises(AssertionError, match="a matrix was asked for"):
         Simulation(scene).advance()
     monkeypatch.setattr(fallback, "MOST_IMPLICIT", 100)
