@@ -86,8 +86,10 @@ class ErrorRule:
             # Where combinations part more, they gain less on one another: at a kink of a force nothing.
             parted = max(1.0, difference / memory.difference) if memory.difference else float("inf")
             return min(1.0, memory.margin * memory.ratio * parted) * difference
-        # A difference of one frame says nothing of the next but that both are of one kind of motion.
         livelier = max(1.0, activity / memory.activity) if memory.activity else float("inf")
+        if livelier > CONSTANTS.trust:
+            # Another motion than the one that was judged, as where a particle hits something.
+            return float("inf")
         return memory.margin * max(memory.error, self.floor(1)) * power(livelier, _LIVELIER)
 
     def choose(self, errors: Sequence[float], refine: float) -> tuple[int, float]:
