@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 3
+ABI = 4
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 #: Runs of one frame at most; see frame.hpp.
