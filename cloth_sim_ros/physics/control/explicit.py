@@ -182,10 +182,10 @@ class ExplicitAdvance:
         columns = self._columns(part, t, length, start)
         before = columns.evaluations
         told = columns.told(choice.columns)
+        self._evaluations += columns.evaluations - before
         accepted = True
         if told.finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
-        self._evaluations += columns.evaluations - before
         if not told.finite:
             return self._instead(2.0, "not finite")
         if not accepted:
@@ -270,14 +270,14 @@ class ExplicitAdvance:
             # All parts are judged then: one choice holds for the whole of a frame.
             self._choice = Choice(choice.columns, choice.refine, True)
             return False
-        errors = [columns.difference(k) for k in range(1, choice.columns + 1)]
+        errors = [self._difference(columns, k) for k in range(1, choice.columns + 1)]
         accepted = sums.error + errors[-1] <= rule.budget or self._spent
         if not accepted or choice.refine > 1.0:
             aim = CONSTANTS.aim * rule.budget * passed
             while len(errors) < self._options.columns and sums.error + errors[-1] > aim:
-                if self._evaluations + columns.evaluations + columns.counts[len(errors) + 1] > self._cap:
+                if self._evaluations + columns.counts[len(errors) + 1] > self._cap:
                     break
-                errors.append(columns.difference(len(errors) + 1))
+                errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
             # A combination of more runs that are there already may do.
             enough = [k for k, error in enumerate(errors, start=1) if sums.error + error <= rule.budget]
@@ -299,6 +299,13 @@ class ExplicitAdvance:
             return False
         self._spent = True
         return True
+
+    def _difference(self, columns: Columns, count: int) -> float:
+        """Return the error of a combination [m], the run that it takes counted."""
+        before = columns.evaluations
+        error = columns.difference(count)
+        self._evaluations += columns.evaluations - before
+        return error
 
     def _affords(self, columns: int, refine: float) -> bool:
         """Whether one more attempt fits what is left of the frame's work."""

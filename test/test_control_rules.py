@@ -1,0 +1,120 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rules of step control where they were once missing: what each promises, on motions with a known end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State, simulate
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.simulation.events import Grasp, Target
+
+TOLERANCES = [1e-3, 1e-5, 1e-7, 1e-9]
+
+
+def critical() -> tuple[Model, State]:
+    """A mass on a spring, critically damped, let go stretched by a fifth."""
+    stiffness, mass = 100.0, 0.1
+    spring = PairSprings([[0, 1]], 1.0, stiffness, 2.0 * math.sqrt(stiffness * mass))
+    return Model([mass, mass], [spring], anchors=[0]), State([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]])
+
+
+def taut() -> tuple[Model, State]:
+    """Seven particles between two anchors, stretched by a tenth, undamped, struck sideways."""
+    springs = PairSprings(np.stack([np.arange(6), np.arange(1, 7)], axis=1), 0.1, 200.0, 0.0)
+    places, speeds = np.zeros((7, 3)), np.zeros((7, 3))
+    places[:, 0] = 0.11 * np.arange(7)
+    speeds[3, 2], speeds[2, 0] = 0.5, 0.2
+    return Model(np.full(7, 0.01), [springs, Gravity()], anchors=[0, 6]), State(places, speeds)
+
+
+def end_of(model: Model, state: State) -> np.ndarray:
+    """Positions after a second, by another method."""
+    plan, shape = compile(model), state.x.shape
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        x, v = y.reshape(2, *shape)
+        a = np.empty(shape)
+        plan.accelerations(t, np.ascontiguousarray(x), np.ascontiguousarray(v), a)
+        return np.concatenate([v.ravel(), a.ravel()])
+
+    start = np.concatenate([state.x.ravel(), state.v.ravel()])
+    found = solve_ivp(slope, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    return found.y[: state.x.size, -1].reshape(shape)
+
+
+@pytest.mark.parametrize("made", [critical, taut])
+def test_small_systems_keep_every_tolerance_and_tighter_ones_give_less(made) -> None:
+    known, before = end_of(*made()), math.inf
+    for tolerance in TOLERANCES:
+        model, state = made()
+        motion = simulate(model, state, 1.0, tolerance=tolerance)
+        error = np.abs(state.x - known).max()
+        assert error < tolerance
+        assert error <= max(before, 0.1 * tolerance)
+        assert not any(advance.flagged for advance in motion.advances)
+        before = error
+
+
+def thrown() -> Simulation:
+    """A sheet whose hinges are singular where they fold shut."""
+    values = {"work_limit": 3.0, "material.stretch_modulus": 5e3, "cloth.resolution": [9, 9]}
+    values |= {"bending.model": "crossed", "material.bending_modulus": 1e-5}
+    return Simulation(Scene.from_parameters(values))
+
+
+def test_no_frame_takes_more_work_than_its_limit_and_one_that_would_says_so() -> None:
+    simulation, rng, said = thrown(), np.random.default_rng(2), []
+    plan, period = simulation.plan, simulation.scene.period
+    most = simulation.scene.work_limit * period * 1e9 / (plan.step_cost * plan.model.particle_count)
+    simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
+    for _ in range(40):
+        done = simulation.advance([Target("gripper", simulation.positions[-1] + rng.normal(size=3) * 0.3)]).advance
+        assert done.evaluations <= most
+        if done.flagged:
+            said.append((done.binds, done.reason))
+    assert np.isfinite(simulation.positions).all()
+    assert said
+    assert all(bound == "work" and "work limit" in reason for bound, reason in said)
+
+
+def test_what_grows_between_two_judgements_is_judged() -> None:
+    """A mass that falls freely, without any error, until its slack spring jerks it."""
+    spring = PairSprings([[0, 1]], 0.5, 40.0, 0.05)
+    model, state = Model([0.1, 0.1], [spring, Gravity()], anchors=[0]), State([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    known = end_of(model, State(state.positions))
+    simulate(model, state, 1.0, tolerance=1e-6)
+    assert np.abs(state.x - known).max() < 1e-6
+
+
+def test_combined_runs_of_undamped_springs_are_cut_into_parts() -> None:
+    model, state = taut()
+    plan, counts = compile(model), []
+    run = plan.runs
+
+    def watched(t, duration, start, steps, **options):  # type: ignore[no-untyped-def]
+        counts.append(list(steps))
+        return run(t, duration, start, steps, **options)
+
+    plan.runs = watched  # type: ignore[method-assign]
+    integrator = make_integrator("extrapolated", tolerance=1e-7)
+    for frame in range(4):
+        integrator.advance(plan, state, frame / 60, 1 / 60)
+    combined = [steps for steps in counts if len(steps) > 1]
+    assert combined
+    assert all(steps[0] <= 6 for steps in combined)
+
+
+def test_the_table_of_constants_is_small_and_says_what_each_is() -> None:
+    import attrs
+
+    fields = attrs.fields(type(CONSTANTS))
+    assert len(fields) <= 25
+    assert all(field.metadata["meaning"] for field in fields)
