@@ -53,7 +53,7 @@ class Constants:
     operation: float = _number(0.05, "time of an arithmetic operation in the engine's loops [ns]")
     own: float = _number(100.0, "time of a force in numpy [ns a particle]")
     factor: float = _number(0.35, "time of a multiply-add in the implicit method's factorisation [ns]")
-    thread: float = _number(25.0, "time of a step from which a second thread takes part [us]; no bit depends on it")
+    call: float = _number(25.0, "time of a call of the engine [us]; a second thread takes part in steps from there on")
 
     # Sleep.
     drift: float = _number(0.25, "part of the tolerance within which a cloth at rest may still get")

@@ -238,7 +238,7 @@ class Plan:
         """Threads of a run: a second one where a step is long enough to be worth meeting it."""
         if wanted is not None:
             return wanted
-        if self.step_cost * self.model.particle_count < 1e3 * CONSTANTS.thread or (
+        if self.step_cost * self.model.particle_count < 1e3 * CONSTANTS.call or (
             self._gridded and self._gridded.rows < 16
         ):
             return 1

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
-from cloth_sim_ros.physics.control.fallback import finish, within_reach, work_cap
+from cloth_sim_ros.physics.control.fallback import finish, part_cost, within_reach, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_unstable
@@ -60,6 +60,8 @@ class ExplicitAdvance:
         self._energy = EnergyRule(plan, Energy.of(state))
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._finest = math.inf
+        #: What the calls of all parts cost, in force evaluations.
+        self._calls = 0.0
         self._kept: Columns | None = None
         self._sums = Sums()
         self._narrow = False
@@ -76,6 +78,7 @@ class ExplicitAdvance:
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), self._duration))
         self._cap = work_cap(self._plan, options.work, self._duration, memory.longest)
+        self._part_cost = part_cost(self._plan)
         self._lost = self._gives_up(limit)
         if options.tolerance is not None and not self._affords(self._choice.columns, self._choice.refine):
             # What the last frame would have needed is beyond the cap: no more is tried than leaves room for a retry.
@@ -183,6 +186,7 @@ class ExplicitAdvance:
         before = columns.evaluations
         told = columns.told(choice.columns)
         self._evaluations += columns.evaluations - before
+        self._calls += self._part_cost
         accepted = True
         if told.finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
@@ -275,7 +279,7 @@ class ExplicitAdvance:
         if not accepted or choice.refine > 1.0:
             aim = CONSTANTS.aim * rule.budget * passed
             while len(errors) < self._options.columns and sums.error + errors[-1] > aim:
-                if self._evaluations + columns.counts[len(errors) + 1] > self._cap:
+                if self._evaluations + self._calls + columns.counts[len(errors) + 1] > self._cap:
                     break
                 errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
@@ -309,13 +313,13 @@ class ExplicitAdvance:
 
     def _affords(self, columns: int, refine: float) -> bool:
         """Whether one more attempt fits what is left of the frame's work."""
-        return self._evaluations + self._work(columns, refine) <= self._cap
+        return self._evaluations + self._calls + self._work(columns, refine) <= self._cap
 
     def _work(self, columns: int, refine: float) -> float:
-        """Force evaluations of an attempt that is judged."""
+        """Force evaluations of an attempt that is judged, the calls that it takes included."""
         steps = self._duration / (CONSTANTS.safety * self._limit) * refine
         parts = self._parts(columns, math.ceil(steps))
-        return steps * sum(RATIOS[: columns + 1]) + parts * (columns + 1)
+        return steps * sum(RATIOS[: columns + 1]) + parts * (columns + 1 + self._part_cost)
 
     def _instead(self, finer: float, why: str) -> bool:
         """Try finer steps from the start, or give explicit ones up; return False.

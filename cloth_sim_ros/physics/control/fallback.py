@@ -43,6 +43,13 @@ def work_cap(plan: Plan, work: float, duration: float, longest: float) -> float:
     return max(work * duration / evaluation, CONSTANTS.work * duration / longest)
 
 
+def part_cost(plan: Plan) -> float:
+    """Return what the calls of one part of a frame cost, in force evaluations of the plan: a run and what is asked of
+    its result, four calls.
+    """
+    return 4e3 * CONSTANTS.call / (plan.step_cost * plan.model.particle_count)
+
+
 def finish(plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str) -> Advance:
     """Advance by a few implicit steps; at least one is flagged.
 
