@@ -85,7 +85,8 @@ class Scene:
     tolerance: float = parameter(
         "double",
         1e-4,
-        "Target of the largest particle position error at frames; 0 holds none",
+        "Over every second positions stay within this, times what a small kick grows by in it, of the exact motion; "
+        "frames that miss their share are flagged. 0 holds none",
         unit="m",
         least=0.0,
         most=1.0,

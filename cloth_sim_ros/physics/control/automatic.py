@@ -59,7 +59,7 @@ class Automatic(Integrator):
     read.
 
     Args:
-        tolerance: target of the largest particle position error at frames [m]; None holds the stability limit alone.
+        tolerance: largest particle position error in a second [m]; None holds the stability limit alone.
         work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
     """
 

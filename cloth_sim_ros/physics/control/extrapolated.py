@@ -35,7 +35,7 @@ class Extrapolated(Integrator):
     damping up to critical.
 
     Args:
-        tolerance: target of the largest particle position error at frames [m]; None takes fixed columns and steps.
+        tolerance: largest particle position error in a second [m]; None takes fixed columns and steps.
         step: largest step of the first column without a tolerance [s]; None takes 0.96 of the stability limit.
         columns: most columns, 1 to 4; without a tolerance, the columns.
         work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.

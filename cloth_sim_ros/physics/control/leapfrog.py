@@ -32,7 +32,7 @@ class Leapfrog(Integrator):
 
     Args:
         step: fixed largest step [s]; None takes 0.96 of the stability limit.
-        tolerance: target of the largest particle position error at frames [m]: the step follows the error, which a
+        tolerance: largest particle position error in a second [m]: the step follows the error, which a
             second run with smaller steps judges every few frames.
         work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
 

@@ -36,7 +36,7 @@ class Implicit(Integrator):
 
     Args:
         step: fixed largest step [s].
-        tolerance: target of the largest particle position error at frames [m]. Without either a frame is one step.
+        tolerance: largest particle position error in a second [m]. Without either a frame is one step.
         work: most work of a frame, in real time by the estimated cost; 0 for no limit.
 
     Raises:
