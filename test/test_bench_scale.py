@@ -45,6 +45,7 @@ def test_a_small_run_tells_time_and_memory(kind, tmp_path):
     assert [row[:2] for row in time["rows"]] == [[kind, 256], [kind, 576]]
     for row in memory["rows"]:
         state, forces, tables = row[4:7]
-        assert state == pytest.approx(row[1] * 48e-6, rel=0.2)
+        # Positions and velocities; while all is calm, where a second ago it was.
+        assert 0.95 * 48e-6 < state / row[1] < 1.1 * 72e-6
         assert forces == pytest.approx(row[1] * 24e-6)
         assert tables > state

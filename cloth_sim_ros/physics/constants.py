@@ -32,7 +32,7 @@ class Constants:
     far: float = _number(0.05, "part of the budget below which an error is far below")
     trust: float = _number(2.0, "factor by which an estimate may be off before it is made anew or acted upon")
     finer: float = _number(4.0, "most by which one rejection makes steps finer")
-    work: float = _number(8.0, "least cap of a frame's work, in runs by the longest stable steps")
+    work: float = _number(8.0, "least cap of a large sheet's frame, in runs by the longest stable steps")
 
     # Single precision.
     rounding: float = _number(0.02, "part of the budget that single precision may change")

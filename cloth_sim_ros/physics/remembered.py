@@ -123,6 +123,16 @@ class Energy(Remembered):
 
 
 @attrs.define
+class Fallback(Remembered):
+    """What the rule of the fallback remembers."""
+
+    key = "control.fallback"
+
+    #: Frames in a row that had to be finished by implicit steps.
+    fallen: float = number(0.0, least=0.0)
+
+
+@attrs.define
 class Implicit(Remembered):
     """What the implicit method remembers."""
 
@@ -171,7 +181,7 @@ class Sleep(Remembered):
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
 #: What step control remembers.
-RULES: tuple[type[Remembered], ...] = (Stability, Error, Precision, Energy, Implicit, Choice)
+RULES: tuple[type[Remembered], ...] = (Stability, Error, Precision, Energy, Fallback, Implicit, Choice)
 #: Names under which versions up to 0.2 kept what other rules remembered: it is not taken over.
 BEFORE = ("stepper", "automatic", "sleep")
 

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refus
 from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Precision, Stability
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability
 from cloth_sim_ros.physics.state import State
 
 
@@ -77,14 +77,15 @@ class ExplicitAdvance:
         # A fixed step that goes on was stable once.
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), self._duration))
-        self._cap = work_cap(self._plan, options.work, self._duration, memory.longest)
+        fallen = Fallback.of(state).fallen
+        self._cap = work_cap(self._plan, options.work, self._duration, memory.longest, fallen)
         self._part_cost = part_cost(self._plan)
         self._lost = self._gives_up(limit)
         if options.tolerance is not None and not self._affords(self._choice.columns, self._choice.refine):
             # What the last frame would have needed is beyond the cap: no more is tried than leaves room for a retry.
             most = self._cap / self._work(self._choice.columns, 1.0) / CONSTANTS.finer
             self._choice = Choice(self._choice.columns, max(1.0, min(self._choice.refine, most)), True)
-        if self._choice.judge:
+        if self._choice.judge and not self._lost:
             self._evaluations += self._precision.measure(self._t, state, CONSTANTS.safety * limit, self._choice)
         start, begun, rejected = state.share(), (memory.omega2, memory.damping), 0
         while True:
@@ -104,6 +105,8 @@ class ExplicitAdvance:
             rejected += 1
         for rule in (memory, self._error.memory, self._precision.memory, self._energy.memory):
             rule.store(state)
+        if fallen:
+            Fallback().store(state)
         h = self._finest
         return Advance(
             steps=self._steps,

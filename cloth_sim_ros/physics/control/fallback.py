@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import restart
+from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
 
 #: Sheets of more particles are always stepped explicitly: one implicit frame would take half a minute and gigabytes.
@@ -28,19 +28,24 @@ def within_reach(plan: Plan) -> bool:
     return plan.model.particle_count <= MOST_IMPLICIT
 
 
-def work_cap(plan: Plan, work: float, duration: float, longest: float) -> float:
+def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float) -> float:
     """Return the most force evaluations of an advance; a count, never a clock.
+
+    What could not be followed in the frames before is tried with half the effort in each further one.
 
     Args:
         plan: equations of motion.
         work: limit in real time by the plan's estimated cost; 0 for none.
         duration: of the advance [s].
         longest: longest stable step since the last restart [s].
+        fallen: frames in a row that had to be finished by implicit steps.
     """
     if work == 0.0:
         return math.inf
     evaluation = 1e-9 * plan.step_cost * plan.model.particle_count
-    return max(work * duration / evaluation, CONSTANTS.work * duration / longest)
+    most = math.ldexp(work, -int(fallen)) * duration / evaluation
+    # Where implicit steps are out of reach, explicit ones are all that there is.
+    return most if within_reach(plan) else max(most, CONSTANTS.work * duration / longest)
 
 
 def part_cost(plan: Plan) -> float:
@@ -68,9 +73,11 @@ def finish(plan: Plan, state: State, t: float, duration: float, book: Book | Non
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
+    fallen = Fallback.of(state).fallen
     done = Implicit(duration / CONSTANTS.last_steps).advance(plan, state, t, duration, book)
     # What was known of the motion is true no longer.
     restart(state)
+    Fallback(min(64.0, fallen + 1.0)).store(state)
     why = f"{instead_of}: finer steps exceed the frame's work limit"
     return done._replace(
         flagged=max(1, done.flagged), reason=f"{why}: implicit, order 2, step {done.step:.3g} s for this frame"
