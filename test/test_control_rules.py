@@ -13,9 +13,14 @@ from scipy.integrate import solve_ivp
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State, simulate
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS
+from cloth_sim_ros.physics.integrators.columns import step_counts, weights
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.remembered import Error
 from cloth_sim_ros.simulation.events import Grasp, Target
 
+#: Growth of an undamped wave by a step that is let pass.
+UNDAMPED_GROWTH = 1e-5
 TOLERANCES = [1e-3, 1e-5, 1e-7, 1e-9]
 
 
@@ -118,3 +123,44 @@ def test_the_table_of_constants_is_small_and_says_what_each_is() -> None:
     fields = attrs.fields(type(CONSTANTS))
     assert len(fields) <= 25
     assert all(field.metadata["meaning"] for field in fields)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 4])
+def test_combinations_of_a_few_steps_let_undamped_waves_grow_slowly_at_most(columns: int) -> None:
+    """By the eigenvalues of what a combination does to a wave, for every wave that the sheet may have.
+
+    Frames of four steps and more are cut into parts of four to six.
+    """
+    for first in range(4, UNDAMPED_STEPS + 1):
+        counts = step_counts(first, columns)
+        for part in np.linspace(0.02, 1.0, 50):
+            phase = 2.0 * CONSTANTS.safety * UNDAMPED_SHARES[columns - 1] * part * first
+            done = np.zeros((2, 2))
+            for weight, count in zip(weights(counts), counts, strict=True):
+                z = phase / count
+                step = np.array([[1.0 - z * z / 2.0, z * (1.0 - z * z / 4.0)], [-z, 1.0 - z * z / 2.0]])
+                done += weight * np.linalg.matrix_power(step, count)
+            growth = math.log(np.abs(np.linalg.eigvals(done)).max()) / first
+            assert growth < UNDAMPED_GROWTH, (first, part, growth)
+
+
+def test_a_state_that_goes_on_by_frames_of_another_length_is_judged_anew() -> None:
+    model, state = taut()
+    plan, integrator = compile(model), make_integrator("extrapolated", tolerance=1e-4)
+    for frame in range(3):
+        integrator.advance(plan, state, frame / 60, 1 / 60)
+    before = Error.of(state)
+    assert before.wait > 0.0
+    state.memory[Error.key] = np.array([*state.memory[Error.key][:2], 50.0, 50.0, *state.memory[Error.key][4:]])
+    integrator.advance(plan, state, 0.05, 1 / 30)
+    assert Error.of(state).interval < 50.0
+    assert Error.of(state).part == 1 / 30
+
+
+def test_a_tolerance_below_rounding_is_flagged_as_such_and_ends() -> None:
+    model, state = critical()
+    state.x += 1e4
+    done = make_integrator("extrapolated", tolerance=1e-12).advance(compile(model), state, 0.0, 1 / 60)
+    assert done.flagged == 1
+    assert "finer than rounding" in done.reason
+    assert done.evaluations < 10_000

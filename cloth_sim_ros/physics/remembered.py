@@ -31,7 +31,8 @@ class Remembered:
 
     def store(self, state: HasMemory) -> None:
         """Write them into a state."""
-        state.memory[self.key] = np.array(attrs.astuple(self), dtype=np.float64)  # type: ignore[arg-type]
+        # Each frame does this: `attrs.astuple` would take five times as long.
+        state.memory[self.key] = np.array([getattr(self, field.name) for field in attrs.fields(type(self))])  # type: ignore[arg-type]
 
     @classmethod
     def check(cls, array: np.ndarray) -> None:
@@ -83,11 +84,11 @@ class Error(Remembered):
     columns: float = number(1.0, least=1.0)
     #: Step counts relative to what stability needs.
     refine: float = number(1.0, least=1.0)
-    #: Parts of frames until the next judgement by a further run; 0 judges now.
+    #: Frames until the next judgement by a further run; 0 judges now.
     wait: float = number(0.0, least=0.0)
     #: What `wait` restarts from.
     interval: float = number(1.0, least=1.0)
-    #: Error of a part when last judged [m].
+    #: Error of a frame when last judged, at least rounding's [m].
     error: float = number(0.0, least=0.0)
     #: That error relative to the difference of the last two combinations, and that difference [m].
     ratio: float = number(1.0, least=0.0)
@@ -96,7 +97,7 @@ class Error(Remembered):
     margin: float = number(1.0, least=1.0)
     #: Largest change of a velocity over the part that was judged [m/s]: how violent it was.
     activity: float = number(0.0, least=0.0)
-    #: Length of the parts [s]; another length is judged anew.
+    #: Length of the frames [s]; another length is judged anew.
     part: float = number(0.0, least=0.0)
 
 

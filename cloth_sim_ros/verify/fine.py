@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
 
 from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.columns import weights
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 
@@ -32,28 +32,6 @@ _LEAST = 1.0 / 4096.0
 ROUNDING = 2.0**-53
 
 Moving = tuple[Array, Array]
-
-
-@lru_cache(maxsize=16)
-def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights w of K runs of so many steps n: sum w = 1, sum w n^-p = 0 for p = 2 ... K, order K + 1.
-
-    The leapfrog's error is a series in h^2, h^3, h^4, ... (docs/time_stepping.md). Solved in fractions.
-    """
-    size = len(counts)
-    rows = [
-        [Fraction(counts[0], count) ** power for count in counts] + [Fraction(int(power == 0))]
-        for power in (0, *range(2, size + 1))
-    ]
-    for k in range(size):
-        pivot = next(row for row in range(k, size) if rows[row][k])
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [entry / rows[k][k] for entry in rows[k]]
-        for row in range(size):
-            if row != k:
-                factor = rows[row][k]
-                rows[row] = [entry - factor * own for entry, own in zip(rows[row], rows[k], strict=True)]
-    return tuple(float(row[-1]) for row in rows)
 
 
 @lru_cache(maxsize=16)

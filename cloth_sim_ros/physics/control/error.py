@@ -10,6 +10,7 @@ it is predicted; a prediction that a judgement does not confirm is trusted less,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import attrs
 import numpy as np
@@ -66,8 +67,13 @@ class ErrorRule:
 
     def __init__(self, memory: Error, stability: StabilityRule, budget: float, most: int, state: State) -> None:
         self.memory, self._stability, self.budget, self._most = memory, stability, budget, most
-        coordinate = max(float(state.x.max()), -float(state.x.min()))
-        self._rounding = _ROUNDINGS * float(np.finfo(np.float64).eps) * coordinate
+        self._x = state.x
+
+    @cached_property
+    def _rounding(self) -> float:
+        """What rounding leaves of a run [m]; frames that are not judged never ask."""
+        coordinate = max(float(self._x.max()), -float(self._x.min()))
+        return _ROUNDINGS * float(np.finfo(np.float64).eps) * coordinate
 
     def floor(self, columns: int) -> float:
         """Return what rounding alone leaves between T_(K+1) and T_K, K = columns [m]."""
@@ -90,7 +96,7 @@ class ErrorRule:
         if livelier > CONSTANTS.trust:
             # Another motion than the one that was judged, as where a particle hits something.
             return float("inf")
-        return memory.margin * max(memory.error, self.floor(1)) * power(livelier, _LIVELIER)
+        return memory.margin * memory.error * power(livelier, _LIVELIER)
 
     def choose(self, errors: Sequence[float], refine: float) -> tuple[int, float]:
         """Return the runs and the refinement that meet the budget with the fewest force evaluations.
@@ -124,7 +130,7 @@ class ErrorRule:
         finer = max(min(finer, CONSTANTS.finer * refine), 0.5 * refine, 1.0)
         scaled, far = refine / finer, error <= CONSTANTS.far * self.budget
         memory.columns, memory.refine, memory.activity = float(wanted), finer, sums.activity
-        memory.error = errors[wanted - 1] * power(scaled, wanted + 1)
+        memory.error = max(errors[wanted - 1] * power(scaled, wanted + 1), self.floor(wanted))
         if wanted > 1:
             before, here = errors[wanted - 2], errors[wanted - 1]
             memory.ratio = min(1.0, here / before * scaled) if before > self.floor(wanted - 1) else 1.0

@@ -45,7 +45,10 @@ class ExplicitAdvance:
         self._memory = Stability.of(state)
         self._stability = StabilityRule(plan, self._memory, state, duration)
         self._limit = options.step_limit(self._memory.omega2, self._memory.damping)
-        error = Error.of(state)
+        error, precision = Error.of(state), Precision.of(state)
+        if abs(error.part - duration) > 1e-6 * duration:
+            # What was known is of frames of another length.
+            error, precision = Error(columns=error.columns, refine=error.refine, part=duration), Precision()
         columns = options.columns
         if options.tolerance is not None:
             columns = min(int(error.columns), columns)
@@ -56,7 +59,7 @@ class ExplicitAdvance:
         self._choice = Choice(columns, error.refine, judge)
         budget = math.inf if options.tolerance is None else CONSTANTS.share * duration * options.tolerance
         self._error = ErrorRule(error, self._stability, budget, options.columns, state)
-        self._precision = PrecisionRule(plan, Precision.of(state), duration, budget)
+        self._precision = PrecisionRule(plan, precision, duration, budget)
         self._energy = EnergyRule(plan, Energy.of(state))
         self._evaluations = self._steps = self._first = self._flagged = 0
         self._finest = math.inf
@@ -118,11 +121,7 @@ class ExplicitAdvance:
             binds="work" if self._spent else binds(options, self._choice, self._first, h),
             error=error if options.tolerance is not None else None,
             flagged=self._flagged,
-            reason=reason(options, self._choice, self._first, h)
-            + ("; in single precision" if self._narrow else "")
-            + (
-                f"; the tolerance was missed within the frame's work limit of {options.work:g}" if self._flagged else ""
-            ),
+            reason=self._reason(),
         )
 
     def _reason(self) -> str:
@@ -130,14 +129,16 @@ class ExplicitAdvance:
         words = reason(self._options, self._choice, self._first, self._finest)
         if self._narrow:
             words += "; in single precision"
-        if self._flagged:
+        if self._flagged and self._spent:
             words += f"; the tolerance was missed within the frame's work limit of {self._options.work:g}"
+        elif self._flagged:
+            words += "; the tolerance is finer than rounding of the coordinates allows"
         return words
 
     def _finish(self, rejected: int, limit: float) -> Advance:
         """Let implicit steps finish the frame."""
-        for rule in (self._memory, self._error.memory, self._precision.memory, self._energy.memory):
-            rule.store(self._state)
+        # That something was known stays, see `restart`.
+        self._memory.store(self._state)
         done = finish(self._plan, self._state, self._t, self._duration, self._book, instead_of=self._options.name)
         return done._replace(
             evaluations=self._evaluations + done.evaluations,
@@ -295,7 +296,7 @@ class ExplicitAdvance:
         if accepted:
             return True
         if sums.error <= rule.floor(choice.columns):
-            self._spent = True
+            # No step gets below rounding.
             return True
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         if wanted == choice.columns:

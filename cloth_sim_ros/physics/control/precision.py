@@ -38,8 +38,10 @@ class PrecisionRule:
         return the force evaluations that it took.
         """
         memory = self.memory
+        if memory.rounding >= 0.0 or choice.columns > 1 or not self._plan.narrows():
+            return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
-        if memory.rounding >= 0.0 or choice.columns > 1 or _SPACING * extent > self._room or not self._plan.narrows():
+        if _SPACING * extent > self._room:
             return 0
         steps = max(1, steps_for(self._duration, step) // _PART)
         ends = [
