@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.state import State
 
 #: Most runs that are combined; one more judges them.
 MOST_COLUMNS = len(RATIOS) - 1
-#: Steps of a part, and the part of the leapfrog's limit at which combinations of 1, 2, 3, 4 runs of four to six steps let
+#: Steps of a part, and the part of the leapfrog's limit at which combinations of 1 to 4 runs of four to six steps let
 #: no undamped wave grow by more than 1e-5 a step: from the eigenvalues of their stability function. In frames of fewer
 #: steps waves may grow by up to 3e-3 a step of three runs; there the error's estimate sees them.
 UNDAMPED_STEPS = 6
