@@ -13,10 +13,12 @@ from scipy.integrate import solve_ivp
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State, simulate
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS
+from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.fallback import work_cap
+from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.columns import step_counts, weights
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import Error
+from cloth_sim_ros.physics.remembered import Error, Fallback, Stability
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 #: Growth of an undamped wave by a step that is let pass.
@@ -164,3 +166,24 @@ def test_a_tolerance_below_rounding_is_flagged_as_such_and_ends() -> None:
     assert done.flagged == 1
     assert "finer than rounding" in done.reason
     assert done.evaluations < 10_000
+
+
+def test_a_motion_that_got_twice_as_lively_is_not_predicted() -> None:
+    model, state = critical()
+    stability = StabilityRule(compile(model), Stability(), state, 1 / 60)
+    rule = ErrorRule(Error(error=1e-12, activity=1.0), stability, 1e-6, 4, state)
+    assert rule.predicted(1, 0.0, 1.9) == pytest.approx(1.9**3 * 1e-12)
+    assert rule.predicted(1, 0.0, 2.1) == math.inf
+
+
+def test_what_could_not_be_followed_is_tried_with_half_the_effort() -> None:
+    plan = compile(critical()[0])
+    caps = [work_cap(plan, 10.0, 1 / 60, 1e-3, fallen) for fallen in (0.0, 1.0, 2.0)]
+    assert caps == [caps[0], caps[0] / 2, caps[0] / 4]
+    simulation, rng, fallen = thrown(), np.random.default_rng(2), []
+    simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
+    for _ in range(40):
+        done = simulation.advance([Target("gripper", simulation.positions[-1] + rng.normal(size=3) * 0.3)]).advance
+        fallen.append((done.integrator, Fallback.of(simulation.state).fallen))
+    assert ("implicit", 1.0) in fallen
+    assert all(count == 0.0 for name, count in fallen if name != "implicit")
