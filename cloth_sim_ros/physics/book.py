@@ -33,6 +33,14 @@ class Book:
         self._powers = np.zeros(2)
         self._duration = 0.0
 
+    def noted(self) -> tuple[Array, Array, float]:
+        """Return what was noted so far, for `go_back`."""
+        return self._grips.copy(), self._powers.copy(), self._duration
+
+    def go_back(self, noted: tuple[Array, Array, float]) -> None:
+        """Forget what was noted since then: that stretch is attempted anew."""
+        self._grips, self._powers, self._duration = noted[0].copy(), noted[1].copy(), noted[2]
+
     def add_runs(
         self, weights: Sequence[float], grips: Sequence[Array], powers: Sequence[Array], duration: float
     ) -> None:

@@ -69,6 +69,10 @@ class ErrorRule:
         self.memory, self._stability, self.budget, self._most = memory, stability, budget, most
         self._x = state.x
 
+    def of_stretch(self, memory: Error, budget: float, state: State, stability: StabilityRule) -> ErrorRule:
+        """Return the same rule for a shorter stretch."""
+        return ErrorRule(memory, stability, budget, self._most, state)
+
     @cached_property
     def _rounding(self) -> float:
         """What rounding leaves of a run [m]; frames that are not judged never ask."""
@@ -140,6 +144,10 @@ class ErrorRule:
         longest = 4.0 * CONSTANTS.wait if far and finer == 1.0 else CONSTANTS.wait
         memory.interval = min(longest, 2.0 * memory.interval) if trusted else 1.0
         memory.wait = memory.interval
+
+    def halved(self, columns: int, refine: float) -> None:
+        """Remember a frame that was cut into stretches: the next one is judged at the mean of its steps."""
+        self.memory = Error(columns=float(columns), refine=refine, part=self.memory.part)
 
     def passed(self, columns: int, sums: Sums) -> None:
         """Remember a frame that was not judged; where a run less would do, the next one is."""

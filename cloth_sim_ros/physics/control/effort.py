@@ -1,0 +1,46 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all stretches of an advance share: what they work with, and the work that they have done."""
+
+from __future__ import annotations
+
+import attrs
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.choice import Options
+from cloth_sim_ros.physics.control.energy import EnergyRule
+from cloth_sim_ros.physics.control.precision import PrecisionRule
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import Stability
+from cloth_sim_ros.physics.state import State
+
+
+@attrs.define(kw_only=True, eq=False)
+class Effort:
+    """Of one advance."""
+
+    options: Options
+    plan: Plan
+    state: State
+    book: Book | None
+    stability: Stability
+    energy: EnergyRule
+    precision: PrecisionRule
+    #: Length of the advance [s].
+    duration: float
+    #: Most force evaluations, and what the calls of one part cost, in force evaluations.
+    cap: float
+    part_cost: float
+    #: Force evaluations; what the calls of all parts cost, in force evaluations; attempts that did not hold.
+    evaluations: int = 0
+    calls: float = 0.0
+    rejected: int = 0
+    #: Whether nothing finer is tried any more, whether explicit steps are given up, and whether a run was in single
+    #: precision.
+    spent: bool = False
+    lost: bool = False
+    narrow: bool = False
+
+    def affords(self, work: float) -> bool:
+        """Whether so many force evaluations more fit the cap."""
+        return self.evaluations + self.calls + work <= self.cap

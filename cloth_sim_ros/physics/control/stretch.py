@@ -1,0 +1,405 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One stretch of time by explicit steps: attempted until the rules of stability, error and energy all hold.
+
+All of a stretch is run by one choice of runs and steps. Where a finer choice did not bring what the order of the error
+promises, the motion is not smooth there: a spring turned about a point, a force switched on. Then the stretch is
+halved, so that fine steps are taken around that moment alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.choice import Choice
+from cloth_sim_ros.physics.control.effort import Effort
+from cloth_sim_ros.physics.control.error import ErrorRule, Sums
+from cloth_sim_ros.physics.control.fallback import within_reach
+from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, step_counts
+from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.powers import root
+from cloth_sim_ros.physics.remembered import Error
+from cloth_sim_ros.physics.state import State
+
+#: A stretch whose first run takes fewer steps is not halved: half of them would be too few to tell runs apart.
+_FEWEST_HALVED = 2 * UNDAMPED_STEPS
+#: Halvings of an advance: a ten thousandth of a microsecond is never what a motion is about.
+_MOST_HALVINGS = 24
+
+
+class Stretch:
+    """Advances the state of an effort over one stretch of time.
+
+    Args:
+        effort: what is worked with.
+        t: time at the start [s].
+        duration: length [s].
+        choice: what is tried first.
+        rule: the rule of the error, with the budget of this stretch.
+        stability: the rule of stability for this length.
+        ahead: force evaluations that the rest of the advance needs at least.
+        halvings: how often the advance was halved for it.
+        most: steps of a first run; where there are more, it is halved untried: steps that are short at its beginning
+            need not be so for long.
+    """
+
+    def __init__(
+        self,
+        effort: Effort,
+        t: float,
+        duration: float,
+        choice: Choice,
+        rule: ErrorRule,
+        stability: StabilityRule,
+        *,
+        ahead: float = 0.0,
+        halvings: int = 0,
+        most: float = math.inf,
+    ) -> None:
+        self._effort, self._t, self._duration = effort, t, duration
+        self.choice, self.rule = choice, rule
+        self._stability, self._ahead, self._halvings, self._most = stability, ahead, halvings, most
+        self.limit = effort.options.step_limit(effort.stability.omega2, effort.stability.damping)
+        #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
+        self.steps = self.first = 0
+        self.finest = math.inf
+        #: Stretches that it was cut into.
+        self.pieces = 1
+        self._rejected = 0
+        #: Whether it is halved next.
+        self._halve = False
+        self._kept: Columns | None = None
+        self._sums = Sums()
+        self._counts_first = 0
+
+    @property
+    def longest(self) -> float:
+        """Longest steps that stability allows [s]."""
+        return min(CONSTANTS.safety * self.limit, self._duration)
+
+    def cover(self) -> float | None:
+        """Do it; return the sum of errors [m], or None where explicit steps are given up.
+
+        Raises:
+            UnstableError: where nothing is left to try.
+        """
+        effort = self._effort
+        state, memory, book = effort.state, effort.stability, effort.book
+        start, begun = state.share(), (memory.omega2, memory.damping)
+        noted = None if book is None else book.noted()
+        if self._duration * self.choice.refine > self._most * self.longest:
+            if self._halvings < _MOST_HALVINGS and effort.affords(self._ahead):
+                return self._halves()
+            effort.lost = within_reach(effort.plan)
+        while not effort.lost:
+            error = self._attempt(start)
+            if error is not None and self._halvings:
+                error = self._to_the_end(error)
+            if error is not None:
+                return error
+            state.x, state.v = start.x, start.v
+            memory.omega2, memory.damping = begun
+            if book is not None and noted is not None:
+                book.go_back(noted)
+            effort.rejected += 1
+            self._rejected += 1
+            if self._halve and not effort.lost:
+                return self._halves()
+        return None
+
+    def _halves(self) -> float | None:
+        """Cover both halves, each by what it needs."""
+        effort, half, spent = self._effort, 0.5 * self._duration, 0.0
+        self.finest = math.inf
+        most = min(self._most, self.first) if self.first else self._most
+        self.steps = self.first = self.pieces = 0
+        for k in range(2):
+            # Where the trouble lies is not known: the first half leaves some to the second, which has all that is left.
+            budget = 0.75 * self.rule.budget if k == 0 else max(self.rule.budget - spent, 0.25 * self.rule.budget)
+            stability = StabilityRule(effort.plan, effort.stability, effort.state, half)
+            rule = self.rule.of_stretch(Error(part=half), budget, effort.state, stability)
+            ahead = self._ahead + (self._work_later(half) if k == 0 else 0.0)
+            t, deeper = self._t + k * half, self._halvings + 1
+            child = Stretch(effort, t, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
+            # It begins with the steps that were too long for the whole.
+            refine = max(1.0, self.choice.refine * child.longest / self.longest)
+            child.choice = Choice(self.choice.columns, refine, True)
+            error = child.cover()
+            if error is None:
+                return None
+            spent += error
+            self.steps, self.first = self.steps + child.steps, self.first + child.first
+            self.pieces, self.finest = self.pieces + child.pieces, min(self.finest, child.finest)
+        return spent
+
+    def _attempt(self, start: State) -> float | None:
+        """Run all parts; return the sum of their errors, or None if something else has to be tried from the start."""
+        options, choice, rule = self._effort.options, self.choice, self.rule
+        longest = self.longest
+        if options.step is not None:
+            longest = options.step if options.step <= self.limit else min(options.step, longest)
+        least = 1.0 if options.tolerance is None else self._stability.least(choice.columns)
+        steps = steps_for(self._duration, longest / max(choice.refine, least))
+        parts = self._parts(choice.columns, steps)
+        self._counts_first = max(1, math.ceil(steps / parts))
+        length = self._duration / parts
+        self.finest = length / self._counts_first
+        self.first, self.steps = parts * self._counts_first, 0
+        self._sums, self._halve = Sums(), False
+        for part in range(parts):
+            if not self._part(part, length, start):
+                return None
+        if choice.judge:
+            rule.judged(self.choice.columns, max(choice.refine, least), self._sums)
+        else:
+            rule.passed(choice.columns, self._sums)
+        return self._sums.error
+
+    def _parts(self, columns: int, steps: int) -> int:
+        """Into how many parts it is cut."""
+        if columns == 1 and self._effort.options.tolerance is None:
+            return 1
+        return self._stability.parts(columns, steps, self._duration)
+
+    def _part(self, part: int, length: float, start: State) -> bool:
+        """Run one part; return whether it holds."""
+        effort, choice = self._effort, self.choice
+        state, options, memory = effort.state, effort.options, effort.stability
+        t = self._t + part * length
+        columns = self._columns(part, t, length, start)
+        before = columns.evaluations
+        told = columns.told(choice.columns)
+        effort.evaluations += columns.evaluations - before
+        effort.calls += effort.part_cost
+        accepted = True
+        if told.finite and options.tolerance is not None:
+            accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
+        if not told.finite:
+            return self._instead(2.0, "not finite")
+        if not accepted:
+            return False
+        told = columns.told(self.choice.columns)
+        limit = options.step_limit(told.omega2, told.damping)
+        if not self.finest <= limit:
+            # The motion stiffened.
+            self.limit = min(self.limit, limit)
+            return self._instead(1.0, "not within their stability limit")
+        choice = self.choice
+        x, v = columns.combine(choice.columns)
+        if self._unknown() and effort.energy.looks(memory.omega2, told.omega2, combined=choice.columns > 1):
+            ends = (t, state.x, state.v), (t + length, x, v)
+            # A combination's energy does not swing.
+            step = self.finest if choice.columns == 1 else 0.0
+            if effort.energy.exceeds(*ends, step, self._put_in(columns, t, choice.columns)):
+                return self._instead(2.0, "making energy from nowhere")
+        memory.omega2, memory.damping = told.omega2, told.damping
+        if effort.book is not None:
+            columns.note(choice.columns, effort.book)
+        self.steps += sum(columns.counts[: choice.columns])
+        state.x, state.v = x, v
+        return True
+
+    def _unknown(self) -> bool:
+        """Whether the error vouches for nothing: then energy might come from nowhere."""
+        return self._effort.options.tolerance is None or self._sums.error > self.rule.budget
+
+    def _put_in(self, columns: Columns, t: float, count: int) -> float:
+        """Return the work [J] that grippers and moving air did over a part that begins at t [s]."""
+        effort = self._effort
+        plan, state = effort.plan, effort.state
+        x, v = columns.combine(count)
+        if not (plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+            return columns.work(count)
+        # The work of air is noted on demand alone.
+        noted = Columns(plan, state, t, columns.duration, columns.counts, powers=True, narrow=columns.narrow)
+        work = noted.work(count)
+        effort.evaluations += noted.evaluations
+        return work
+
+    def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
+        """The runs of a part; those of the first are kept over attempts with the same steps."""
+        effort = self._effort
+        counts = step_counts(self._counts_first, len(RATIOS))
+        kept = self._kept
+        if part == 0 and kept is not None and kept.counts == counts and kept.duration == length:
+            return kept
+        if effort.options.tolerance is not None:
+            # A judgement looks at one combination more.
+            runs = self.choice.columns + self.choice.judge
+            # What it changes was measured over a whole advance, and does not shrink with the stretch.
+            effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, amplification(runs))
+        columns = Columns(
+            effort.plan,
+            start if part == 0 else effort.state,
+            t,
+            length,
+            counts,
+            powers=effort.book is not None and effort.book.powers,
+            narrow=effort.narrow,
+            omega=self._slowest,
+        )
+        if part == 0:
+            self._kept = columns
+        return columns
+
+    def _judge(self, columns: Columns, activity: float, passed: float) -> bool:
+        """Add a part's error to the stretch's; return whether it still fits, or choose what to try next.
+
+        Args:
+            columns: runs of the part.
+            activity: largest change of a velocity over it [m/s].
+            passed: share of the stretch that has passed at its end.
+        """
+        effort, choice, rule, sums = self._effort, self.choice, self.rule, self._sums
+        difference = columns.difference(choice.columns - 1) if choice.columns > 1 else 0.0
+        predicted = rule.predicted(choice.columns, difference, activity)
+        if not choice.judge:
+            sums.error += predicted
+            sums.before += difference
+            if sums.error <= rule.budget:
+                return True
+            # All parts are judged then: one choice holds for the whole of a stretch.
+            self.choice = Choice(choice.columns, choice.refine, True)
+            return False
+        errors = [self._difference(columns, k) for k in range(1, choice.columns + 1)]
+        accepted = sums.error + errors[-1] <= rule.budget or effort.spent
+        if not accepted or choice.refine > 1.0:
+            aim = CONSTANTS.aim * rule.budget * passed
+            while len(errors) < effort.options.columns and sums.error + errors[-1] > aim:
+                if not effort.affords(self._ahead + columns.counts[len(errors) + 1]):
+                    break
+                errors.append(self._difference(columns, len(errors) + 1))
+        if not accepted:
+            # A combination of more runs that are there already may do. Where the motion is not smooth one estimate may
+            # be small by chance: there all further ones have to vouch for it.
+            fits = [sums.error + error <= rule.budget for error in errors]
+            beyond = len(errors) if self._halvings else 0
+            enough = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : beyond])]
+            if enough:
+                self.choice = choice = Choice(enough[0], choice.refine, True)
+                accepted = True
+        sums.add(errors, choice.columns, predicted, activity)
+        if accepted:
+            return True
+        if sums.error <= rule.floor(choice.columns):
+            # No step gets below rounding.
+            return True
+        wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
+        if wanted == choice.columns:
+            refine = max(refine, 1.1 * choice.refine)
+        smooth = len(sums.errors) > 1 and CONSTANTS.trust * min(sums.errors) < sums.errors[0]
+        return not self._seek(wanted, refine, smooth=smooth)
+
+    def _to_the_end(self, error: float) -> float | None:
+        """Return a stretch's error [m] with what its last step may have missed, None where that is too much.
+
+        Runs see forces at the middle of their steps. A force that changes at once in the last half step is seen by
+        none of them, and halving a stretch where it does leads right there. So accelerations at the end, half a step
+        and a step before it are compared: what their second difference does to the velocity in half a step.
+        """
+        effort, h = self._effort, self.finest
+        plan, x, v, t = effort.plan, effort.state.x, effort.state.v, self._t + self._duration
+        here, half, step = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+        plan.accelerations(t, x, v, here)
+        for back, out in ((0.5 * h, half), (h, step)):
+            plan.accelerations(t - back, x - back * v + (0.5 * back * back) * here, v - back * here, out)
+        effort.evaluations += 3
+        missed = 0.5 * h * largest_distance(here + step, 2.0 * half) / self._slowest
+        error += missed
+        if error <= self.rule.budget or effort.spent or error <= self.rule.floor(self.choice.columns):
+            return error
+        refine = self.choice.refine * root(missed / (CONSTANTS.aim * self.rule.budget), 3)
+        refine = max(refine, 1.1 * self.choice.refine)
+        return None if self._seek(self.choice.columns, refine, smooth=False) else error
+
+    def _seek(self, columns: int, refine: float, *, smooth: bool) -> bool:
+        """Choose what is tried instead of what was not fine enough; return whether anything is."""
+        if self._try_halves(refine, smooth=smooth):
+            return True
+        refine = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
+        if self._affords(columns, refine):
+            self.choice = Choice(columns, refine, True)
+            return True
+        self._effort.spent = True
+        return False
+
+    @property
+    def _slowest(self) -> float:
+        """Angular frequency [1/s] at which an error of a velocity becomes one of positions."""
+        return max(self._stability.omega, 1.0 / self._effort.duration)
+
+    def _try_halves(self, refine: float, *, smooth: bool) -> bool:
+        """Whether the stretch is rather halved than made finer by a factor; then that is what comes next.
+
+        Args:
+            refine: refinement that is wanted.
+            smooth: whether combinations gained on one another, as they do where the motion is smooth.
+        """
+        known = self._halvings + self._rejected > 0
+        most = (CONSTANTS.trust if known else CONSTANTS.finer) * self.choice.refine
+        self._halve = (
+            ((refine > most and not smooth) or not self._affords(self.choice.columns, refine))
+            and self._halvings < _MOST_HALVINGS
+            and self.first >= _FEWEST_HALVED
+            and self._affords(self.choice.columns, self.choice.refine)
+        )
+        return self._halve
+
+    def _difference(self, columns: Columns, count: int) -> float:
+        """Return the error of a combination [m], the run that it takes counted."""
+        before = columns.evaluations
+        error = columns.difference(count)
+        self._effort.evaluations += columns.evaluations - before
+        return error
+
+    def _affords(self, columns: int, refine: float) -> bool:
+        """Whether one more attempt fits what is left of the frame's work."""
+        return self._effort.affords(self._ahead + self._work(columns, refine))
+
+    def _work(self, columns: int, refine: float) -> float:
+        """Force evaluations of an attempt that is judged, the calls that it takes included."""
+        steps = self._duration / (CONSTANTS.safety * self.limit) * refine
+        parts = self._parts(columns, math.ceil(steps))
+        return steps * sum(RATIOS[: columns + 1]) + parts * (columns + 1 + self._effort.part_cost)
+
+    def _work_later(self, duration: float) -> float:
+        """Force evaluations of the present choice over a time [s] in which steps may be as long as they were."""
+        steps = duration * self.choice.refine / (CONSTANTS.safety * self._effort.stability.longest)
+        return max(1.0, steps) * sum(RATIOS[: self.choice.columns + 1])
+
+    def affords_first(self) -> bool:
+        """Whether the first attempt fits the cap."""
+        return self._affords(self.choice.columns, self.choice.refine)
+
+    def least_work(self) -> float:
+        """Force evaluations of an attempt by steps that stability alone sets."""
+        return self._work(self.choice.columns, 1.0)
+
+    def _instead(self, finer: float, why: str) -> bool:
+        """Try finer steps from the start, or give explicit ones up; return False.
+
+        Raises:
+            UnstableError: where nothing is left to try.
+        """
+        effort, choice = self._effort, self.choice
+        options, refine = effort.options, finer * choice.refine
+        if options.tolerance is not None and finer > 1.0 and self._try_halves(2.0 * refine, smooth=False):
+            return False
+        if self._affords(choice.columns, refine):
+            self.choice = Choice(choice.columns, refine, choice.judge)
+            if options.tolerance is None and finer > 1.0:
+                self.rule.refined(refine)
+            return False
+        effort.lost = within_reach(effort.plan)
+        if not effort.lost:
+            raise UnstableError(
+                f"{options.name}: steps of {self.finest:.3g} s are {why}, and finer ones exceed the frame's "
+                f"work limit of {options.work:g} times real time; raise 'work_limit' or take a softer cloth"
+            )
+        return False
