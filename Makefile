@@ -11,13 +11,13 @@
 # compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
-#   make sanitize TESTS="test/test_plan.py -x"
+#   make sanitize TESTS="test/physics/test_plan.py -x"
 
 SHELL := /bin/sh
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
-TESTS ?= test/test_engine_band.py test/test_engine_bad_input.py test/test_plan.py test/test_plan_own_forces.py
+TESTS ?= test/engine/test_engine_band.py test/engine/test_engine_bad_input.py test/physics/test_plan.py test/physics/test_plan_own_forces.py
 
 # Each set of packages (extras of setup.py) has a stamp in the environment, written last.
 DEMO := $(VENV)/has_demo

@@ -19,7 +19,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "test"))
 
-from session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
+from support.session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
 
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
 from cloth_sim_ros.scene.scene import Scene  # noqa: E402

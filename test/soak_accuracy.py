@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from random_sessions import make_random_session
-from session_maker import NODE, cloud_bytes
+from support.random_sessions import make_random_session
+from support.session_maker import NODE, cloud_bytes
 from tqdm import tqdm
 
 from cloth_sim_ros.physics.state import State

@@ -25,7 +25,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-import session_samples as samples
+from support import session_samples as samples
 
 from cloth_sim_ros.session import cdr
 from cloth_sim_ros.session.layouts import standard_types

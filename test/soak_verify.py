@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from random_sessions import make_random_session
+from support.random_sessions import make_random_session
 from tqdm import tqdm
 
 from cloth_sim_ros.verify.main import describe

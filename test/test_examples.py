@@ -89,7 +89,7 @@ def test_grasp_node_lifts_the_corner_of_a_live_cloth(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     pytest.importorskip("rclpy")
-    from ros_client import start_cloth
+    from support.ros_client import start_cloth
 
     cloth = start_cloth(start_process)
     robot = start_process([sys.executable, ROOT / "examples" / "grasp_node.py"], cwd=tmp_path)

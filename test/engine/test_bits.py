@@ -1,0 +1,145 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The same scenes give the same bits, whatever vectors, C library or numpy the process has; `make bits` asks more."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+import bits  # noqa: E402
+
+FRAMES = 40
+#: A scene's, where none is given [m/s^2].
+GRAVITY = -9.81
+
+
+@pytest.fixture(scope="module")
+def as_usual() -> dict[str, list[str]]:
+    """Digests of all scenes' frames, by the engine that this machine takes."""
+    return bits.run_apart(bits.ways()[0], FRAMES)["digests"]
+
+
+@pytest.mark.parametrize("way", bits.ways()[1:], ids=lambda way: way.name)
+def test_bits_are_the_same(as_usual: dict[str, list[str]], way: Any) -> None:
+    if way.why_not:
+        pytest.skip(f"{way.name}: {way.why_not}")
+    if "CLOTH_SIM_ROS_ENGINE" in way.environment and not (bits.ENGINE / f"_{way.name}.so").exists():
+        pytest.skip(f"{way.name}: not built")
+    told = bits.run_apart(way, FRAMES)
+    if "CLOTH_SIM_ROS_ENGINE" in way.environment:
+        assert told["engine"] == way.name
+    assert bits.compare(as_usual, told["digests"], way.name) == []
+
+
+def test_scenes_move_and_use_both_precisions_and_all_integrators(monkeypatch: pytest.MonkeyPatch) -> None:
+    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.simulation.simulation import Simulation
+
+    narrow, orders, integrators = set(), set(), set()
+    runs, advance = Plan.runs, Simulation.advance
+
+    def watched(self: Plan, t: float, duration: float, start: Any, steps: Any, **options: Any) -> Any:
+        narrow.add(bool(options.get("narrow")))
+        orders.add(len(steps))
+        return runs(self, t, duration, start, steps, **options)
+
+    def watched_advance(self: Simulation, events: Any = ()) -> Any:
+        frame = advance(self, events)
+        integrators.add(frame.integrator)
+        return frame
+
+    monkeypatch.setattr(Plan, "runs", watched)
+    monkeypatch.setattr(Simulation, "advance", watched_advance)
+    for scene in bits.SCENES:
+        digests = list(bits.frames_of(scene, 16))
+        assert len(set(digests)) == len(digests)
+    assert narrow == {True, False}
+    assert {1, 2, 3, 4} <= orders
+    assert integrators == {"leapfrog", "extrapolated", "implicit"}
+
+
+def test_the_first_frame_that_differs_is_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = {"one": ["a", "b", "c"], "two": ["d", "e", "f"]}
+    other = {"one": ["a", "x", "y"], "two": ["d", "e", "f"]}
+    assert bits.compare(usual, other, "there") == [bits.Difference("one", "there", 2)]
+    answers = iter([usual, usual, other])
+    monkeypatch.setattr(bits, "run_apart", lambda *_, **__: {"engine": "any", "digests": next(answers)})
+    found = [(bits.Way(name, {}, why_not), "python") for name, why_not in
+             [("here", ""), ("absent", "no such thing"), ("same", ""), ("there", "")]]  # fmt: skip
+    assert bits.tell(found, 3) == 1
+    said = capsys.readouterr().out
+    assert "absent: left out, no such thing" in said
+    assert "same (any): 6 frames of 2 scenes, the same bits" in said
+    assert "  one: there differs from frame 2 on" in said
+
+
+@pytest.fixture
+def replay(tmp_path: Path) -> Path:
+    """The program that makes the calls of a trace again, on this machine's processor."""
+    compiler = shutil.which("g++")
+    if compiler is None:
+        pytest.skip("there is no g++")
+    program = tmp_path / "replay"
+    source = ROOT / "scripts" / "bits_replay.cpp"
+    subprocess.run(
+        [compiler, "-std=c++20", "-O1", "-Wall", "-Wextra", "-Werror", source, "-o", program, "-ldl"], check=True
+    )
+    return program
+
+
+@pytest.mark.parametrize("scene", ["axial springs", "implicit", "crossed springs", "raw springs"])
+def test_a_trace_of_the_engine_is_made_again(replay: Path, tmp_path: Path, scene: str) -> None:
+    from cloth_sim_ros.engine.instruction_set import libraries
+
+    trace = tmp_path / "trace"
+    recorder = [sys.executable, ROOT / "scripts" / "bits_trace.py", trace, "--frames", "1", scene]
+    subprocess.run(recorder, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
+    library = bits.ENGINE / f"_{libraries()[0]}.so"
+    done = subprocess.run([replay, library, trace], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.fullmatch(r"[1-9]\d* calls of \d+ functions\n", done.stdout)
+    # With gravity changed by its last bit something else comes out.
+    content = bytearray(trace.read_bytes())
+    content[content.index(struct.pack("<d", GRAVITY))] ^= 1
+    trace.write_bytes(content)
+    done = subprocess.run([replay, library, trace], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert re.match(r"call \d+, of cloth_\w+: number \d+ of array \d+: ", done.stdout)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="an x86-64 C library is switched")
+def test_the_plain_way_really_has_another_c_library_and_numpy() -> None:
+    way = next(way for way in bits.ways() if way.name.startswith("plain"))
+    if not way.environment["NPY_DISABLE_CPU_FEATURES"]:
+        pytest.skip("numpy takes nothing of this processor that it could do without")
+    script = (
+        "import json, math, sys; import numpy as np; sys.path.insert(0, 'scripts'); import bits\n"
+        "x = np.linspace(0.1, 30.0, 20011)\n"
+        "print(json.dumps([bits.numpy_features(), [math.exp(v) * math.sin(v) * math.tan(v) for v in x.tolist()]]))"
+    )
+
+    def told(environment: dict[str, str]) -> Any:
+        done = subprocess.run(
+            [sys.executable, "-c", script], cwd=ROOT, env={**os.environ, **environment}, capture_output=True, check=True
+        )
+        return json.loads(done.stdout)
+
+    (features, values), (fewer, others) = told({}), told(way.environment)
+    assert features
+    assert fewer == []
+    assert values != others

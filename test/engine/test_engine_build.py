@@ -1,0 +1,353 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the engine is built: which compiler, with which flags, when again, and what is said when it can't be."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from cloth_sim_ros.engine import build, instruction_set
+
+ROOT = Path(__file__).resolve().parents[2]
+V3 = "fpu sse2 ssse3 sse4_1 sse4_2 popcnt cx16 avx avx2 bmi1 bmi2 f16c fma abm movbe"
+V4 = f"{V3} avx512f avx512bw avx512cd avx512dq avx512vl"
+SMALL = """
+#include <cmath>
+#include <map>
+#include <stdexcept>
+#define CLOTH_PUBLIC extern "C" __attribute__((visibility("default")))
+CLOTH_PUBLIC int cloth_bytes() { return CLOTH_VECTOR_BYTES; }
+CLOTH_PUBLIC double cloth_sum(double a, double b, double c) { return a * b + c; }
+CLOTH_PUBLIC double cloth_root(double a) { return std::sqrt(a); }
+CLOTH_PUBLIC int cloth_at(int n)
+{
+    std::map<int, int> values;  // whose code the compilers keep as functions of their own
+    for (int k = 0; k < 3; ++k) values[k * n] = k;
+    try { return values.at(n > 5 ? -1 : n); } catch (const std::out_of_range&) { return -1; }
+}
+"""
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> Path:
+    """A small engine, with the real one's list of what a library shows."""
+    folder = tmp_path / "sources"
+    folder.mkdir()
+    (folder / build.UNIT).write_text(SMALL)
+    shutil.copy(build.ENGINE / "library.map", folder)
+    return folder
+
+
+@pytest.fixture(params=["g++", "clang++"])
+def compiler(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Each compiler of this machine in turn."""
+    if shutil.which(request.param) is None:
+        pytest.skip(f"{request.param} is not installed")
+    monkeypatch.setenv("CXX", request.param)
+    return request.param
+
+
+def stub_compiler(path: Path, script: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return path
+
+
+def here() -> str:
+    """The name of the library that any machine of this kind runs."""
+    return instruction_set.libraries()[-1]
+
+
+@pytest.mark.parametrize(
+    ("machine", "flags", "expected"),
+    [
+        ("x86_64", V4, ["avx512", "avx2", "baseline"]),
+        ("x86_64", V3, ["avx2", "baseline"]),
+        ("x86_64", V3.replace(" fma", ""), ["baseline"]),
+        ("x86_64", V4.replace(" avx512vl", ""), ["avx2", "baseline"]),
+        ("x86_64", V4.replace(" abm", ""), ["baseline"]),
+        ("aarch64", "", ["neon"]),
+        ("riscv64", "", []),
+    ],
+)
+def test_libraries_of_each_machine(tmp_path: Path, machine: str, flags: str, expected: list[str]) -> None:
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(f"processor\t: 0\nflags\t\t: {flags}\nvmx flags\t: fma\n\nprocessor\t: 1\nflags\t\t: {flags}\n")
+    assert instruction_set.libraries(machine=machine, cpuinfo=cpuinfo) == expected
+
+
+def test_processors_that_differ_run_what_all_can(tmp_path: Path) -> None:
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(f"processor : 0\nflags : {V4}\n\nprocessor : 1\nflags : {V3}\n")
+    assert instruction_set.libraries(machine="x86_64", cpuinfo=cpuinfo) == ["avx2", "baseline"]
+    assert instruction_set.libraries(machine="x86_64", cpuinfo=tmp_path / "absent") == ["baseline"]
+
+
+def test_what_a_machine_prefers_is_what_is_built_for_it(tmp_path: Path) -> None:
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(f"flags : {V4}\n")
+    for machine in build.MACHINES:
+        assert set(instruction_set.libraries(machine=machine, cpuinfo=cpuinfo)) == set(build.names_for(machine))
+    with pytest.raises(build.BuildError, match="this machine is riscv64"):
+        build.names_for("riscv64")
+
+
+@pytest.mark.parametrize("sanitize", [False, True])
+@pytest.mark.parametrize("name", build.INSTRUCTION_SETS)
+def test_flags_keep_to_ieee_arithmetic(name: str, sanitize: bool) -> None:
+    flags = build.flags(name, sanitize=sanitize)
+    # It would undo the three that are named after it: contraction (clang), errno and traps (both).
+    first = flags.index("-fno-fast-math")
+    for flag in ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"):
+        assert flags.count(flag) == 1
+        assert flags.index(flag) > first
+    loose = {"-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-fassociative-math", "-freciprocal-math"}
+    loose |= {"-ffinite-math-only", "-fno-signed-zeros", "-march=native"}
+    assert not loose & set(flags)
+    assert sum(flag.startswith("-DCLOTH_VECTOR_BYTES=") for flag in flags) == 1
+    assert ("-Werror" in flags) == (not sanitize)
+
+
+def test_products_are_rounded_before_they_are_summed(sources: Path, tmp_path: Path, compiler: str) -> None:
+    names = instruction_set.libraries()
+    for path in build.build(tmp_path / "out", names=names, sources=sources):
+        library = ctypes.CDLL(str(path))
+        library.cloth_sum.restype = library.cloth_root.restype = ctypes.c_double
+        x = 1.0 + 2.0**-30
+        # The product's last bit, 2^-60, is lost in rounding; one contracted to fma would keep it.
+        assert library.cloth_sum(*map(ctypes.c_double, (x, x, -1.0 - 2.0**-29))) == 0.0
+        assert library.cloth_root(ctypes.c_double(2.0)) == 2.0**0.5
+        bytes_here = {"avx512": 64, "avx2": 32}.get(path.stem.removeprefix("_"), 16)
+        assert library.cloth_bytes() == bytes_here
+        assert library.cloth_at(1) == 1
+        assert library.cloth_at(7) == -1
+
+
+def test_square_roots_call_no_library_and_all_sets_build(sources: Path, tmp_path: Path, compiler: str) -> None:
+    nm = shutil.which("nm")
+    if nm is None:
+        pytest.skip("nm is not installed")
+    for path in build.build(tmp_path / "out", sources=sources):
+        shown = subprocess.run([nm, "-D", path], check=True, capture_output=True, text=True).stdout.splitlines()
+        # With errno the compiler calls the C library's sqrt for negative numbers.
+        assert not [line for line in shown if " U sqrt" in line]
+        # Nothing but the C ABI, though templates of the standard library were used.
+        defined = [line.split()[-1] for line in shown if " U " not in line and " w " not in line]
+        assert sorted(defined) == ["cloth_at", "cloth_bytes", "cloth_root", "cloth_sum"]
+
+
+def test_the_engine_itself_is_built_without_a_warning(tmp_path: Path, compiler: str) -> None:
+    libraries = build.build(tmp_path / "out")
+    assert [path.name for path in libraries] == [build.file_name(name) for name in build.names_for()]
+    assert all(path.is_file() for path in libraries)
+
+
+def test_is_built_again_only_when_something_changed(sources: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    said: list[str] = []
+    counts = []
+
+    def make() -> None:
+        build.build(folder, names=[here()], sources=sources, say=said.append)
+        counts.append(len(said))
+
+    make()
+    make()
+    (sources / build.UNIT).touch()
+    make()
+    assert counts == [1, 1, 1]
+    (sources / "law.hpp").write_text("// another law\n")
+    make()
+    build.build(folder, names=[here()], sources=sources, sanitize=True, say=said.append)
+    (folder / build.file_name(here())).unlink()
+    make()
+    assert counts[3:] == [2, 4]
+    assert [path.name for path in folder.iterdir()] == [build.file_name(here())]
+
+
+def test_another_version_of_the_compiler_builds_again(
+    sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = shutil.which("g++") or shutil.which("clang++")
+    script = f'[ "$1" = --version ] && {{ cat {tmp_path}/version; exit; }}\nexec {real} "$@"'
+    monkeypatch.setenv("CXX", str(stub_compiler(tmp_path / "bin" / "compiler", script)))
+    said: list[str] = []
+    for version in ("13.1", "13.1", "13.2"):
+        (tmp_path / "version").write_text(version)
+        build.build(tmp_path / "out", names=[here()], sources=sources, say=said.append)
+    assert len(said) == 2
+
+
+def test_what_was_built_beside_the_sources_is_not_compiled_again(sources: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    build.build(sources, names=[here()], sources=sources, say=said.append)
+    (copied,) = build.build(tmp_path / "out", names=[here()], sources=sources, say=said.append)
+    assert len(said) == 1
+    assert copied.read_bytes() == (sources / build.file_name(here())).read_bytes()
+
+
+def test_a_compiler_that_fails_is_told_with_what_it_said(
+    sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = '[ "$1" = --version ] && { echo "g++ 4.8"; exit; }\necho "unrecognized option -std=c++20" >&2; exit 3'
+    monkeypatch.setenv("CXX", str(stub_compiler(tmp_path / "bin" / "g++", script)))
+    with pytest.raises(build.BuildError) as failed:
+        build.build(tmp_path / "out", sources=sources)
+    text = str(failed.value)
+    assert "unrecognized option -std=c++20" in text
+    assert "(status 3, see above); it needs g++ 12, clang 14 or newer, and this is g++ 4.8." in text
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_an_error_in_the_sources_leaves_the_old_library(sources: Path, tmp_path: Path) -> None:
+    (library,) = build.build(tmp_path / "out", names=[here()], sources=sources)
+    before = library.read_bytes()
+    (sources / build.UNIT).write_text(SMALL + "int unused(int n) { }\n")
+    with pytest.raises(build.BuildError, match="Werror"):
+        build.build(tmp_path / "out", names=[here()], sources=sources)
+    assert library.read_bytes() == before
+    assert list((tmp_path / "out").iterdir()) == [library]
+
+
+def test_no_compiler_gets_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(build.NoCompilerError) as failed:
+        build.find_compiler({"PATH": str(tmp_path)})
+    assert "install the package g++" in str(failed.value)
+    assert "\n" not in str(failed.value)
+    with pytest.raises(build.NoCompilerError, match="CXX names, absent, was not found"):
+        build.find_compiler({"PATH": str(tmp_path), "CXX": "absent -x"})
+
+
+def test_first_compiler_there_is_taken_and_a_named_one_before_it(tmp_path: Path) -> None:
+    for name in ("c++", "clang++"):
+        stub_compiler(tmp_path / name, "exit 0")
+    assert build.find_compiler({"PATH": str(tmp_path), "CXX": ""}) == ["clang++"]
+    assert build.find_compiler({"PATH": str(tmp_path), "CXX": "c++ -v"}) == ["c++", "-v"]
+
+
+def test_setup_says_the_sentence_and_no_traceback(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    done = subprocess.run(
+        [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", tmp_path / "lib", "--build-temp", tmp_path],
+        cwd=ROOT, env={**os.environ, "PATH": str(tmp_path), "CXX": ""}, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "install the package g++" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A copy of the project as from a fresh clone, with a small engine that is built at once."""
+    folder = tmp_path / "project"
+    built = shutil.ignore_patterns("*.so", "__pycache__", "*.hpp")
+    for name in ("cloth_sim_ros", "config", "launch", "resource", "scripts"):
+        shutil.copytree(ROOT / name, folder / name, ignore=built)
+    for name in ("setup.py", "setup.cfg", "package.xml"):
+        shutil.copy(ROOT / name, folder)
+    (folder / "cloth_sim_ros" / "engine" / build.UNIT).write_text(SMALL)
+    return folder
+
+
+def test_in_place_the_libraries_lie_beside_the_sources(project: Path) -> None:
+    pytest.importorskip("setuptools")
+    subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=project, check=True)
+    found = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
+    assert found == {build.file_name(name) for name in build.names_for()}
+
+
+def test_a_source_distribution_holds_all_that_the_engine_is_made_from(project: Path, tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")
+    engine = project / "cloth_sim_ros" / "engine"
+    (engine / "law.hpp").write_text("// a law\n")
+    subprocess.run(
+        [sys.executable, "setup.py", "-q", "sdist", "--dist-dir", tmp_path / "dist"], cwd=project, check=True
+    )
+    (archive,) = (tmp_path / "dist").glob("*.tar.gz")
+    with tarfile.open(archive) as packed:
+        names = {Path(name).name for name in packed.getnames() if "/engine/" in name}
+    assert names >= {"build.py", "law.hpp", *(path.name for path in build.source_files(engine))}
+    assert not [name for name in names if name.endswith(".so")]
+
+
+@pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "linked"])
+def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[str]) -> None:
+    for module in ("colcon_core", "colcon_ros", "colcon_python_setup_py"):
+        pytest.importorskip(module)
+    install = tmp_path / "install"
+    done = subprocess.run(
+        [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build", "--base-paths", project,
+         "--build-base", tmp_path / "build", "--install-base", install, *options],
+        cwd=tmp_path, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    script = (
+        f". {install}/local_setup.sh && python -c 'import cloth_sim_ros.engine; print(cloth_sim_ros.engine.__file__)'"
+    )
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    environment.pop("PYTHONPATH", None)
+    done = subprocess.run(
+        ["sh", "-c", script], cwd=tmp_path, env=environment, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    engine = Path(done.stdout.splitlines()[-1]).parent
+    assert engine.is_relative_to(tmp_path)
+    for name in build.names_for():
+        assert (engine / build.file_name(name)).is_file()
+    assert ctypes.CDLL(str(engine / build.file_name(here()))).cloth_at(1) == 1
+
+
+def make_engine(project: Path, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "scripts/engine.py", *arguments],
+        cwd=project, env={**os.environ, **variables}, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+def test_make_builds_once_and_then_says_nothing(project: Path, tmp_path: Path) -> None:
+    first, second = make_engine(project), make_engine(project)
+    assert (first.returncode, second.returncode) == (0, 0), first.stdout + first.stderr
+    assert first.stdout.startswith("cloth_sim_ros: building the engine with ")
+    assert second.stdout == ""
+    (project / "cloth_sim_ros" / "engine" / build.UNIT).write_text("no C++\n")
+    failed = make_engine(project)
+    assert failed.returncode == 1
+    assert "cloth_sim_ros: the compiler could not build the engine" in failed.stdout
+    assert "Traceback" not in failed.stderr
+
+
+def test_sanitizers_see_what_is_written_beyond_an_array(project: Path) -> None:
+    gcc = shutil.which("g++")
+    if gcc is None:
+        pytest.skip("g++ is not installed")
+    at = subprocess.run([gcc, "-print-file-name=libasan.so"], check=True, capture_output=True, text=True).stdout.strip()
+    if not Path(at).is_absolute():
+        pytest.skip("g++ is without its sanitizers")
+    with (project / "cloth_sim_ros" / "engine" / build.UNIT).open("a") as unit:
+        unit.write("CLOTH_PUBLIC void cloth_write(double* values, int at) { values[at] = 1.0; }\n")
+    (project / "test_writes.py").write_text(
+        "import ctypes, os, pytest\n"
+        "@pytest.mark.parametrize('at', [pytest.param(9, id='within'), pytest.param(10, id='beyond')])\n"
+        "def test_write(at):\n"
+        "    library = ctypes.CDLL(os.environ['CLOTH_SIM_ROS_ENGINE'])\n"
+        "    assert library.cloth_at(7) == -1\n"
+        "    library.cloth_write((ctypes.c_double * 10)(), at)\n"
+    )
+    within = make_engine(project, "--sanitize", "test_writes.py", "-k", "within", CXX="g++")
+    assert within.returncode == 0, within.stdout + within.stderr
+    assert within.stdout.count("1 passed") == len({*instruction_set.libraries()[:1], here()})
+    beyond = make_engine(project, "--sanitize", "test_writes.py", "-k", "beyond", CXX="g++")
+    assert beyond.returncode != 0
+    assert "heap-buffer-overflow" in beyond.stderr
+    assert not list((project / "cloth_sim_ros" / "engine").glob("*.so")), "the plain libraries stay as they are"
+    if shutil.which("clang++"):
+        assert "with g++, not with clang" in make_engine(project, "--sanitize", "test_writes.py", CXX="clang++").stdout

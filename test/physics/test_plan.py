@@ -1,0 +1,221 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a plan promises: a sheet is its springs listed; costs add up; what is noted is what happened."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.plan_scenes import FILES, SCENES, listed, stir
+
+from cloth_sim_ros.physics.arrays import combine
+from cloth_sim_ros.physics.assembly import MOVE
+from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Reset, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+
+every_scene = pytest.mark.parametrize("values", SCENES.values(), ids=SCENES.keys())
+GRIDS = {name: values for name, values in SCENES.items() if not {"cloth.mesh", "cloth.springs"} & values.keys()}
+every_grid = pytest.mark.parametrize("values", GRIDS.values(), ids=GRIDS.keys())
+
+
+def made(values):
+    common = {"cloth.resolution": [7, 9], "grippers": ["one", "two"], "gripper.radius": 0.2, "integrator": "leapfrog"}
+    return Simulation(Scene.from_parameters({**common, **values}, files=FILES))
+
+
+def pair(values):
+    """The same simulation with its springs in one sweep over the sheet's rows, and listed."""
+    swept, plain = made(values), made(values)
+    plain.plan = compile(listed(plain.model))
+    for simulation in (swept, plain):
+        stir(simulation)
+    return swept, plain
+
+
+def grip(simulation, corner):
+    """Both grippers close on the corner; they hold some of the same particles."""
+    simulation.advance([Target("one", corner), Target("two", corner - 0.05)])
+    simulation.advance([Grasp("one", True), Grasp("two", True)])
+
+
+def carry(simulation, corner, k):
+    """Both move on, and the first turns."""
+    away, angle = 0.002 * k * np.array([1.0, -1.0, 0.5]), 0.02 * k
+    turned = (0.0, np.sin(angle), 0.0, np.cos(angle))
+    return simulation.advance([Target("one", corner + away, turned), Target("two", corner - 0.05 + away)])
+
+
+@every_grid
+def test_a_sheet_is_the_same_springs_listed_to_rounding(values):
+    swept, plain = pair(values)
+    x, v = swept.state.x, swept.state.v
+    one, two = np.empty_like(x), np.empty_like(x)
+    swept.plan.accelerations(0.0, x, v, one)
+    plain.plan.accelerations(0.0, x, v, two)
+    assert one == pytest.approx(two, abs=1e-12 * np.abs(two).max())
+    # A sheet's bounds are calculated in single precision.
+    assert swept.plan.rates(x) == pytest.approx(plain.plan.rates(x), rel=1e-5)
+    assert swept.plan.energies(0.0, x, v) == pytest.approx(plain.plan.energies(0.0, x, v), rel=1e-12)
+    assert swept.plan.powers(0.0, x, v) == pytest.approx(plain.plan.powers(0.0, x, v), rel=1e-12)
+    dx, dv = np.random.default_rng(5).standard_normal((2, *x.shape))
+    one, two = np.zeros_like(x), np.zeros_like(x)
+    swept.plan.add_jacobian_product(0.0, x, v, dx, dv, one)
+    plain.plan.add_jacobian_product(0.0, x, v, dx, dv, two)
+    assert one == pytest.approx(two, abs=1e-12 * np.abs(two).max())
+    blocks = np.zeros((2, 2, 6, x.shape[1]))
+    swept.plan.add_bounds(x, *blocks[0])
+    plain.plan.add_bounds(x, *blocks[1])
+    assert blocks[0] == pytest.approx(blocks[1], abs=1e-12 * np.abs(blocks[1]).max())
+
+
+@every_grid
+def test_a_sheet_that_is_carried_moves_as_the_same_springs_listed(values):
+    swept, plain = pair(values)
+    corner, frames = swept.positions[-1], []
+    for simulation in (swept, plain):
+        grip(simulation, corner)
+        assert np.intersect1d(*(simulation.grippers.held(g) for g in (0, 1))).size
+        # No longer: a crumpled sheet without damping multiplies rounding by five a frame.
+        frames.append([carry(simulation, corner, k) for k in range(1, 4)])
+    assert [frame.advance.steps for frame in frames[0]] == [frame.advance.steps for frame in frames[1]]
+    assert swept.positions == pytest.approx(plain.positions, abs=1e-9)
+    scale = np.abs(frames[1][-1].wrenches).max()
+    assert scale > 0.0
+    assert frames[0][-1].wrenches == pytest.approx(frames[1][-1].wrenches, abs=1e-7 * max(1.0, scale))
+
+
+@every_scene
+def test_runs_leave_their_start_and_are_the_same_alone_and_together(values):
+    simulation = made(values)
+    stir(simulation)
+    grip(simulation, simulation.positions[-1])
+    plan, state = simulation.plan, simulation.state
+    before = state.x.copy(), state.v.copy()
+    # As lively a motion as explicit steps follow here.
+    first = 3 + int(2e-3 * np.sqrt(plan.rates(state.x)[0]) + 2e-3 * plan.rates(state.x)[1])
+    steps, weights = [first, 2 * first, 5 * first], [0.3, -1.1, 1.8]
+    together, (x, v, told) = plan.runs(0.1, 2e-3, before, steps, weights=weights, powers=True)
+    alone = [plan.runs(0.1, 2e-3, before, [count], powers=True)[0][0] for count in steps]
+    assert np.array_equal(state.x, before[0]) and np.array_equal(state.v, before[1])
+    for mine, others in zip(together, alone, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, others, strict=True))
+    assert np.array_equal(x, combine([run.x for run in alone], weights))
+    assert np.array_equal(v, combine([run.v for run in alone], weights))
+    assert told.finite
+    assert (told.omega2, told.damping) == plan.rates(x)
+    assert together[2].x == pytest.approx(together[1].x, abs=1e-3)
+    assert np.abs(together[2].x - before[0]).max() > 1e-5
+
+
+@every_scene
+def test_a_repeat_gives_the_same_bits(values):
+    simulation, ends = made(values), set()
+    for _ in range(3):
+        simulation.advance([Reset()])
+        simulation.advance()
+        ends.add(simulation.state.x.tobytes() + simulation.state.v.tobytes())
+    assert len(ends) == 1
+
+
+@every_scene
+def test_after_a_state_that_is_not_finite_nothing_is_left_behind(values):
+    simulation = made(values)
+    plan, x, v = simulation.plan, simulation.state.x, simulation.state.v
+    (before,), _ = plan.runs(0.0, 1e-3, (x, v), [5])
+    plan.runs(0.0, 1e-3, (np.full_like(x, np.nan), v), [2])
+    (after,), _ = plan.runs(0.0, 1e-3, (x, v), [5])
+    assert np.array_equal(before.x, after.x)
+
+
+@every_scene
+def test_what_is_noted_along_a_run_is_the_integral_of_what_is_there(values):
+    """Wrenches, work, loss and what air gives, against a quadrature by itself along much finer steps."""
+    simulation = made({**values, "integrator": "extrapolated", "tolerance": 1e-9})
+    corner = simulation.positions[-1]
+    grip(simulation, corner)
+    for k in range(1, 4):
+        carry(simulation, corner, k)
+    plan, start, t = simulation.plan, simulation.state, simulation.time - simulation.scene.period
+    duration, points = 4e-3, 400
+    booked, exact = Book(2, powers=True), Book(2, powers=True)
+    (run,), _ = plan.runs(t, duration, (start.x, start.v), [800], powers=True)
+    booked.add_runs([1.0], [run.grips], [run.powers], duration)
+    x, v, part = start.x, start.v, duration / points
+    for k in range(points):
+        (middle,), _ = plan.runs(t + k * part, 0.5 * part, (x, v), [4])
+        note(exact, plan, t + (k + 0.5) * part, middle.x, middle.v, part)
+        (end,), _ = plan.runs(t + k * part, part, (x, v), [8])
+        x, v = end.x, end.v
+    assert np.abs(exact.wrenches[:, :3]).max() > 1e-4
+    scale = np.abs(exact.wrenches).max()
+    assert booked.wrenches == pytest.approx(exact.wrenches, abs=1e-4 * scale)
+    assert booked.work == pytest.approx(exact.work, abs=1e-4 * (abs(exact.work) + 1e-6))
+    assert booked.lost == pytest.approx(exact.lost, rel=1e-3, abs=1e-12)
+    assert booked.given == pytest.approx(exact.given, rel=1e-3, abs=1e-12)
+    # And so the energy balance closes.
+    turned = abs(exact.work) + abs(exact.lost) + abs(exact.given)
+    gained = plan.energy(t + duration, run.x, run.v) - plan.energy(t, start.x, start.v)
+    assert gained == pytest.approx(booked.work + booked.given - booked.lost, abs=1e-3 * turned + 1e-9)
+
+
+@pytest.mark.parametrize("name", ["mesh", "hinges", "grid, air"])
+def test_costs_add_up(name):
+    model = made(SCENES[name]).model
+
+    def cost(*forces):
+        return compile(Model(model.masses, forces)).step_cost
+
+    move = CONSTANTS.operation * MOVE
+    assert cost() == pytest.approx(move)
+    every = [force for force in model.forces if not isinstance(force, Grips)]
+    apart = sum(cost(force) - move for force in every)
+    assert cost(*every) == pytest.approx(move + apart)
+    assert cost(*every) > cost() + 1.0
+
+
+def test_without_springs_particles_fall_freely():
+    plan = compile(Model(np.ones(5), [Gravity((0.0, 0.0, -10.0)), Drag(0.0)], anchors=[2]))
+    (run,), _ = plan.runs(0.0, 1.0, (np.zeros((3, 5)), np.zeros((3, 5))), [100])
+    assert run.x[2] == pytest.approx([-5.0, -5.0, 0.0, -5.0, -5.0])
+
+
+def test_a_model_that_makes_no_plan_is_refused_by_name():
+    edges = [GridFamily(name="right", stiffness=1.0, rest_length=0.1)]
+    grid = GridSprings(2, 3, edges, name="a")
+    with pytest.raises(ValueError, match="two forces have springs 'right' of one sheet"):
+        compile(Model(np.ones(6), [grid, GridSprings(2, 3, edges, name="b")]))
+    down = [GridFamily(name="down", stiffness=1.0, rest_length=0.1)]
+    with pytest.raises(ValueError, match="sheets of 2 x 3 and 3 x 2 particles"):
+        compile(Model(np.ones(6), [grid, GridSprings(3, 2, down, name="b")]))
+    with pytest.raises(ValueError, match="'a' is a sheet of 2 x 3 particles; the model has 5"):
+        compile(Model(np.ones(5), [grid]))
+    one, two = Grips(1), Grips(1)
+    two.name = "more grips"
+    with pytest.raises(ValueError, match="two forces hold particles, 'grips' and 'more grips'"):
+        compile(Model(np.ones(6), [one, two]))
+
+
+def test_a_run_of_no_step_is_refused():
+    plan, start = compile(Model(np.ones(2), [])), (np.zeros((3, 2)), np.zeros((3, 2)))
+    with pytest.raises(ValueError, match=r"runs of \[3, 0\] steps"):
+        plan.runs(0.0, 1.0, start, [3, 0])
+
+
+def test_arrays_that_the_engine_would_misread_are_refused():
+    plan, good = compile(Model(np.ones(4), [])), np.zeros((3, 4))
+    with pytest.raises(ValueError, match="out is float64, not C-contiguous"):
+        plan.accelerations(0.0, good, good, np.zeros((4, 3)).T)
+    with pytest.raises(ValueError, match="v is float32; it must be"):
+        plan.runs(0.0, 1.0, (good, good.astype(np.float32)), [1])
+    with pytest.raises(ValueError, match=r"x has shape \(3, 5\)"):
+        plan.runs(0.0, 1.0, (np.zeros((3, 5)), good), [1])

@@ -1,0 +1,162 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Anchors that change while the cloth runs: an event like any other, refused with the reason, run again to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client
+
+from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, State, Target
+from cloth_sim_ros.simulation.simulation import EventError
+
+GRID = {"cloth.resolution": [6, 7]}
+TOP, BOTTOM = range(7), range(35, 42)
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+def swinging(frames: int = 20) -> Simulation:
+    simulation = Simulation(Scene.from_parameters(GRID | {"wind.velocity": [0.0, 5.0, 0.0]}))
+    for _ in range(frames):
+        simulation.advance()
+    return simulation
+
+
+def anchored(*names: str) -> SetParameters:
+    return SetParameters({"cloth.anchors": list(names) or [""]})
+
+
+def test_what_is_anchored_holds_the_place_that_it_has() -> None:
+    simulation = swinging()
+    there = simulation.positions[BOTTOM]
+    assert np.abs(simulation.velocities[BOTTOM]).max() > 0.1
+    for _ in range(5):
+        simulation.advance([anchored("top", "bottom")] if simulation.frame == 20 else [])
+        np.testing.assert_allclose(simulation.positions[BOTTOM], there, rtol=0.0, atol=1e-12)
+    assert not simulation.velocities[BOTTOM].any()
+
+
+def test_what_is_let_go_falls() -> None:
+    simulation = swinging()
+    simulation.advance([anchored("top_left")])
+    for _ in range(10):
+        simulation.advance()
+    moved = np.linalg.norm(simulation.positions - simulation._initial.positions, axis=1)
+    assert moved[0] < 1e-12
+    assert (moved[1:7] > 1e-3).all()
+
+
+def test_a_sheet_that_sleeps_wakes() -> None:
+    simulation = Simulation(Scene.from_parameters(GRID | {"gravity": [0.0, 0.0, 0.0]}))
+    while not simulation.asleep:
+        simulation.advance()
+    simulation.advance([SetParameters({"gravity": [0.0, 0.0, -9.81], "cloth.anchors": [""]})])
+    assert not simulation.asleep
+    assert simulation.velocities[:, 2].max() < -0.1
+
+
+def test_a_held_particle_may_be_anchored_and_let_go_again() -> None:
+    simulation = swinging()
+    corner = 41
+    simulation.advance([Target("gripper", tuple(simulation.positions[corner])), Grasp("gripper", True)])
+    assert simulation.grippers.held(0).tolist() == [corner]
+    simulation.advance([anchored("top", "41")])
+    there = simulation.positions[corner]
+    for k in range(10):
+        simulation.advance([Target("gripper", tuple(there + np.array([0.0, 0.0, 0.01 * k])))])
+    np.testing.assert_allclose(simulation.positions[corner], there, rtol=0.0, atol=1e-12)
+    simulation.advance([anchored("top")])
+    for _ in range(10):
+        simulation.advance()
+    assert simulation.positions[corner][2] > there[2] + 0.05
+
+
+def test_a_reset_returns_to_the_places_of_the_start_with_the_anchors_in_force() -> None:
+    simulation = swinging()
+    simulation.advance([anchored("bottom")])
+    simulation.advance([Reset()])
+    simulation.advance()
+    start = simulation._initial.positions
+    np.testing.assert_allclose(simulation.positions[BOTTOM], start[BOTTOM], rtol=0.0, atol=1e-12)
+    assert np.abs(simulation.positions[TOP] - start[TOP]).max() > 1e-4
+
+
+@pytest.mark.parametrize("integrator", ["auto", "implicit"])
+def test_it_runs_again_to_the_last_bit_from_any_frame(integrator: str) -> None:
+    def events(frame: int) -> list[object]:
+        if frame == 25:
+            return [anchored("top_left", "41")]
+        if frame == 28:
+            return [anchored()]
+        return [anchored("top"), Reset()] if frame == 32 else []
+
+    one = Simulation(Scene.from_parameters(GRID | {"integrator": integrator}))
+    saved = {}
+    for frame in range(40):
+        saved[frame] = (one.scene, one.state.to_bytes())
+        one.advance(events(frame))  # type: ignore[arg-type]
+    for begin in (0, 24, 26, 30, 33):
+        scene, state = saved[begin]
+        again = Simulation(scene, State.from_bytes(state))
+        for frame in range(begin, 40):
+            again.advance(events(frame))  # type: ignore[arg-type]
+        assert again.state.digest() == one.state.digest(), begin
+
+
+def test_a_state_begins_with_other_anchors_at_rest(tmp_path: Path) -> None:
+    path = tmp_path / "state.npz"
+    path.write_bytes(swinging().state.to_bytes())
+    simulation = Simulation(Scene.from_parameters(GRID | {"cloth.anchors": ["bottom"], "initial_state": str(path)}))
+    there = simulation.positions[BOTTOM]
+    for _ in range(3):
+        simulation.advance()
+    np.testing.assert_allclose(simulation.positions[BOTTOM], there, rtol=0.0, atol=1e-12)
+    simulation.advance([Reset()])
+    simulation.advance()
+    np.testing.assert_allclose(simulation.positions[BOTTOM], there, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["42"], "cloth.anchors names particle 42; there are 42, counted from 0"),
+        (["middle"], "'middle' is no edge or corner of a grid; there are top, bottom"),
+        (["-1"], "'-1' is no edge or corner"),
+    ],
+)
+def test_what_is_no_anchor_is_refused_with_the_reason(names: list[str], words: str) -> None:
+    simulation = swinging(1)
+    before = simulation.state.digest()
+    with pytest.raises(EventError, match=words):
+        simulation.advance([anchored(*names)])
+    assert simulation.state.digest() == before
+    with pytest.raises(EventError, match="must be an array of string"):
+        simulation.advance([SetParameters({"cloth.anchors": "top"})])
+
+
+def test_by_parameter_it_is_refused_with_the_same_words_and_recorded(client: Client, tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.verify.run import verify
+
+    with ClockedCloth(client, {"record.enabled": True, "record.folder": str(tmp_path)}) as cloth:
+        cloth.tick(3)
+        (result,) = cloth.node.node.set_parameters([Parameter("cloth.anchors", value=["top_left", "99"])])
+        assert not result.successful
+        assert "cloth.anchors names particle 99; there are 42" in result.reason
+        (result,) = cloth.node.node.set_parameters([Parameter("cloth.anchors", value=["top_left"])])
+        assert result.successful, result.reason
+        cloth.tick(20)
+        assert cloth.simulation.scene.anchored_particles() == [0]
+    (path,) = tmp_path.glob("*.mcap")
+    assert verify([path]).same

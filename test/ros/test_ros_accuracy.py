@@ -1,0 +1,218 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The live certificate: what the shadow says is so, it holds nobody up, and neither side outlives the other."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters as SetParametersService
+from support.ros_client import STARTED, Client, start_cloth
+
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.ros.accuracy import Accuracy
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.shadow import Shadow
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.shadow import judge
+
+SMALL = {"cloth.resolution": [5, 5], "cloth.size": [0.4, 0.4], "rate": 30.0, "material.stretch_modulus": 100.0}
+MODULE = "cloth_sim_ros.verify.shadow"
+
+
+@pytest.fixture
+def shadow() -> Iterator[Shadow]:
+    shadow = Shadow()
+    yield shadow
+    shadow.close()
+
+
+def _frame(shadow: Shadow, simulation: Simulation, events: list[Event] | None = None) -> None:
+    shadow.before_frame(simulation)
+    shadow.after_frame(simulation, simulation.advance(events or []))
+
+
+def _shadows_of(pid: int) -> list[psutil.Process]:
+    return [child for child in psutil.Process(pid).children() if MODULE in child.cmdline()]
+
+
+def _script(simulation: Simulation) -> list[list[Event]]:
+    corner = tuple(simulation.positions[24].tolist())
+    away = (corner[0], corner[1] - 0.05, corner[2])
+    script: list[list[Event]] = [[] for _ in range(65)]
+    script[3] = [Target("gripper", corner)]
+    script[4] = [Grasp("gripper", True)]
+    script[6:12] = [[Target("gripper", away)]] * 6
+    script[20], script[22], script[24] = [Pause(True)], [Grasp("gripper", False)], [Pause(False)]
+    script[40] = [SetParameters({"gravity": [0.0, 1.0, -3.0]})]
+    script[50] = [Reset()]
+    return script
+
+
+def test_what_it_says_is_so(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
+    simulation = Simulation(Scene.from_parameters(SMALL))
+    assert shadow.describe(0.0)["accuracy"] == "starting"
+    start, ends, moved = simulation.state.copy(), [], 0
+    script = _script(simulation)
+    for k, events in enumerate(script):
+        if moved == 30:
+            # The second window waits until the first one is judged, so that none is left out.
+            wait_until(lambda: shadow.describe(0.0)["accuracy_windows"] == "1", what="the first window")
+            ends.append((k, simulation.state.copy()))
+        before = simulation.frame
+        _frame(shadow, simulation, events)
+        moved += simulation.frame - before
+    wait_until(lambda: shadow.describe(0.0)["accuracy_windows"] == "2", what="the second window")
+    ((length, end),) = ends
+    first = judge(Scene.from_parameters(SMALL), start, script[:length], end.digest())
+    assert first["verdict"] == "kept"
+    assert 0.0 < first["own"] < 0.01 * first["error"]
+    told = shadow.describe(simulation.time)
+    assert told["accuracy"] == "running"
+    assert told["accuracy_window_s"] == "1.000 to 2.000"
+    assert told["accuracy_windows_left_out"] == "0"
+    assert 0.0 < float(told["accuracy_error_m"]) < 1e-4
+    assert float(told["accuracy_behind_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
+    assert shadow.complaints() == []
+    page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
+    rows = [line.split("|") for line in page.split("### Accuracy\n")[1].split("\n## ")[0].splitlines()]
+    assert set(told) == {name for row in rows if len(row) > 2 for name in re.findall(r"`(\w+)`", row[1])}
+
+
+def test_it_is_the_certificate_of_the_window() -> None:
+    scene = Scene.from_parameters(SMALL | {"tolerance": 1e-6})
+    simulation = Simulation(scene)
+    start = State.from_bytes(simulation.state.to_bytes())
+    for _ in range(30):
+        simulation.advance([])
+    told = judge(scene, start, [()] * 30, simulation.state.digest())
+    assert told["verdict"] == "kept"
+    assert (told["start"], told["end"]) == (0.0, pytest.approx(1.0))
+    # Another end than the one that came about is no basis for saying anything.
+    assert "otherwise" in judge(scene, start, [()] * 30, "0" * 32)["trouble"]
+
+
+def test_growth_is_looked_at_where_the_error_is_above_the_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
+    from cloth_sim_ros.scene import scene as scene_module
+
+    real = scene_module.make_integrator
+    monkeypatch.setattr(
+        scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
+    )
+    scene = Scene.from_parameters(SMALL | {"tolerance": 1e-7})
+    simulation = Simulation(scene)
+    start = simulation.state.copy()
+    for _ in range(30):
+        simulation.advance([])
+    told = judge(scene, start, [()] * 30, simulation.state.digest())
+    assert told["verdict"] == "not kept"
+    assert told["allowed"] > 1e-7
+    assert told["error"] > told["allowed"]
+
+
+def test_whole_windows_are_left_out_where_it_is_behind(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
+    (child,) = wait_until(lambda: _shadows_of(os.getpid()), what="the process")
+    child.send_signal(signal.SIGSTOP)
+    simulation = Simulation(Scene.from_parameters(SMALL))
+    # None of these calls waits, or the test would never end.
+    for _ in range(30 * 8):
+        _frame(shadow, simulation)
+    assert int(shadow.describe(simulation.time)["accuracy_windows_left_out"]) >= 5
+    child.send_signal(signal.SIGCONT)
+    wait_until(lambda: shadow.describe(simulation.time)["accuracy"] == "running", what="an answer")
+    # What waited is the newest.
+    wait_until(
+        lambda: shadow.describe(simulation.time).get("accuracy_window_s") == "7.000 to 8.000", what="the newest window"
+    )
+    assert shadow.describe(simulation.time)["accuracy_behind_s"] == "0.000"
+    assert shadow.complaints() == []
+    child.send_signal(signal.SIGSTOP)
+    shadow.close()
+    wait_until(lambda: not psutil.pid_exists(child.pid), what="its end")
+
+
+def test_off_means_nothing_at_all(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    script = (
+        "import atexit, sys\n"
+        "from cloth_sim_ros.ros.main import main\n"
+        "def tell():\n"
+        "    extra = [n for n in sys.modules if n.startswith('cloth_sim_ros.verify') or n.endswith('ros.shadow')]\n"
+        "    print('LOADED', extra, flush=True)\n"
+        "atexit.register(tell)\n"
+        "sys.exit(main())\n"
+    )
+    process = start_process([sys.executable, "-c", script])
+    process.wait_for_output(STARTED)
+    assert _shadows_of(process.pid) == []
+    assert process.interrupt() == 0
+    assert "LOADED []" in process.output
+    simulation = Simulation(Scene.from_parameters(SMALL))
+    accuracy = Accuracy(simulation, ThrottledLog(None))
+    accuracy.before_frame()
+    accuracy.after_frame(simulation.advance([]))
+    accuracy.follow()
+    assert accuracy.describe() == {"accuracy": "off"}
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+def _listen(client: Client) -> Callable[[], dict[str, str]]:
+    seen: list[Any] = []
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10)
+    return lambda: {pair.key: pair.value for pair in seen[-1].values} if seen else {}
+
+
+PARAMETERS = [f"{name}:={value}" for name, value in SMALL.items()]
+
+
+def _set_accuracy(client: Client, on: bool) -> None:
+    value = ParameterValue(type=1, bool_value=on)
+    request = SetParametersService.Request(parameters=[Parameter(name="diagnostics.accuracy", value=value)])
+    (result,) = client.call(SetParametersService, "/cloth_sim/set_parameters", request).results
+    assert result.successful, result.reason
+
+
+def test_a_node_tells_its_error_and_outlives_its_shadow(client: Client, start_process: Callable[..., Any]) -> None:
+    latest = _listen(client)
+    process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
+    client.spin_until(lambda: latest().get("accuracy_verdict") == "kept", what="a window that is judged")
+    assert 0.0 < float(latest()["accuracy_error_m"]) < float(latest()["accuracy_allowed_m"])
+    assert float(latest()["accuracy_behind_s"]) >= 0.0
+    (child,) = _shadows_of(process.pid)
+    child.send_signal(signal.SIGKILL)
+    client.spin_until(lambda: "ended by itself (status -9)" in latest().get("accuracy", ""), what="its end told")
+    frame = int(latest()["frame"])
+    client.spin_until(lambda: int(latest()["frame"]) > frame, what="further frames")
+    _set_accuracy(client, False)
+    client.spin_until(lambda: latest()["accuracy"] == "off", what="off")
+    _set_accuracy(client, True)
+    client.spin_until(lambda: latest()["accuracy"] == "running", what="another one")
+    (child,) = _shadows_of(process.pid)
+    assert process.interrupt() == 0
+    assert "Traceback" not in process.output
+    client.spin_until(lambda: not psutil.pid_exists(child.pid), what="its end with the node")
+
+
+def test_a_shadow_does_not_outlive_a_node_that_was_killed(client: Client, start_process: Callable[..., Any]) -> None:
+    latest = _listen(client)
+    process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
+    client.spin_until(lambda: "accuracy_verdict" in latest(), what="a window that is judged")
+    (child,) = _shadows_of(process.pid)
+    os.kill(process.pid, signal.SIGKILL)
+    client.spin_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, what="its end")

@@ -1,0 +1,202 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bad input: each has a clear message, and the node goes on, or refuses to start."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+from support.ros_client import Client, pose, positions, start_cloth
+
+from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.ros.outputs import LATCHED
+
+TARGET = "/cloth_sim/gripper/target"
+
+
+#: What the node is started with, and what it says.
+REFUSED = [
+    (["-p", "cloth.size:=[-1.0, 1.0]"], "cloth.size is -1.0 m; it must be at least 1e-06 m"),
+    (["-p", "cloth.resolution:=[1, 1]"], "cloth.resolution is 1; it must be at least 2"),
+    (["-p", "rate:=60"], "write 60.0"),
+    (["-p", "grippers:=[left, left]"], "two grippers are named 'left'"),
+    (["-p", "initial_state:=nowhere.npz"], "nowhere.npz"),
+    (["-p", "initial_state:=nowhere.mcap@12"], "nowhere.mcap"),
+    (["-p", "cloth.anchors:=[]"], "cloth.anchors is an empty list, [], whose type ROS can't know; for none write ['']"),
+    (["-p", "cloth.size:=[]"], "cloth.size is an empty list, [], whose type ROS can't know; it must be double[]"),
+    (["-p", "cloth.sizes:=[]"], "a parameter is an empty list, [], whose type ROS can't know; leave it out"),
+    (["-p", "material.stretch_modulus:=1e9", "-p", "integrator:=leapfrog"], "are taken live: lower stiffness"),
+    (["-p", "step:=0.5"], "above the stability limit"),
+    (["-p", "record.enabled:=true", "-p", "record.folder:=FILE/folder"], "record.folder"),
+    (["--params-file", "/no/such/file.yaml"], "/no/such/file.yaml"),
+]
+
+
+def test_node_refuses_to_start(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    arguments = [
+        ["--ros-args", *(word.replace("FILE", str(tmp_path / "file")) for word in words)] for words, _ in REFUSED
+    ]
+    # One after the other in one process: what takes long is its start.
+    script = (
+        "import sys\nfrom cloth_sim_ros.ros.main import main\n"
+        f"for arguments in {arguments!r}:\n    print('status', main(arguments), flush=True)"
+    )
+    process = start_process([sys.executable, "-c", script])
+    assert process.wait() == 0, process.output
+    parts = process.output.split("status 1\n")
+    assert len(parts) == len(REFUSED) + 1
+    for part, (_, message) in zip(parts, REFUSED, strict=False):
+        assert message in part
+    assert "Traceback" not in process.output
+
+
+def test_a_misspelt_parameter_is_told(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    process = start_cloth(start_process, "cloth.sizes:=[1.0, 1.0]")
+    assert "did you mean 'cloth.size'?" in process.output
+
+
+def test_gripper_names_those_that_are_there(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    start_cloth(start_process, "grippers:=[left, right]")
+    gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--gripper", "middle"])
+    assert gripper.wait() == 1
+    assert "/cloth_sim has no gripper 'middle'; it has left, right" in gripper.output
+
+
+def test_gripper_without_a_node_gives_up(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "0.5"])
+    assert gripper.wait() == 1
+    assert "no node /cloth_sim came within 0.5 s" in gripper.output
+
+
+def test_gripper_waits_for_the_node_and_not_for_its_middleware(
+    ros_domain: int, start_process: Callable[..., Any]
+) -> None:
+    # A node that has everything and does nothing: its middleware alone meets publishers and acknowledges.
+    with Client("cloth_sim") as idle:
+        idle.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
+        idle.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "6.0"])
+        gripper.wait_for_output("waiting for")
+        # What it said once stays: nobody need run for it to be heard.
+        said = idle.node.create_publisher(DiagnosticStatus, "/cloth_sim/gripper/state", LATCHED)
+        said.publish(DiagnosticStatus(values=[KeyValue(key="closed", value="false")]))
+        assert gripper.wait() == 1
+    assert "/cloth_sim serves the gripper 'gripper', but does not say that it is open" in gripper.output
+    assert "playing" not in gripper.output
+
+
+def test_gripper_waits_for_a_node_that_says_nothing_yet(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    with Client("cloth_sim") as silent:
+        silent.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
+        silent.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "6.0"])
+        assert gripper.wait() == 1
+    assert "/cloth_sim is there, but was not ready within 6 s" in gripper.output
+
+
+def test_a_grasp_of_nothing_is_a_failure(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
+    process = start_cloth(start_process, "cloth.resolution:=[5, 5]")
+    script = tmp_path / "script.yaml"
+    script.write_text("steps: [{time: 0.0, position: [3.0, 3.0, 3.0]}, {time: 0.2, close: true}]")
+    gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
+    assert gripper.wait() == 1
+    assert "gripper 'gripper' of /cloth_sim: held nothing (the node's log says why)" in gripper.output
+    process.wait_for_output("is closed and holds nothing: no particle within 0.05 m of it")
+
+
+def test_running_node_refuses_with_reasons_and_goes_on(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    process = start_cloth(start_process, f"record.folder:={tmp_path / 'file' / 'x'}")
+    with Client() as client:
+        client.watch()
+        check_commands(client, process)
+        check_parameters(client)
+        answer = client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=True))
+        assert not answer.success
+        assert "record.folder" in answer.message
+        answer = client.call(Trigger, "/cloth_sim/step")
+        assert (answer.success, answer.message) == (False, "the cloth is running; pause it first")
+        assert not client.call(Trigger, "/cloth_sim/save_state").success
+        cloud = client.wait_for_clouds(3)
+    assert np.isfinite(positions(cloud)).all()
+    assert process.interrupt() == 0
+    assert "Traceback" not in process.output
+
+
+def check_commands(client: Client, process: Any) -> None:
+    def ahead() -> int:
+        return client.node.get_clock().now().nanoseconds + 5_000_000_000
+
+    target = client.publisher(PoseStamped, TARGET)
+    point = PointStamped()
+    point.point.z = math.inf
+    grasp = client.publisher(Bool, "/cloth_sim/gripper/grasp")
+    for send, message in (
+        (lambda: target.publish(pose(math.nan, 0.0, 0.0)), "it must be 3 finite numbers"),
+        (lambda: target.publish(pose(0.0, 0.0, 1e9)), "no coordinate may be beyond 10000 m"),
+        (lambda: target.publish(pose(0.0, 0.0, 0.0, w=0.0)), "is no quaternion"),
+        (lambda: target.publish(pose(0.0, 0.0, 0.0, frame_id="base")), "it is in frame 'base', the cloth in 'world'"),
+        (lambda: target.publish(pose(0.0, 0.0, 0.0, stamp=ahead())), "at most 1 s can wait"),
+        (lambda: target.publish(serialize_message(pose(0.0, 0.0, 0.0))[:20]), "20 bytes are no PoseStamped"),
+        (lambda: client.publisher(PointStamped, "/cloth_sim/gripper/point").publish(point), "point of 'gripper' is"),
+        (lambda: grasp.publish(b"\x00\x01\x00\x00"), "4 bytes are no Bool"),
+    ):
+        # Each kind is logged again only after a while, so that a flood can't fill the log.
+        def told(send: Callable[[], None] = send, message: str = message) -> bool:
+            send()
+            return message in process.output
+
+        client.spin_until(told, what=f"'{message}' in the log")
+
+
+def check_parameters(client: Client) -> None:
+    def refusal(name: str, **value: Any) -> str:
+        kinds = {"double_value": ParameterType.PARAMETER_DOUBLE, "string_value": ParameterType.PARAMETER_STRING}
+        parameter = Parameter(name=name, value=ParameterValue(type=kinds[next(iter(value))], **value))
+        answer = client.call(SetParameters, "/cloth_sim/set_parameters", SetParameters.Request(parameters=[parameter]))
+        assert not answer.results[0].successful
+        return str(answer.results[0].reason)
+
+    assert "read-only" in refusal("rate", double_value=30.0)
+    assert "out of range" in refusal("material.density", double_value=-1.0)
+    assert "above 0.0 N/m" in refusal("material.stretch_modulus", double_value=0.0)
+    assert "Wrong parameter type" in refusal("material.density", string_value="heavy")
+
+
+def test_a_motion_that_cant_go_on_stops_time_and_not_the_node(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    # A state of a cloth that flies apart: it is told in its frame; a reset would be another start of the same.
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (6, 7)}))
+    simulation.advance()
+    simulation.state.v[:] = 1e200
+    path = tmp_path / "apart.npz"
+    path.write_bytes(simulation.state.to_bytes())
+    process = start_cloth(start_process, "cloth.resolution:=[6, 7]", f"initial_state:={path}")
+    process.wait_for_output("time is stopped")
+    with Client() as client:
+        client.watch()
+        for kind, name in ((SetBool, "pause"), (Trigger, "step"), (Trigger, "step")):
+            answer = client.call(kind, f"/cloth_sim/{name}")
+            assert not answer.success
+            assert "time is stopped: " in answer.message
+        cloud = client.wait_for_clouds(2)
+        assert np.isfinite(positions(cloud)).all()
+        assert client.call(Trigger, "/cloth_sim/save_state").success
+    assert process.interrupt() == 0
+    assert "Traceback" not in process.output

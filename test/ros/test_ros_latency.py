@@ -1,0 +1,80 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A frame takes every command that has arrived when it begins, however little time frames leave for messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client, pose
+
+from cloth_sim_ros.ros import measure_latency
+from cloth_sim_ros.ros.commands import Commands
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+def test_a_frame_takes_all_that_has_come(client: Client) -> None:
+    with ClockedCloth(client, {"cloth.resolution": [5, 5]}) as cloth:
+        targets = client.publisher(PoseStamped, "/cloth_sim/gripper/target")
+        cloth.target("gripper", (0.5, 0.0, 0.5))
+        cloth.tick()
+        for number in range(8):
+            targets.publish(pose(0.5, 0.0, 0.5 + 0.01 * number))
+        begun = cloth.simulation.frame
+
+        def newest() -> bool:
+            cloth.tick()
+            return bool(cloth.place("gripper")[2] > 0.565)
+
+        client.spin_until(newest, what="the newest target")
+        # They arrive together or nearly so, and an executor hands one over a turn: not one a frame.
+        assert cloth.simulation.frame - begun < 8
+
+
+def commands_of(received: list[int]) -> Commands:
+    """Commands of which so many more have come each time that they are asked whether they have settled."""
+    commands = Commands.__new__(Commands)
+    commands.received = commands._seen = commands._turns = 0
+    coming = iter(received)
+
+    def settled() -> bool:
+        commands.received += next(coming)
+        return Commands.settled(commands)
+
+    commands.settled = settled  # type: ignore[method-assign]
+    return commands
+
+
+def test_a_frame_waits_for_commands_but_not_for_a_flood() -> None:
+    commands = commands_of([0, 3, 1, 0, 0])
+    assert [commands.settled() for _ in range(5)] == [True, False, False, True, True]
+    flooded = commands_of([1] * 30)
+    turns = [flooded.settled() for _ in range(30)]
+    assert [turn for turn, settled in enumerate(turns) if settled] == [10, 21]
+
+
+def test_latencies_are_found(ros_domain: int) -> None:
+    """Whatever they are on a busy machine: the measurement itself."""
+    import rclpy
+
+    rclpy.init(args=[])
+    try:
+        found = measure_latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
+    finally:
+        rclpy.try_shutdown()
+    assert found.particles == 64
+    assert len(found.seconds) > 10
+    assert (found.seconds > 0.0).all()
+    assert found.summary()["integrator_why"]
+    quick = measure_latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.001, diagnostics={})
+    slow = measure_latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.019, diagnostics={})
+    assert quick.met
+    assert not slow.met

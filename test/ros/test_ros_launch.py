@@ -1,0 +1,281 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The launch file, run as `ros2 launch` runs it, and several cloths by name, namespace, remaps and parameter files.
+
+`launch` is no package of pip: where it is missing, stand-ins for the few classes that the file uses build the command
+line that launch_ros builds (its Node action: name, namespace, parameters, each in its place).
+"""
+
+from __future__ import annotations
+
+import re
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import GetParameters
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Bool
+from support.ros_client import Client, pose, positions
+
+ROOT = Path(__file__).resolve().parents[2]
+LAUNCH = ROOT / "launch" / "cloth_sim.launch.py"
+
+
+class Substitution:
+    """A text that is known only once the arguments are there."""
+
+    def __init__(self, resolve: Callable[[dict[str, str]], str]) -> None:
+        self._resolve = resolve
+
+    def perform(self, context: Any) -> str:
+        return self._resolve(context.launch_configurations)
+
+
+def text_of(value: Any, given: dict[str, str]) -> str:
+    """A text, a substitution, or a list of them, as launch resolves them."""
+    if isinstance(value, Substitution):
+        return value.perform(SimpleNamespace(launch_configurations=given))
+    return "".join(text_of(item, given) for item in value) if isinstance(value, list) else str(value)
+
+
+class Launched:
+    """The launch file, run for launch arguments `name:=value` with stand-ins for what it imports.
+
+    Attributes:
+        declared: options of each declared argument.
+        nodes: options of each node.
+        words: what is logged.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **given: str) -> None:
+        self.declared: dict[str, Any] = {}
+        self.nodes: list[dict[str, Any]] = []
+        self.words: list[str] = []
+        with monkeypatch.context() as patch:
+            for name, module in self._stand_ins().items():
+                patch.setitem(sys.modules, name, module)
+            actions = runpy.run_path(str(LAUNCH))["generate_launch_description"]()
+            values = {name: text_of(options["default_value"], {}) for name, options in self.declared.items()} | given
+            for name, options in self.declared.items():
+                assert values[name] in options.get("choices", [values[name]]), f"launch refuses {name}"
+            for action in actions:
+                if callable(action):
+                    action(SimpleNamespace(launch_configurations=values))
+
+    def _stand_ins(self) -> dict[str, ModuleType]:
+        def module(name: str, **members: Any) -> ModuleType:
+            made = ModuleType(name)
+            vars(made).update(members)
+            return made
+
+        def path_join(parts: list[Any]) -> Substitution:
+            return Substitution(lambda given: str(Path(*(text_of(part, given) for part in parts))))
+
+        return {
+            "launch": module("launch", LaunchContext=object, LaunchDescription=lambda entities: entities),
+            "launch.actions": module(
+                "launch.actions",
+                DeclareLaunchArgument=lambda name, **options: self.declared.__setitem__(name, options),
+                LogInfo=lambda *, msg: self.words.append(msg),
+                OpaqueFunction=lambda *, function: function,
+            ),
+            "launch.substitutions": module(
+                "launch.substitutions",
+                LaunchConfiguration=lambda name: Substitution(lambda given: given[name]),
+                PathJoinSubstitution=path_join,
+            ),
+            "launch_ros": module("launch_ros"),
+            "launch_ros.actions": module("launch_ros.actions", Node=lambda **options: self.nodes.append(options)),
+            "launch_ros.substitutions": module(
+                "launch_ros.substitutions", FindPackageShare=lambda package: Substitution(lambda given: str(ROOT))
+            ),
+        }
+
+
+def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
+    """The node's command line for launch arguments `name:=value`, as launch_ros builds it."""
+    launched = Launched(monkeypatch, **given)
+    assert given.keys() <= launched.declared.keys()
+    assert all(options["description"] for options in launched.declared.values())
+    (node,) = launched.nodes
+    assert (node["package"], node["executable"]) == ("cloth_sim_ros", "cloth_sim")
+    arguments = ["--ros-args", *node["ros_arguments"], "-r", f"__node:={node['name']}"]
+    if node["namespace"]:
+        arguments += ["-r", f"__ns:=/{node['namespace'].strip('/')}"]
+    for entry in node["parameters"]:
+        if isinstance(entry, dict):
+            arguments += [word for name, value in entry.items() for word in ("-p", f"{name}:={str(value).lower()}")]
+        else:
+            arguments += ["--params-file", entry]
+    return ["-m", "cloth_sim_ros.ros.main", *arguments]
+
+
+def write_parameters(path: Path, **nodes: dict[str, Any]) -> Path:
+    """A parameter file of several nodes."""
+    path.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
+    return path
+
+
+def test_without_arguments_the_default_cloth_is_launched(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process = start_process(command_line(monkeypatch))
+    process.wait_for_output("900 particles at 60 Hz of wall time, grippers: gripper")
+    assert "expected real-time factor: " in process.output
+    with Client() as client:
+        client.watch("/cloth_sim")
+    # As on Ctrl-C: one signal from the terminal, one from ros2 launch.
+    process.send_signal(2)
+    process.send_signal(2)
+    assert process.wait() == 0
+    assert "Traceback" not in process.output
+
+
+def test_every_argument_reaches_the_node(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = command_line(monkeypatch, use_sim_time="true", log_level="warn", name="towel")
+    process = start_process([*arguments, "-p", "cloth.resolution:=[5, 5]", "-p", "cloth.sizes:=[1.0, 1.0]"])
+    process.wait_for_output("did you mean 'cloth.size'?")
+    with Client() as client:
+        request = GetParameters.Request(names=["use_sim_time"])
+        answer = client.call(GetParameters, "/towel/get_parameters", request)
+        assert answer.values[0].bool_value
+    assert process.interrupt() == 0
+    assert "[INFO]" not in process.output
+
+
+@pytest.mark.parametrize("given", ["", "true", "False"])
+def test_the_clock_of_the_parameter_file_stays_unless_another_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, given: str
+) -> None:
+    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=given, rviz="true")
+    expected = [{"use_sim_time": given == "true"}] if given else []
+    cloth, rviz = launched.nodes
+    assert cloth["parameters"] == ["own.yaml", *expected]
+    assert rviz["parameters"] == expected
+
+
+def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(Launched(monkeypatch).nodes) == 1
+    _, rviz = Launched(monkeypatch, rviz="true", namespace="left_arm", name="towel").nodes
+    assert (rviz["package"], rviz["executable"]) == ("rviz2", "rviz2")
+    option, path = rviz["arguments"]
+    assert option == "-d"
+    manager = yaml.safe_load(Path(path).read_text())["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "world"
+    shown = {entry["Class"].rpartition("/")[2]: entry for entry in manager["Displays"]}
+    assert shown.keys() == {"Grid", "TF", "Marker", "PointCloud2"}
+    topics = {kind: shown[kind]["Topic"] for kind in ("Marker", "PointCloud2")}
+    assert {topic["Reliability Policy"] for topic in topics.values()} == {"Reliable"}
+    (tool,) = (entry["Topic"]["Value"] for entry in manager["Tools"] if entry["Class"].endswith("PublishPoint"))
+    # Those of the configuration, led to those of the node.
+    assert dict(rviz["remappings"]) == {
+        topics["PointCloud2"]["Value"]: "/left_arm/towel/points",
+        topics["Marker"]["Value"]: "/left_arm/towel/mesh",
+        tool: "/left_arm/towel/gripper/point",
+    }
+    _, plain = Launched(monkeypatch, rviz="true").nodes
+    assert all(old == new for old, new in plain["remappings"])
+
+
+def test_a_misspelt_argument_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    launched = Launched(monkeypatch, param_file="own.yaml", robot="left")
+    assert launched.words == ["cloth_sim.launch.py has no argument 'param_file'; did you mean 'params_file'?"]
+
+
+def test_two_cloths_are_launched_from_one_parameter_file(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = {"/left_arm/towel": {"cloth": {"resolution": [5, 6]}}, "/right_arm/sheet": {"cloth": {"resolution": [7, 4]}}}
+    everyone = {"/**": {"rate": 50.0, "grippers": ["finger"], "gripper": {"radius": 0.3}}}
+    file = str(write_parameters(tmp_path / "cloths.yaml", **{**everyone, **own}))
+    cloths = {
+        name: start_process(command_line(monkeypatch, params_file=file, namespace=name[0], name=name[1]))
+        for name in (("left_arm", "towel"), ("right_arm", "sheet"))
+    }
+    for (_, name), process in cloths.items():
+        process.wait_for_output("30 particles" if name == "towel" else "28 particles")
+        assert "at 50 Hz" in process.output
+    with Client() as client:
+        clouds: dict[str, PointCloud2] = {}
+        for namespace, name in cloths:
+            client.node.create_subscription(
+                PointCloud2, f"/{namespace}/{name}/points", lambda cloud, name=name: clouds.__setitem__(name, cloud), 10
+            )
+        client.spin_until(lambda: len(clouds) == 2, what="both clouds")
+        assert {name: (cloud.height, cloud.width) for name, cloud in clouds.items()} == {
+            "towel": (5, 6), "sheet": (7, 4),
+        }  # fmt: skip
+        # What one is told the other does not hear.
+        target = client.publisher(PoseStamped, "/left_arm/towel/finger/target")
+        grasp = client.publisher(Bool, "/left_arm/towel/finger/grasp")
+
+        def is_grasped() -> bool:
+            return "is closed and holds" in cloths["left_arm", "towel"].output
+
+        target.publish(pose(0.5, 0.0, 0.5))
+        grasp.publish(Bool(data=False))
+        client.spin_until(lambda: is_grasped() or close(client, target, grasp), what="the grasp")
+        target.publish(pose(0.5, -0.4, 0.8))
+        client.spin_until(lambda: positions(clouds["towel"])[-1][2] > 0.7, what="one cloth lifted")
+        assert positions(clouds["sheet"])[-1][2] < 0.6
+    for process in cloths.values():
+        assert process.interrupt() == 0
+        assert "several nodes" not in process.output
+
+
+def close(client: Client, target: Any, grasp: Any) -> bool:
+    """Send a target, then a grasp: best effort may lose the first before the node has met its publisher."""
+    target.publish(pose(0.5, 0.0, 0.5))
+    for _ in range(10):
+        client.executor.spin_once(timeout_sec=0.02)
+    grasp.publish(Bool(data=False))
+    grasp.publish(Bool(data=True))
+    return False
+
+
+def test_everything_may_be_remapped(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    remaps = {
+        "~/points": "/perception/cloud", "~/gripper/target": "/arm/commanded", "~/gripper/grasp": "/hand/closed",
+        "~/gripper/wrench": "/arm/felt", "~/pause": "/hold_cloth", "/diagnostics": "/health",
+    }  # fmt: skip
+    arguments = [word for old, new in remaps.items() for word in ("-r", f"{old}:={new}")]
+    process = start_process(["-m", "cloth_sim_ros.ros.main", "--ros-args", *arguments, "-p", "gripper.radius:=0.3"])
+    process.wait_for_output("wall time")
+    with Client() as client:
+        client.node.create_subscription(PointCloud2, "/perception/cloud", client.clouds.append, 10)
+        client.wait_for_clouds(2)
+        target = client.publisher(PoseStamped, "/arm/commanded")
+        grasp = client.publisher(Bool, "/hand/closed")
+        client.spin_until(lambda: "and holds" in process.output or close(client, target, grasp), what="the grasp")
+        client.spin_until(
+            lambda: {"/arm/felt", "/health"} <= {name for name, _ in client.node.get_topic_names_and_types()},
+            what="the remapped outputs",
+        )
+        client.spin_until(
+            lambda: "/hold_cloth" in {name for name, _ in client.node.get_service_names_and_types()},
+            what="the remapped service",
+        )
+    assert process.interrupt() == 0
+
+
+def test_the_documented_process_of_two_cloths(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    page = (ROOT / "docs" / "ros.md").read_text()
+    # With rclpy's own signal handlers, which shut everything down before the cloths are closed.
+    (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "ClothNode" in block)
+    process = start_process([sys.executable, "-c", script])
+    with Client() as client:
+        for name in ("towel", "sheet"):
+            clouds: list[PointCloud2] = []
+            client.node.create_subscription(PointCloud2, f"/robot/{name}/points", clouds.append, 10)
+            client.spin_until(lambda clouds=clouds: len(clouds) > 3, what=f"clouds of {name}")
+    assert process.interrupt() == 0, process.output
+    assert "Traceback" not in process.output

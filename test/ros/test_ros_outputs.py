@@ -1,0 +1,219 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node publishes besides the cloud: the surface for RViz, the topology for those who come late, profiles."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from std_msgs.msg import Bool
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client, positions, stamp_of
+from visualization_msgs.msg import Marker
+
+from cloth_sim_ros.scene.parameters import ParameterError
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 3 4\nf 2 5 3\n"
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+def profile(client: Client, topic: str) -> Any:
+    """What the one publisher of a topic offers, as the graph has it."""
+    found = client.spin_until(lambda: client.node.get_publishers_info_by_topic(topic), what=f"a publisher of {topic}")
+    (info,) = found
+    return info.qos_profile
+
+
+def test_the_surface_is_made_while_someone_looks_and_shows_the_points(client: Client) -> None:
+    with ClockedCloth(client, {"frame_id": "map"}) as cloth:
+        marker = cloth.node._outputs._marker
+        made, make = [], marker.serialized
+        marker.serialized = lambda x, stamp: made.append(stamp) or make(x, stamp)
+        clouds: list[PointCloud2] = []
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
+        client.spin_until(lambda: cloth.node._outputs._points.heard, what="the subscriber of points")
+        cloth.tick(5)
+        assert made == [], "nobody looks"
+        markers: list[Marker] = []
+        looking = client.node.create_subscription(Marker, "/cloth_sim/mesh", markers.append, 100)
+        client.spin_until(lambda: cloth.node._outputs._mesh.heard, what="the subscriber of mesh")
+        cloth.tick(3)
+        client.spin_until(lambda: len(markers) == 3 and len(clouds) >= 8, what="three markers")
+        triangles = cloth.simulation.scene.sheet.triangles()
+        for message, cloud in zip(markers, clouds[-3:], strict=True):
+            assert (message.type, message.action) == (Marker.TRIANGLE_LIST, Marker.ADD)
+            assert message.header.frame_id == "map"
+            assert message.header.stamp == cloud.header.stamp
+            # RViz takes corners three by three, as they are: no scale, no turn, no shift, and it is not to vanish.
+            assert (message.scale.x, message.scale.y, message.scale.z) == (1.0, 1.0, 1.0)
+            assert (message.pose.position.x, message.pose.orientation.w) == (0.0, 1.0)
+            assert (message.lifetime.sec, message.lifetime.nanosec) == (0, 0)
+            corners = np.array([(p.x, p.y, p.z) for p in message.points])
+            np.testing.assert_array_equal(corners.astype(np.float32), positions(cloud)[triangles.ravel()])
+        # One surface a node, replaced by each next one.
+        assert {(message.ns, message.id) for message in markers} == {("/cloth_sim", 0)}
+        client.node.destroy_subscription(looking)
+        client.spin_until(lambda: not cloth.node._outputs._mesh.heard, what="the subscriber gone")
+        count = len(made)
+        cloth.tick(3)
+        assert len(made) == count
+
+
+def test_who_comes_late_gets_the_topology(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        cloth.tick(50)
+        late: list[Mesh] = []
+        client.node.create_subscription(Mesh, "/cloth_sim/topology", late.append, LATCHED)
+        client.spin_until(lambda: late, what="the topology")
+        triangles = [list(triangle.vertex_indices) for triangle in late[0].triangles]
+        assert triangles == cloth.simulation.scene.sheet.triangles().tolist()
+        rest = np.array([(v.x, v.y, v.z) for v in late[0].vertices])
+        np.testing.assert_array_equal(rest, cloth.simulation.scene.sheet.positions())
+        cloth.tick(5)
+        assert len(late) == 1, "said once"
+
+
+def test_a_mesh_is_published_in_its_own_order(client: Client, tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    (tmp_path / "cloth.obj").write_text(OBJ)
+    parameters = {"cloth.mesh": str(tmp_path / "cloth.obj"), "bending.model": "none", "cloth.anchors": ["0", "4"]}
+    with ClockedCloth(client, parameters) as cloth:
+        clouds: list[PointCloud2] = []
+        meshes: list[Mesh] = []
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 10)
+        client.node.create_subscription(Mesh, "/cloth_sim/topology", meshes.append, LATCHED)
+        client.spin_until(lambda: cloth.node._outputs._points.heard and meshes, what="the topology of a mesh")
+        cloth.tick()
+        client.spin_until(lambda: clouds, what="a cloud of a mesh")
+        assert (clouds[0].height, clouds[0].width) == (1, 5)
+        np.testing.assert_array_equal(positions(clouds[0]), cloth.simulation.positions.astype(np.float32))
+        assert [list(triangle.vertex_indices) for triangle in meshes[0].triangles] == [[0, 1, 2], [0, 2, 3], [1, 4, 2]]
+        assert (meshes[0].vertices[4].x, meshes[0].vertices[4].y) == (2.0, 0.0)
+
+
+def test_profiles_are_reliable_and_each_may_be_overridden_by_itself(client: Client) -> None:
+    points = "qos_overrides./cloth_sim/points.publisher"
+    with ClockedCloth(client, {f"{points}.reliability": "best_effort", f"{points}.depth": 3}) as cloth:
+        assert profile(client, "/cloth_sim/points").reliability == ReliabilityPolicy.BEST_EFFORT
+        assert cloth.node._outputs._points._publisher.qos_profile.depth == 3
+        for topic in ("mesh", "topology", "gripper/wrench"):
+            assert profile(client, f"/cloth_sim/{topic}").reliability == ReliabilityPolicy.RELIABLE, topic
+        assert profile(client, "/diagnostics").reliability == ReliabilityPolicy.RELIABLE
+        assert profile(client, "/cloth_sim/topology").durability == DurabilityPolicy.TRANSIENT_LOCAL
+        # Who takes the newest alone gets it; who insists on all of them is not served, as the user wants it.
+        best, all_of_them = [], []
+        effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", best.append, effort)
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", all_of_them.append, 10)
+        client.spin_until(lambda: cloth.node._outputs._points.heard, what="a subscriber")
+        cloth.tick(3)
+        client.spin_until(lambda: best, what="a cloud by best effort")
+        assert all_of_them == []
+    # The next cloth in this process begins with the defaults.
+    with ClockedCloth(client, name="other"):
+        assert profile(client, "/other/points").reliability == ReliabilityPolicy.RELIABLE
+
+
+@pytest.mark.parametrize(
+    ("policy", "value"),
+    [("reliability", "sometimes"), ("reliability", 1), ("history", "none"), ("depth", "many"), ("depth", -1)],
+)
+def test_a_senseless_profile_is_refused(client: Client, policy: str, value: Any) -> None:
+    name = f"qos_overrides./cloth_sim/points.publisher.{policy}"
+    words = r"qos_overrides\./cloth_sim/points\.publisher: .*; reliability is reliable or best_effort"
+    with pytest.raises(ParameterError, match=words), ClockedCloth(client, {name: value}):
+        pass
+
+
+def test_frames_of_one_stamp_belong_together(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        clouds: list[PointCloud2] = []
+        wrenches: list[WrenchStamped] = []
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
+        client.node.create_subscription(WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, 100)
+        outputs = cloth.node._outputs
+        client.spin_until(lambda: outputs._points.heard and outputs._wrenches[0].heard, what="both subscribers")
+        cloth.tick(10)
+        client.spin_until(lambda: len(clouds) >= 10 and len(wrenches) >= 10, what="ten of each")
+        assert [stamp_of(cloud) for cloud in clouds] == [stamp_of(wrench) for wrench in wrenches]
+
+
+def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
+    # What the accuracy says, test_ros_accuracy.py looks at.
+    section = page.split("## Diagnostics\n")[1].split("\n### ")[0]
+    cells = [line.split("|") for line in section.splitlines() if line.startswith("| `")]
+    documented = {name for cell in cells for name in re.findall(r"`(\w+)`", cell[1])}
+    documented |= set(re.findall(r"`(energy_\w+)`", section))
+    with ClockedCloth(client, {"diagnostics.energy": True}) as cloth:
+        seen: list[DiagnosticStatus] = []
+        client.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10
+        )
+        client.spin_until(lambda: cloth.node._diagnostics._output.heard, what="the subscriber of diagnostics")
+        cloth.target("gripper", (0.5, 0.0, 0.5))
+        cloth.tick(30)
+        seen.clear()
+        cloth.node._diagnostics.send()
+        status = client.spin_until(lambda: seen and seen[0], what="diagnostics")
+        values = {entry.key: entry.value for entry in status.values}
+        assert status.name == "cloth_sim: cloth"
+        # Of a recording there is only something to say where there is one.
+        assert set(values) == documented - {"recording_file", "recording_dropped"}
+        assert (values["frame"], values["paused"], values["recording"]) == ("30", "false", "off")
+        assert (values["commands_received"], values["commands_refused"]) == ("1", "0")
+        # It falls from flat: what it gains in motion and stretch it has from its height, and the balance closes.
+        turned_over = 0.2 * 9.81 * (0.5 - float(cloth.simulation.positions[:, 2].mean() - 0.5))
+        assert abs(float(values["energy_balance_j"])) < 1e-3 * max(turned_over, 1e-2)
+        assert float(values["energy_dissipated_j"]) > 0.0
+
+
+def test_the_strain_is_that_of_the_longest_edge_and_measured_for_readers_alone(client: Client) -> None:
+    with ClockedCloth(client, {"cloth.resolution": [6, 6], "cloth.size": [1.0, 2.0]}) as cloth:
+        gauge = cloth.node._diagnostics._collect._gauge
+        x = cloth.simulation.state.x.copy()
+        assert gauge.largest(x) == pytest.approx(0.0, abs=1e-12)
+        away = np.linalg.norm(x[:, 1] - x[:, 0])
+        x[:, 0] = x[:, 1] + 1.5 * (x[:, 0] - x[:, 1])
+        assert away > 0.0
+        assert gauge.largest(x) == pytest.approx(0.5)
+        asked: list[bool] = []
+        cloth.node._diagnostics._collect._gauge.largest = lambda x: asked.append(True)
+        cloth.node._diagnostics.send()
+        assert not asked
+        client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: None, 10)
+        client.spin_until(lambda: cloth.node._diagnostics._output.heard, what="the subscriber of diagnostics")
+        cloth.node._diagnostics.send()
+        assert asked
+
+
+def test_targets_are_taken_from_any_publisher_and_grasps_from_reliable_ones(client: Client) -> None:
+    profiles = {
+        policy: QoSProfile(depth=10, reliability=policy)
+        for policy in (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)
+    }
+    with ClockedCloth(client):
+        for policy, profile in profiles.items():
+            for kind, leaf in ((PoseStamped, "target"), (PointStamped, "point")):
+                publisher = client.node.create_publisher(kind, f"/cloth_sim/gripper/{leaf}", profile)
+                client.spin_until(publisher.get_subscription_count, what=f"{leaf} of a {policy.name} publisher")
+        sure = client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", profiles[ReliabilityPolicy.RELIABLE])
+        unsure = client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", profiles[ReliabilityPolicy.BEST_EFFORT])
+        client.spin_until(sure.get_subscription_count, what="grasp of a reliable publisher")
+        assert unsure.get_subscription_count() == 0, "a grasp that may get lost is none"

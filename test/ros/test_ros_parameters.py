@@ -1,0 +1,191 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter of a running node: described, ranged, set from the next frame on, or refused with the reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client
+
+from cloth_sim_ros import Scene
+from cloth_sim_ros.ros.parameters import declare, describe
+from cloth_sim_ros.scene import parameter_file
+
+DECLARED = {entry.name: entry for entry in Scene.declared()}
+#: A value of another type for each type.
+WRONG = {"bool": "yes", "int": 1.5, "double": "much", "string": 7}
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_descriptor(name: str) -> None:
+    entry, descriptor = DECLARED[name], describe(DECLARED[name])
+    assert descriptor.name == name
+    assert len(descriptor.description) > 10
+    assert descriptor.type != ParameterType.PARAMETER_NOT_SET
+    assert not descriptor.dynamic_typing
+    assert descriptor.read_only is not entry.live
+    assert ("may change while the cloth runs" in descriptor.additional_constraints) is entry.live
+    if entry.unit:
+        assert descriptor.description.endswith(f"[{entry.unit}]")
+    for choice in entry.choices:
+        assert choice in descriptor.additional_constraints
+    if entry.length is not None:
+        assert f"{entry.length} entries" in descriptor.additional_constraints
+    if entry.kind in ("double", "int"):
+        # A number that has no limits is one that nobody thought about.
+        (limits,) = descriptor.floating_point_range if entry.kind == "double" else descriptor.integer_range
+        assert (limits.from_value, limits.to_value) == (entry.least, entry.most)
+        assert limits.step == 0
+    elif entry.least is not None:
+        assert f"from {entry.least} to {entry.most}" in descriptor.additional_constraints
+
+
+def test_every_bad_value_is_refused_with_the_reason(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        before = cloth.simulation.scene
+        for name, entry in DECLARED.items():
+            for value in bad_values(entry):
+                (result,) = cloth.node.node.set_parameters([Parameter(name, value=value)])
+                assert not result.successful, f"{name} took {value!r}"
+                assert result.reason
+                # rclpy refuses wrong types, and what is read-only, in its own words.
+                words = (name, "read-only", "Wrong parameter type")
+                assert any(word in result.reason for word in words), f"{name}: {result.reason}"
+        cloth.tick()
+        assert cloth.simulation.scene == before
+
+
+def bad_values(entry: Any) -> list[Any]:
+    element = WRONG[entry.element]
+    values: list[Any] = [[element] if entry.is_array else element]
+    if not entry.live or entry.is_array:
+        return values
+    if entry.kind == "double":
+        values += [math.nan, math.inf, entry.most * 1.1, entry.least - 1.0]
+        if entry.open_least:
+            values.append(entry.least)
+    if entry.choices:
+        values.append("nothing of the kind")
+    return values
+
+
+def test_every_live_parameter_takes_effect_at_the_next_frame(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        cloth.tick()
+        for name, entry in DECLARED.items():
+            if not entry.live:
+                continue
+            value = other_value(entry, cloth.simulation.scene.parameters()[name])
+            (result,) = cloth.node.node.set_parameters(
+                [Parameter(name, value=list(value) if entry.is_array else value)]
+            )
+            if not result.successful:
+                # Of this cloth's bending model, or together with the rest, it makes no sense: that is said.
+                assert result.reason
+                continue
+            assert cloth.simulation.scene.parameters()[name] != value, "not before its frame"
+            cloth.tick()
+            assert cloth.simulation.scene.parameters()[name] == value
+            assert (
+                Scene.from_parameters({"cloth.resolution": [6, 7]}).changed({name: value}).parameters()[name] == value
+            )
+
+
+def other_value(entry: Any, value: Any) -> Any:
+    if entry.kind == "bool":
+        return not value
+    if entry.choices:
+        return next(choice for choice in entry.choices if choice != value)
+    if entry.kind == "string":
+        return f"other_{value}"
+    if entry.is_array:
+        return ("left", "3") if entry.element == "string" else tuple(0.5 * number + 0.25 for number in value)
+    return 0.9 * value if value else 0.001 * entry.most**0.5
+
+
+def test_what_time_it_follows_is_chosen_at_the_start(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        for value in (False, True):
+            (result,) = cloth.node.node.set_parameters([Parameter("use_sim_time", value=value)])
+            assert result.successful is value, "the same once more changes nothing"
+        assert "use_sim_time can't change while the cloth runs; set it at start" in (
+            cloth.node.node.set_parameters([Parameter("use_sim_time", value=False)])[0].reason
+        )
+        cloth.tick(2)
+
+
+def test_a_misspelt_profile_is_told(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
+    right = "qos_overrides./cloth_sim/points.publisher.reliability"
+    wrong = "qos_overrides./cloth_sim/pionts.publisher.reliability"
+    with ClockedCloth(client, {right: "best_effort", wrong: "best_effort"}):
+        pass
+    told = capfd.readouterr().err
+    assert f"there is no parameter '{wrong}', what sets it has no effect; did you mean '{right}'?" in told
+    assert f"'{right}', what sets" not in told
+
+
+def test_a_file_of_all_parameters_starts_the_same_cloth(client: Client, tmp_path: Path) -> None:
+    # As `ros2 param dump` writes them: every parameter, also those at their default.
+    scene = Scene.from_parameters(
+        {"cloth.resolution": [5, 6], "material.density": 0.123456789012345678, "grippers": ["left", "right"],
+         "cloth.anchors": ["top_left", "3"], "tolerance": 2e-5, "gravity": [0.0, 1e-7, -9.80665]}
+    )  # fmt: skip
+    path = tmp_path / "all.yaml"
+    path.write_text(parameter_file.dump(scene.parameters()))
+    assert Scene.from_file(path) == scene
+    node = reading(client, path)
+    assert declare(node) == scene
+    node.destroy_node()
+
+
+#: Plain scalars of which YAML 1.1 and ROS's own parser make something, not always the same.
+PLAIN = [
+    "1e-5", "1.0e-5", "-.5", "5.", "+3.0", "1E3", "1e3", "0x10", "010", "08", "-7", "0", "1_000", "1_000.0", "12:30",
+    "2026-11-21", ".inf", "y", "n", "Y", "yes", "On", "off", "TRUE", "tRUE", "left", "'1e3'", "'y'", "1.2.3", "e5",
+    "--1",
+]  # fmt: skip
+
+
+def test_plain_scalars_of_files_mean_the_same_with_and_without_ros(client: Client, tmp_path: Path) -> None:
+    path = tmp_path / "scalars.yaml"
+    lines = "\n".join(f"    v{number}: {text}" for number, text in enumerate(PLAIN))
+    path.write_text(f"/**:\n  ros__parameters:\n{lines}\n")
+    node = reading(client, path)
+    without = parameter_file.read(path)
+    for number, text in enumerate(PLAIN):
+        value = node.get_parameter(f"v{number}").value
+        assert (without[f"v{number}"], type(without[f"v{number}"])) == (value, type(value)), text
+    node.destroy_node()
+
+
+def test_what_is_written_is_read_back_with_and_without_ros(client: Client, tmp_path: Path) -> None:
+    values = {f"v{number}": text for number, text in enumerate(PLAIN)}
+    values |= {"f0": 1e-5, "f1": 1e300, "f2": 2.3e-308, "f3": -0.1, "i0": -(2**63), "b0": True, "l0": ["y", "1e3"]}
+    path = tmp_path / "written.yaml"
+    path.write_text(parameter_file.dump(values))
+    assert parameter_file.read(path) == values
+    node = reading(client, path)
+    assert {name: node.get_parameter(name).value for name in values} == values
+    node.destroy_node()
+
+
+def reading(client: Client, path: Path) -> Node:
+    """A node that was given a parameter file."""
+    arguments = ["--ros-args", "--params-file", str(path)]
+    options: dict[str, Any] = {"cli_args": arguments, "automatically_declare_parameters_from_overrides": True}
+    return Node("cloth_sim", context=client.context, **options)

@@ -1,0 +1,228 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What gives way where the machine is too slow: `overload` relaxes the tolerance within bounds, by recorded events."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from support.ros_client import Client
+
+from cloth_sim_ros import Frame, Relax, Scene, SetParameters, Simulation
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.ros.clock import Due
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.relief import FEWEST, MOST_PATIENCE, PATIENCE, Relief
+
+#: A power of two, so that windows end where they are expected to.
+PERIOD = 1.0 / 64.0
+
+
+class Machine:
+    """A cloth on a machine that takes as long for a frame as it is told, whatever the frame holds."""
+
+    def __init__(self, **values: Any) -> None:
+        self.lines: list[str] = []
+        self.simulation = Simulation(
+            Scene.from_parameters(
+                {"rate": 64.0, "cloth.resolution": (4, 4), "overload": "relax", "tolerance": 1e-4} | values
+            )
+        )
+        self.relief = Relief(self.simulation, ThrottledLog(self, seconds=0.0))
+
+    def warning(self, text: str) -> None:
+        self.lines.append(text)
+
+    info = error = warning
+
+    def run(self, load: float, *, windows: int = 1, steps: int = 100, moved: bool = True) -> list[float]:
+        """Let windows of frames pass that take a share of their period; the factors that came into force."""
+        found = []
+        # By the last frame a window is half a second or five frames long.
+        for _ in range(windows * max(FEWEST, int(np.ceil(0.5 / (PERIOD * max(load, 1.0)))))):
+            events = self.relief.events()
+            found += [event.factor for event in events]
+            frame = self.simulation.advance(events)
+            advance = Advance(steps=steps, evaluations=steps, step=PERIOD / steps, limit=PERIOD / 9.0)
+            self.relief.add(made(frame, advance, moved=moved), load * PERIOD)
+        return found
+
+    def in_force(self) -> tuple[str, str, str]:
+        told = self.relief.describe()
+        return told["tolerance_m"], told["tolerance_in_force_m"], told["tolerance_why"]
+
+
+def made(frame: Frame, advance: Advance, *, moved: bool) -> Frame:
+    import attrs
+
+    return attrs.evolve(frame, advance=advance, moved=moved)
+
+
+def test_it_is_relaxed_up_to_ten_times_and_says_so() -> None:
+    machine = Machine()
+    assert machine.in_force() == ("0.0001", "0.0001", "as it was set")
+    assert machine.run(1.3, windows=8) == [2.0, 4.0, 8.0, 10.0]
+    set_to, in_force, why = machine.in_force()
+    assert (set_to, in_force) == ("0.0001", "0.001")
+    assert why == "frames take 130 % of their time, and the tolerance is relaxed as far as may be: frames come late"
+    assert "the tolerance is 0.001 m instead of 0.0001 m: frames take 130 % of their time" in machine.lines
+
+
+def test_none_is_relaxed_beyond_a_centimetre() -> None:
+    machine = Machine(tolerance=4e-3)
+    machine.run(1.3, windows=8)
+    assert machine.in_force()[1] == "0.01"
+
+
+def test_it_is_tightened_again_where_there_is_room_and_not_before() -> None:
+    machine = Machine()
+    machine.run(1.3, windows=3)
+    assert machine.run(0.7, windows=3 * PATIENCE) == [8.0], "the last of the relaxations"
+    assert machine.run(0.3, windows=PATIENCE) == []
+    assert machine.run(0.3, windows=2 * PATIENCE + 1) == [4.0, 2.0, 1.0]
+    assert machine.in_force() == ("0.0001", "0.0001", "as it was set")
+    assert machine.lines[-1] == "the tolerance is 0.0001 m again, as it was set: frames take 30 % of their time"
+
+
+def test_tightened_too_early_it_waits_longer_every_time() -> None:
+    machine = Machine()
+    waits = []
+    for _ in range(7):
+        machine.run(1.3)
+        waits.append(next(count for count in range(2 * MOST_PATIENCE) if 1.0 in machine.run(0.3)))
+    assert waits == [PATIENCE, 8, 16, 32, MOST_PATIENCE, MOST_PATIENCE, MOST_PATIENCE]
+
+
+def test_nothing_is_given_up_where_stability_sets_the_steps() -> None:
+    machine = Machine()
+    assert machine.run(2.0, windows=3, steps=10) == []
+    assert machine.in_force()[2] == (
+        "frames take 200 % of their time, but stability sets the steps: a larger tolerance would buy nothing, "
+        "frames come late"
+    )
+    assert len(machine.lines) == 1
+    machine.run(0.7)
+    assert machine.in_force()[2] == "as it was set"
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"overload": "slow"}, ("0.0001", "0.0001", "as it was set")),
+        ({"tolerance": 0.0}, ("none", "none", "none is set")),
+        ({"step": 1e-4}, ("none", "none", "a fixed step holds none")),
+    ],
+    ids=["not asked for", "no tolerance", "fixed step"],
+)
+def test_there_is_nothing_to_relax(values: dict[str, Any], told: tuple[str, str, str]) -> None:
+    machine = Machine(**values)
+    assert machine.run(3.0, windows=3) == []
+    assert machine.in_force() == told
+    assert machine.lines == []
+
+
+def test_a_single_long_frame_and_paused_time_are_no_overload() -> None:
+    machine = Machine()
+    for _ in range(10):
+        machine.run(5.0, windows=0)
+        machine.relief.add(machine.simulation.advance(), 20.0 * PERIOD)
+        for _ in range(31):
+            machine.relief.add(machine.simulation.advance(), 0.1 * PERIOD)
+    assert machine.run(5.0, windows=3, moved=False) == []
+
+
+def test_whoever_wants_it_no_more_has_their_own_tolerance_back() -> None:
+    machine = Machine()
+    machine.run(1.3, windows=4)
+    machine.simulation.advance([SetParameters({"overload": "slow"})])
+    assert machine.relief.events() == [Relax(1.0)]
+
+
+def test_time_that_follows_a_clock_has_no_overload() -> None:
+    machine = Machine()
+    machine.relief.live = False
+    assert machine.run(3.0, windows=3) == []
+
+
+def test_a_node_relaxes_and_its_session_runs_again(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+    from cloth_sim_ros.verify.run import verify
+
+    watch = SlowWatch()
+    monkeypatch.setattr("cloth_sim_ros.ros.node.WallPacer", HandPacer)
+    monkeypatch.setattr("cloth_sim_ros.ros.node.time", watch)
+    wanted = {
+        "overload": "relax",
+        "tolerance": 1e-8,
+        "cloth.resolution": [8, 8],
+        "record.enabled": True,
+        "record.folder": str(tmp_path),
+    }
+    with Client() as client:
+        cloth = ClothNode(
+            context=client.context, parameter_overrides=[Parameter(name, value=value) for name, value in wanted.items()]
+        )
+        cloth.start()
+        frames(cloth, 60)
+        assert cloth._relief.describe()["tolerance_in_force_m"] == "1e-07"
+        assert cloth.node.get_parameter("tolerance").value == 1e-8, "what the user set"
+        watch.frame = 0.001
+        frames(cloth, 150)
+        (result,) = cloth.node.set_parameters([Parameter("overload", value="slow")])
+        assert result.successful
+        frames(cloth, 2)
+        assert cloth._relief.describe()["tolerance_in_force_m"] == "1e-08"
+        assert cloth.close(timeout=30.0)
+        cloth.node.destroy_node()
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionReader(path) as reader:
+        records = list(reader.frames())
+    factors = [event["factor"] for record in records for event in record.events if event["kind"] == "relax"]
+    assert factors == [2.0, 4.0, 8.0, 10.0, 5.0, 1.0]
+    assert {1e-8, 1e-7} <= {record.tolerance for record in records}
+    verdict = verify([path])
+    assert verdict.same, verdict.first_reason
+    assert verdict.frames == len(records) == 212
+
+
+class SlowWatch:
+    """Stands for the module time: a frame takes as long as it is told."""
+
+    def __init__(self) -> None:
+        self.frame = 0.1
+        self._now = 0.0
+
+    def monotonic(self) -> float:
+        """Every frame looks at it twice."""
+        self._now += self.frame
+        return self._now
+
+
+class HandPacer:
+    """Frames when the test says so."""
+
+    period = 16_666_667
+
+    def __init__(self, _node: Any, *, rate: float, on_due: Any, settled: Any) -> None:
+        self.on_due = on_due
+
+    def start(self) -> None:
+        """Nothing: nobody waits."""
+
+    def stop(self) -> None:
+        """Nothing: nothing runs."""
+
+
+def frames(cloth: ClothNode, count: int) -> None:
+    """Let frames be due now."""
+    for _ in range(count):
+        due = cloth.node.get_clock().now().nanoseconds
+        cloth._pacer.on_due(Due(stamp=due, lateness=0, skipped=0))  # type: ignore[union-attr]

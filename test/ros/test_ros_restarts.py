@@ -1,0 +1,201 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node, gripper and subscribers killed, stalled and started again amid a grasp: nobody waits for the dead."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from std_srvs.srv import SetBool, Trigger
+from support.ros_client import LIMIT, STARTED, Client, positions
+
+SUBSCRIBER = Path(__file__).parents[1] / "support" / "plain_subscriber.py"
+LIFTED = np.array([0.4, -0.4, 0.9])
+STEPS = [
+    {"time": 0.0, "position": [0.5, 0.0, 0.5]},
+    {"time": 1.0, "position": [0.5, 0.0, 0.5], "close": True},
+    {"time": 2.0, "position": LIFTED.tolist()},
+    {"time": 600.0, "close": False},
+]
+
+
+class Actors:
+    """The processes of a grasp, each killed and started again by name."""
+
+    def __init__(self, start_process: Callable[..., Any], folder: Path) -> None:
+        self._start = start_process
+        self._folder = folder
+        self._processes: dict[str, Any] = {}
+        (folder / "script.yaml").write_text(yaml.safe_dump({"steps": STEPS}))
+
+    def start(self, name: str, *, wait: bool = True) -> None:
+        record = ["-p", "record.enabled:=true", "-p", f"record.folder:={self._folder / 'sessions'}"]
+        arguments = {
+            "node": ["-m", "cloth_sim_ros.ros.main", "--ros-args", "-p", "cloth.resolution:=[12, 12]", *record],
+            "gripper": ["-m", "cloth_sim_ros.ros.gripper_main", self._folder / "script.yaml"],
+            "subscriber": [sys.executable, SUBSCRIBER, "/cloth_sim/points", self._folder / "received"],
+        }[name]
+        self._processes[name] = self._start(arguments)
+        if wait:
+            self.wait_for_output(name, {"node": STARTED, "gripper": "waiting for", "subscriber": "ready"}[name])
+
+    def signal(self, name: str, number: int) -> None:
+        self._processes[name].send_signal(number)
+
+    def kill(self, name: str) -> None:
+        self.signal(name, signal.SIGKILL)
+        self._processes[name].wait()
+
+    def interrupt(self, name: str) -> int:
+        return int(self._processes[name].interrupt())
+
+    def wait_for_output(self, name: str, text: str) -> None:
+        self._processes[name].wait_for_output(text)
+
+    def output(self, name: str) -> str:
+        return str(self._processes[name].output)
+
+    @property
+    def received(self) -> int:
+        """Bytes that the subscriber has written."""
+        return (self._folder / "received").stat().st_size
+
+
+def is_lifted(client: Client) -> bool:
+    return bool(client.clouds) and bool(np.linalg.norm(positions(client.clouds[-1])[-1] - LIFTED) < 0.03)
+
+
+@pytest.fixture
+def grasp(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> Iterator[tuple[Actors, Client]]:
+    actors = Actors(start_process, tmp_path)
+    for name in ("subscriber", "node", "gripper"):
+        actors.start(name)
+    with Client() as client:
+        client.watch()
+        client.spin_until(lambda: is_lifted(client), what="the corner lifted", limit=2 * LIMIT)
+        yield actors, client
+
+
+def lifted_again(actors: Actors, client: Client) -> None:
+    """A new gripper finds the cloth and lifts it."""
+    client.clouds.clear()
+    client.spin_until(lambda: is_lifted(client), what="the corner lifted again", limit=2 * LIMIT)
+    before = actors.received
+    client.spin_until(lambda: actors.received > before, what="the subscriber to receive on")
+
+
+def test_the_node_dies_first_and_its_callers_go_on(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
+    actors, client = grasp
+    # A question under way when it dies: it is never answered, and holds nobody up.
+    asked = client.node.create_client(SetBool, "/cloth_sim/gripper/close")
+    client.spin_until(asked.service_is_ready, what="the service")
+    actors.signal("node", signal.SIGSTOP)
+    future = asked.call_async(SetBool.Request(data=False))
+    actors.kill("node")
+    assert not future.done()
+    # The gripper plays on into the void; a new cloth hears its targets, and is not grasped by it.
+    actors.start("node")
+    client.clouds.clear()
+    client.wait_for_clouds(30)
+    assert not is_lifted(client)
+    assert "played" not in actors.output("gripper")
+    # Its successor opens, closes and lifts.
+    actors.kill("gripper")
+    actors.start("gripper")
+    lifted_again(actors, client)
+    assert client.call(Trigger, "/cloth_sim/reset").success
+    assert actors.interrupt("gripper") == 130
+    assert actors.interrupt("node") == 0
+    check_sessions(tmp_path / "sessions", 2)
+
+
+def test_everyone_dies_at_once_and_returns_in_reverse(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
+    actors, client = grasp
+    for name in ("node", "gripper", "subscriber"):
+        actors.signal(name, signal.SIGKILL)
+    for name in ("gripper", "subscriber"):
+        actors.start(name)
+    actors.start("node")
+    lifted_again(actors, client)
+    assert actors.interrupt("node") == 0
+    check_sessions(tmp_path / "sessions", 2)
+
+
+def test_stalled_processes_hold_nobody_up(grasp: tuple[Actors, Client]) -> None:
+    actors, client = grasp
+    # A reliable subscriber that takes nothing any more: the node publishes on, and it gets what is newest afterwards.
+    actors.signal("subscriber", signal.SIGSTOP)
+    frames = len(client.clouds)
+    client.wait_for_clouds(120)
+    assert is_lifted(client)
+    before = actors.received
+    actors.signal("subscriber", signal.SIGCONT)
+    client.spin_until(lambda: actors.received > before, what="the subscriber to receive on")
+    # The node itself: frames are left out, the grasp stays.
+    actors.signal("node", signal.SIGSTOP)
+    for _ in range(60):
+        client.executor.spin_once(timeout_sec=0.02)
+    actors.signal("node", signal.SIGCONT)
+    client.wait_for_clouds(30)
+    assert is_lifted(client)
+    # The gripper: silent for long, then its target is where it was.
+    actors.signal("gripper", signal.SIGSTOP)
+    client.wait_for_clouds(60)
+    actors.signal("gripper", signal.SIGCONT)
+    client.wait_for_clouds(30)
+    assert is_lifted(client)
+    assert len(client.clouds) > frames
+    assert actors.interrupt("node") == 0
+    assert "Traceback" not in actors.output("node")
+
+
+def test_a_gripper_held_up_over_its_grasp_closes_where_the_cloth_is(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    actors = Actors(start_process, tmp_path)
+    actors.start("node")
+    with Client() as client:
+        client.watch()
+        actors.start("gripper")
+        # By its script it closes a second from now, and moves away after that.
+        actors.wait_for_output("gripper", "playing")
+        actors.signal("gripper", signal.SIGSTOP)
+        # Until well after the lift.
+        client.wait_for_clouds(180)
+        actors.signal("gripper", signal.SIGCONT)
+        client.spin_until(lambda: is_lifted(client), what="the corner lifted")
+
+
+def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> None:
+    actors, client = grasp
+    for _ in range(4):
+        actors.kill("subscriber")
+        actors.start("subscriber", wait=False)
+        client.wait_for_clouds(20)
+        assert is_lifted(client)
+    before = actors.received
+    client.spin_until(lambda: actors.received > before, what="the last subscriber to receive")
+    # A node that ends while a subscriber is dead but not yet missed does not wait for it.
+    actors.kill("subscriber")
+    assert actors.interrupt("node") == 0
+    assert "Traceback" not in actors.output("node")
+
+
+def check_sessions(folder: Path, count: int) -> None:
+    """Every file of a killed node is read to where it goes, and runs again."""
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.verify.run import verify
+
+    paths = sorted(folder.glob("*.mcap"))
+    assert len(paths) == count
+    for path in paths:
+        verdict = verify([path])
+        assert verdict.same, verdict
+        assert verdict.frames > 30

@@ -1,0 +1,180 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Signals: the node ends in order, its recording closed, however it is asked to."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from support.ros_client import start_cloth
+
+from cloth_sim_ros.ros.aside import Aside
+from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
+
+#: What issue and launch files promise is 2 s; the rest is for a busy machine.
+LIMIT = 10.0
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [[signal.SIGTERM], [signal.SIGINT, signal.SIGINT]],
+    ids=lambda numbers: "+".join(number.name for number in numbers),
+)
+def test_a_signal_closes_the_recording(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path, numbers: list[signal.Signals]
+) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+
+    process = start_cloth(start_process, "record.enabled:=true", f"record.folder:={tmp_path}")
+    for number in numbers:
+        process.send_signal(number)
+        process.wait_for_output(": stopping")
+    assert process.wait(limit=LIMIT) == 0, process.output
+    assert "Traceback" not in process.output
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionReader(path, strict=True) as reader:
+        list(reader.messages())
+        assert reader.complete
+
+
+#: A node whose frames, from the twentieth on, are in the engine for ever.
+ENDLESS = """
+import sys
+import numpy as np
+from cloth_sim_ros import Model, PairSprings, compile
+from cloth_sim_ros.ros.main import main
+from cloth_sim_ros.simulation.simulation import Simulation
+
+many = np.arange(2000)
+plan = compile(Model(np.ones(2000), [PairSprings(many.reshape(-1, 2), rest_length=1.0, stiffness=1.0, damping=0.0)]))
+x = np.stack([1.0 * many, 0.0 * many, 0.0 * many])
+advance = Simulation.advance
+
+def endless(self, events=()):
+    frame = advance(self, events)
+    if frame.index == 20:
+        print("amid a frame", flush=True)
+        plan.runs(0.0, 1.0, (x, 0.0 * x), [2**31 - 1])  # some hours
+    return frame
+
+Simulation.advance = endless
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_signal_amid_a_frame_of_the_engine(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+
+    parameters = ["cloth.resolution:=[5, 5]", "record.enabled:=true", f"record.folder:={tmp_path / 'sessions'}"]
+    arguments = [argument for parameter in parameters for argument in ("-p", parameter)]
+    process = start_process([sys.executable, "-c", ENDLESS, "--ros-args", *arguments])
+    process.wait_for_output("amid a frame")
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(limit=LIMIT) == 0, process.output
+    assert "Traceback" not in process.output
+    (path,) = (tmp_path / "sessions").glob("*.mcap")
+    with SessionReader(path, strict=True) as reader:
+        assert len([message for message in reader.messages() if message.topic.endswith("/frame")]) == 19
+        assert reader.complete
+
+
+@pytest.mark.parametrize(
+    "loaded",
+    ["cloth_sim_ros.ros.stopping", "rclpy.node", "numpy.linalg", "cloth_sim_ros.simulation.simulation"],
+)
+def test_a_signal_while_starting_ends_in_order(ros_domain: int, start_process: Callable[..., Any], loaded: str) -> None:
+    # Python says what it has loaded: a moment of the start that is the same on every machine.
+    environment = {"PYTHONPROFILEIMPORTTIME": "1"}
+    process = start_process(["-m", "cloth_sim_ros.ros.main"], env=environment)
+    process.wait_for_output(f" {loaded}\n")
+    assert process.interrupt(limit=LIMIT) == 0, process.output
+    assert "Traceback" not in process.output
+    said = [line for line in process.output.splitlines() if not line.startswith("import time:")]
+    assert said == ["cloth_sim: SIGINT: stopped while starting"]
+
+
+@pytest.fixture
+def signals() -> Iterator[StopSignals]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signals = StopSignals()
+    signals.install()
+    yield signals
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_signal_raises_nothing_amid_whatever_it_meets(signals: StopSignals) -> None:
+    aside = Aside(signals.name)
+
+    def interrupted() -> str:
+        os.kill(os.getpid(), signal.SIGINT)
+        return "done"
+
+    # What is done soon is done; what would begin afterwards does not.
+    assert aside.run(interrupted) == "done"
+    assert not aside.left
+    with pytest.raises(StopRequestedError, match="SIGINT"):
+        aside.run(lambda: pytest.fail("it began"))
+
+
+def test_a_job_that_goes_on_is_left(signals: StopSignals) -> None:
+    aside, ended = Aside(signals.name), threading.Event()
+
+    def endless() -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        ended.wait()
+
+    with pytest.raises(StopRequestedError, match="SIGTERM"):
+        aside.run(endless)
+    assert aside.left
+    ended.set()
+
+
+@pytest.mark.parametrize("rate", [60.0, 1000.0])
+def test_signals_at_any_moment_end_it_with_one_line(
+    ros_domain: int, start_process: Callable[..., Any], rate: float
+) -> None:
+    for _ in range(3):
+        process = start_cloth(start_process, f"rate:={rate}", "cloth.resolution:=[12, 12]")
+        assert process.interrupt(limit=LIMIT) == 0, process.output
+        assert process.output.count("SIGINT") == 1
+        assert process.output.splitlines()[-1].endswith("[cloth_sim]: SIGINT: stopping")
+
+
+def test_a_gripper_that_waits_ends_at_once(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    process = start_process(["-m", "cloth_sim_ros.ros.gripper_main"])
+    process.wait_for_output("waiting for")
+    assert process.interrupt(limit=LIMIT) == 130
+    assert "Traceback" not in process.output
+
+
+def test_a_context_that_ends_amid_the_closing_is_no_error(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As rclpy's own signal handler ends it: nobody is left to be told, and the recording is closed all the same."""
+    context = rclpy.Context()
+    context.init()
+    cloth = ClothNode(context=context)
+    cloth.start()
+    names = cloth.node.get_node_names_and_namespaces
+
+    def late() -> list[tuple[str, str]]:
+        context.shutdown()
+        return list(names())
+
+    monkeypatch.setattr(cloth.node, "get_node_names_and_namespaces", late)
+    assert cloth.close()
+    assert not context.ok()
+    cloth.node.destroy_node()

@@ -1,0 +1,90 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a frame costs the executor: few turns, and few things to look at in each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client
+
+from cloth_sim_ros.ros.node import ClothNode
+
+AT_REST = {"cloth.resolution": [5, 5], "gravity": [0.0, 0.0, 0.0]}
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+def test_a_frame_takes_one_turn_of_the_executor(client: Client) -> None:
+    overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"rate": 500.0}).items()]
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides)
+    client.executor.add_node(cloth.node)
+    cloth.start()
+    try:
+        client.spin_until(lambda: cloth.simulation.frame > 50, what="frames")
+        begun, turns = cloth.simulation.frame, 0
+        while cloth.simulation.frame < begun + 200:
+            client.executor.spin_once(timeout_sec=1.0)
+            turns += 1
+        # Beside them there is little: the node looks after itself ten times a second.
+        assert turns < 1.5 * 200
+    finally:
+        client.executor.remove_node(cloth.node)
+        cloth.close()
+        cloth.node.destroy_node()
+
+
+def test_there_is_little_to_look_at_in_each(client: Client) -> None:
+    bare = len(list(client.node.waitables))
+    with ClockedCloth(client, AT_REST) as cloth:
+        assert len(list(cloth.node.node.timers)) == 1
+        # Nothing of the topics that it offers; of the clock and the grasps it hears, and of what every node has.
+        assert len(list(cloth.node.node.waitables)) <= bare + 3
+
+
+def test_a_sleeping_frame_wakes_no_other_thread(client: Client) -> None:
+    asked: list[int] = []
+
+    def aside(job: Callable[[], Any]) -> Any:
+        asked.append(1)
+        return job()
+
+    overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"use_sim_time": False}).items()]
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, aside=aside)
+    client.executor.add_node(cloth.node)
+    cloth.start()
+    try:
+        client.spin_until(lambda: cloth.simulation.sleeps_on, what="sleep")
+        before, frame = len(asked), cloth.simulation.frame
+        client.spin_until(lambda: cloth.simulation.frame >= frame + 20, what="frames")
+        assert len(asked) == before
+    finally:
+        client.executor.remove_node(cloth.node)
+        cloth.close()
+        cloth.node.destroy_node()
+
+
+def test_a_publisher_of_grasps_that_would_not_be_heard_is_told(
+    client: Client, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with ClockedCloth(client, AT_REST):
+        effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", effort)
+        said = ""
+
+        def told() -> bool:
+            nonlocal said
+            said += capfd.readouterr().err
+            return "a publisher of /cloth_sim/gripper/grasp offers best effort" in said
+
+        client.spin_until(told, what="a warning")

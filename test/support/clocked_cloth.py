@@ -1,0 +1,121 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A node whose time a test sets by /clock: what arrives over topics then takes effect in a frame that is known."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from geometry_msgs.msg import PointStamped
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
+
+from cloth_sim_ros.ros.node import ClothNode
+from support.ros_client import Client, pose
+
+SECOND = 1_000_000_000
+
+
+class ClockedCloth:
+    """A cloth in this process that follows /clock, and a client that publishes it; to be used with `with`.
+
+    Args:
+        client: its context and executor are shared.
+        begin: seconds at which /clock begins.
+        name: of the node.
+        parameters: by full name; grids are small and frames quick unless they say otherwise.
+    """
+
+    def __init__(
+        self, client: Client, parameters: dict[str, Any] | None = None, *, begin: int = 100, name: str = "cloth_sim"
+    ) -> None:
+        values = {"cloth.resolution": [6, 7], "use_sim_time": True, **(parameters or {})}
+        self.client = client
+        self.node = ClothNode(
+            name,
+            context=client.context,
+            parameter_overrides=[Parameter(key, value=value) for key, value in values.items()],
+        )
+        self.simulation = self.node.simulation
+        self._rate = self.simulation.scene.rate
+        self._number = round(begin * self._rate)
+        self._sent = 0
+        client.executor.add_node(self.node.node)
+        self.node.start()
+        self._clock = client.publisher(Clock, "/clock")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        self.client.executor.remove_node(self.node.node)
+        self.node.close()
+        self.node.node.destroy_node()
+
+    @property
+    def now(self) -> int:
+        """Time of the newest frame that was due [ns]."""
+        return int(self._number * SECOND / self._rate)
+
+    def publish_clock(self, time: int) -> None:
+        """Set the time [ns]."""
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(time, SECOND)
+        self._clock.publish(message)
+
+    def tick(self, count: int = 1) -> None:
+        """Let so many frames be due, one after the other, and wait for each."""
+        for _ in range(count):
+            frame = self.simulation.frame
+            self.publish_clock(self.now)
+            self._number += 1
+            self.client.spin_until(lambda frame=frame: self.simulation.frame > frame, what=f"frame {frame + 1}")
+
+    def send(self, leaf: str, message: Any) -> None:
+        """Publish a command and wait until the node has taken it."""
+        kind = type(message)
+        publisher = self.client.publisher(kind, f"{self.node.node.get_fully_qualified_name()}/{leaf}")
+        commands = self.node._commands
+        publisher.publish(message)
+        self._sent += 1
+        self.client.spin_until(lambda: commands.received == self._sent, what=f"{self._sent} commands to be taken")
+
+    def target(self, gripper: str, position: Any, *, stamp: int = 0, w: float = 1.0) -> None:
+        """Send a target."""
+        self.send(f"{gripper}/target", pose(*(float(value) for value in position), stamp=stamp, w=w))
+
+    def point(self, gripper: str, position: Any, *, stamp: int = 0) -> None:
+        """Send a target by position alone."""
+        message = PointStamped()
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, SECOND)
+        message.point.x, message.point.y, message.point.z = (float(value) for value in position)
+        self.send(f"{gripper}/point", message)
+
+    def grasp(self, gripper: str, closed: bool) -> None:
+        """Close or open a gripper."""
+        self.send(f"{gripper}/grasp", Bool(data=closed))
+
+    def place(self, gripper: str) -> np.ndarray:
+        """Where a gripper is [m]."""
+        return self.simulation.grippers.poses()[self._index(gripper), :3]
+
+    def held(self, gripper: str) -> list[int]:
+        """Particles that a gripper holds."""
+        return [int(particle) for particle in self.simulation.grippers.held(self._index(gripper))]
+
+    def is_closed(self, gripper: str) -> bool:
+        """Whether a gripper is closed."""
+        return self.simulation.grippers.is_closed(self._index(gripper))
+
+    @property
+    def refused(self) -> tuple[int, int]:
+        """Commands that were refused, and those that were older than the newest."""
+        return self.node._commands.refused, self.node._commands.outdated
+
+    def _index(self, gripper: str) -> int:
+        return self.simulation.grippers.names.index(gripper)

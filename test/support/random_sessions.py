@@ -1,0 +1,121 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random sessions: a scene, what is done to it, and where its files are split or cut, all from one number."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.writer import WriterOptions
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target
+from cloth_sim_ros.simulation.simulation import EventError
+from support.session_maker import Change, SessionMaker
+
+_ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"], [""])
+
+
+def random_scene(random: np.random.Generator) -> Scene:
+    """A small cloth with random geometry, material and grippers."""
+    while True:
+        try:
+            return Scene.from_parameters(_values(random))
+        except ParameterError:
+            # Not every material can be woven into every grid.
+            continue
+
+
+def _values(random: np.random.Generator) -> dict[str, Any]:
+    rows, columns = (int(n) for n in random.integers(3, 13, 2))
+    size = random.uniform(0.3, 1.5, 2).tolist()
+    return {
+        "rate": float(random.choice([30.0, 50.0, 60.0, 120.0])),
+        "cloth.size": size,
+        "cloth.resolution": [rows, columns],
+        "cloth.position": random.uniform(-1.0, 1.0, 3).tolist(),
+        "cloth.orientation": random.normal(size=4).tolist(),
+        "cloth.anchors": _ANCHORS[random.integers(len(_ANCHORS))],
+        "cloth.shear_layout": str(random.choice(["left", "right", "alternating", "both"])),
+        "material.density": float(random.uniform(0.05, 0.5)),
+        "material.stretch_modulus": float(10.0 ** random.uniform(1.5, 3.0)),
+        "material.shear_modulus": float(random.uniform(1.0, 10.0)),
+        "material.damping": float(random.uniform(0.0, 0.5)),
+        "bending.model": str(random.choice(["none", "axial", "opposite"])),
+        "bending.stiffness": float(random.uniform(0.0, 2.0)),
+        "air.drag": float(random.choice([0.0, 0.3])),
+        "grippers": [["gripper"], ["left", "right"], [""]][random.integers(3)],
+        "gripper.radius": float(random.uniform(0.05, 0.4) * min(size)),
+    }
+
+
+def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Event]:
+    """What happens before one frame: mostly targets, now and then everything else."""
+    simulation = maker.simulation
+    events: list[Event] = []
+    for name in simulation.scene.gripper_names:
+        for _ in range(int(random.integers(0, 3))):
+            particle = simulation.positions[random.integers(simulation.state.particle_count)]
+            turn = random.normal(size=4)
+            place = tuple(float(x) for x in particle + random.normal(scale=0.02, size=3))
+            events.append(
+                Target(name, place, tuple((turn / np.linalg.norm(turn)).tolist()) if random.random() < 0.5 else None)
+            )
+        if random.random() < 0.15:
+            events.append(Grasp(name, bool(random.random() < 0.6)))
+    if random.random() < 0.05:
+        change = SetParameters(_change(random))
+        with contextlib.suppress(EventError):
+            simulation.check(change)
+            events.append(change)
+    if random.random() < 0.05:
+        events.append(Pause(not simulation.paused))
+    if simulation.paused and random.random() < 0.4:
+        events.append(Step() if random.random() < 0.5 else Pause(False))
+    if random.random() < 0.05:
+        events.append(Relax(float(random.choice([1.0, 2.0, 10.0]))))
+    if random.random() < 0.02:
+        events.append(Reset())
+    # The order of arrival is any.
+    return [events[k] for k in random.permutation(len(events))]
+
+
+def make_random_session(
+    folder: Path, seed: int, *, frames: int = 60, change: Callable[[int], Change | None] = lambda _frame: None
+) -> list[Path]:
+    """Write a random session; its files, in order. It may end cut off, and may have several files.
+
+    For the k-th frame `change` may give what spoils its messages.
+    """
+    random = np.random.default_rng(seed)
+    options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)
+    maker = SessionMaker(folder, random_scene(random), stem=f"random_{seed}", options=options)
+    for k in range(frames):
+        spoil = change(k)
+        maker.add(random_events(random, maker), **({"change": spoil} if spoil else {}))
+        if random.random() < 0.03:
+            maker.split()
+    if random.random() < 0.3:
+        maker.cut()
+    else:
+        maker.finish()
+    return maker.paths
+
+
+def _change(random: np.random.Generator) -> dict[str, Any]:
+    changes: list[dict[str, Any]] = [
+        {"material.density": float(random.uniform(0.05, 0.5))},
+        {"material.stretch_modulus": float(10.0 ** random.uniform(1.5, 3.0)), "material.damping": 0.2},
+        {"gravity": random.uniform(-5.0, 5.0, 3).tolist()},
+        {"air.drag": float(random.uniform(0.0, 2.0)), "wind.velocity": random.uniform(-5.0, 5.0, 3).tolist()},
+        {"wind.normal_drag": float(random.uniform(0.0, 2.0)), "wind.tangential_drag": 0.1},
+        {"gripper.radius": float(random.uniform(0.05, 0.3)), "gripper.stiffness": float(random.uniform(10.0, 1000.0))},
+        {"points.velocity": bool(random.random() < 0.5), "overload": "relax"},
+        {"step": float(random.choice([0.0, 1e-4]))},
+    ]
+    return changes[random.integers(len(changes))]

@@ -1,0 +1,398 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A session's certificate: held against an integrator that is not ours, and seen to find what is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.random_sessions import make_random_session
+from support.session_maker import NODE, Change, SessionMaker, carried_corner, cloud_bytes
+
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.accuracy import _is_sampled, certify
+from cloth_sim_ros.verify.certificate import Certificate, FrameAccuracy, Window
+from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, distance, follow, weights
+from cloth_sim_ros.verify.independent import dop853, frame_by_dop853
+from cloth_sim_ros.verify.main import NOT_KEPT, main
+from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, RunFrame, starting_state
+from cloth_sim_ros.verify.truth import KICK, Truth, random_kick
+
+SMALL = {"cloth.resolution": [8, 9], "cloth.size": [0.4, 0.45], "material.stretch_modulus": 100.0,
+         "material.shear_modulus": 10.0, "bending.stiffness": 0.5}  # fmt: skip
+POINTS = f"{NODE}/points"
+
+
+def _make(
+    folder: Path,
+    *,
+    frames: int = 70,
+    change: Callable[[int], Change | None] = lambda _k: None,
+    split_at: int = -1,
+    **values: object,
+) -> SessionMaker:
+    """A grasp; `change` gives for a frame's number what spoils its messages."""
+    scene = Scene.from_parameters(SMALL | {name.replace("__", "."): value for name, value in values.items()})
+    maker = SessionMaker(folder, scene)
+    for k, events in enumerate(carried_corner(scene, frames / 60.0), start=1):
+        spoil = change(k)
+        maker.add(events, **({"change": spoil} if spoil else {}))
+        if k == split_at:
+            maker.split()
+    maker.finish()
+    return maker
+
+
+def _moved(scene: Scene, frame: int, metres: float) -> Callable[[int], Change | None]:
+    """Moves one particle of one frame's cloud."""
+
+    def spoil(topic: str, data: bytes) -> bytes:
+        if topic != POINTS:
+            return data
+        xyz = decode_cloud(data).xyz.copy()
+        xyz[40, 2] += metres
+        return cloud_bytes(xyz, 0, scene.shape)
+
+    return lambda k: spoil if k == frame else None
+
+
+def _run_frames(simulation: Simulation, script: list[list[Event]]) -> list[RunFrame]:
+    watch, frames = FrameWatch(), []
+    for events in script:
+        before = simulation.state.share()
+        found = watch.after(simulation, before, simulation.advance(events))
+        if found is not None:
+            frames.append(found)
+    return frames
+
+
+@pytest.mark.parametrize("counts", [FINE, FINER])
+def test_weights_cancel_what_they_say(counts: tuple[int, ...]) -> None:
+    w = weights(counts)
+    assert math.fsum(w) == pytest.approx(1.0, abs=1e-12)
+    for power in range(2, len(counts) + 1):
+        assert math.fsum(a * n**-power for a, n in zip(w, counts, strict=True)) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.4])
+def test_the_fine_motion_meets_its_rate_by_an_integrator_that_is_not_ours(damping: float) -> None:
+    scene = Scene.from_parameters(SMALL | {"material.damping": damping, "cloth.anchors": ["top_left"]})
+    simulation = Simulation(scene)
+    _run_frames(simulation, [[]] * 20)
+    start, t = (simulation.state.x, simulation.state.v), simulation.time
+    exact, _ = dop853(scene.plan(), t, 0.1, start)
+    errors = []
+    for rate in (1e-5, 1e-7, 1e-9):
+        (x, _), lengths = FineSteps(rate).frame(scene.plan(), t, 0.1, start, math.inf)
+        errors.append(distance(x, exact))
+        finer = follow(scene.plan(), t, lengths, start, FINER)[0]
+        assert errors[-1] <= rate
+        # The check is closer, or both are at rounding.
+        assert distance(finer, exact) < max(0.5 * errors[-1], 1e-12)
+    assert errors[2] <= errors[0]
+
+
+def test_steps_are_at_least_twice_as_fine_as_the_simulation_s() -> None:
+    scene = Scene.from_parameters(SMALL)
+    simulation = Simulation(scene)
+    start = (simulation.state.x, simulation.state.v)
+    for step in (1e-3, 1e-4):
+        _, lengths = FineSteps(1.0).frame(scene.plan(), 0.0, 1.0 / 60.0, start, step)
+        assert max(lengths) / FINE[0] <= 0.5 * step * (1.0 + 1e-9)
+        assert sum(lengths) == pytest.approx(1.0 / 60.0, rel=1e-12)
+
+
+def test_what_is_asked_for_below_rounding_does_not_cut_steps_for_ever() -> None:
+    scene = Scene.from_parameters(SMALL | {"material.damping": 0.0})
+    simulation = Simulation(scene)
+    _run_frames(simulation, [[]] * 20)
+    start, counts = (simulation.state.x, simulation.state.v), []
+    for rate in (1e-9, 1e-14, 1e-20):
+        _, lengths = FineSteps(rate).frame(scene.plan(), simulation.time, 1.0 / 60.0, start, math.inf)
+        counts.append(len(lengths))
+    assert counts[0] <= counts[1] <= counts[2] <= 20 * counts[0]
+
+
+def test_a_motion_under_the_same_commands_is_the_simulation_s_own() -> None:
+    # Grasps, turns, a grasp while paused, a release, a reset and sleep: the fine motion must meet each of them.
+    scene = Scene.from_parameters(SMALL | {"grippers": ["a", "b"], "gripper.radius": 0.08, "tolerance": 1e-7})
+    simulation = Simulation(scene)
+    corner, other = (tuple(simulation.positions[k].tolist()) for k in (71, 63))
+    turned = (0.0, 0.0, math.sin(0.2), math.cos(0.2))
+    lifted = (corner[0], corner[1] - 0.02, corner[2] + 0.01)
+    script: list[list[Event]] = [
+        [Target("a", corner), Target("b", other)],
+        [Grasp("a", True)],
+        *[[Target("a", lifted, turned)]] * 4,
+        [Pause(True)],
+        [Grasp("b", True)],
+        [Step()],
+        [Pause(False), Target("b", (other[0], other[1], other[2] + 0.02))],
+        *[[]] * 4,
+        [Grasp("a", False)],
+        *[[]] * 4,
+        [Reset()],
+        *[[]] * 3,
+    ]
+    frames, equations = _run_frames(simulation, script), Equations()
+    assert sum(bool(frame.grasping and frame.grasping.new) for frame in frames) == 2
+    motion = Motion(frames[0].before)
+    for frame in frames:
+        if frame.reset:
+            motion = Motion(starting_state(frame))
+        motion.take_hold(frame)
+        steps = FineSteps(1e-9)
+        motion.now, _ = steps.frame(equations.plan(frame, motion), frame.t, frame.duration, motion.now, frame.step)
+        assert distance(motion.x, frame.after.x) < 1e-6, frame.index
+
+
+def test_a_gripper_takes_particles_where_they_are_in_the_motion() -> None:
+    scene = Scene.from_parameters(SMALL | {"gripper.radius": 0.08})
+    simulation = Simulation(scene)
+    corner = tuple(simulation.positions[71].tolist())
+    turn = (0.0, 0.6, 0.0, 0.8)
+    (_, frame) = _run_frames(simulation, [[Target("gripper", corner, turn)], [Grasp("gripper", True)]])
+    assert frame.grasping is not None
+    motion = Motion(frame.before)
+    motion.kick(np.full_like(motion.x, 1e-3), np.zeros_like(motion.x))
+    motion.take_hold(frame)
+    own = simulation.state.memory["grip.offsets"]
+    # What is off by a millimetre is held off by a millimetre, in the gripper's own axes.
+    assert np.linalg.norm(motion.offsets - own, axis=1) == pytest.approx(np.full(len(own), 1e-3 * math.sqrt(3.0)))
+    assert not np.allclose(motion.offsets - own, 1e-3)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_kicks_are_as_large_as_they_say_and_leave_anchors_alone(smooth: bool) -> None:
+    x = np.random.default_rng(1).normal(size=(3, 50))
+    free = np.arange(50) > 4
+    kick = random_kick(x, free, np.random.default_rng(2), smooth=smooth)
+    lengths = np.linalg.norm(kick, axis=0)
+    assert lengths.max() == pytest.approx(KICK)
+    assert not kick[:, :5].any()
+    assert lengths[5:].min() > 0.0
+
+
+@pytest.mark.parametrize("seed", [2, 4, 7])
+def test_what_is_stated_holds_by_an_integrator_that_is_not_ours(tmp_path: Path, seed: int) -> None:
+    # Thirty of them: test/soak_accuracy.py.
+    _, certificate = certify(make_random_session(tmp_path, seed, frames=25), every_sample=True)
+    assert len(certificate.samples) == len(certificate.frames) > 0
+    assert all(sample.agrees for sample in certificate.samples)
+    # Closer by far than it has to be: 2e-10 m was the largest of these.
+    assert max(sample.difference for sample in certificate.samples) < 1e-8
+    assert max(sample.independent for sample in certificate.samples) > 1e-7
+
+
+def test_errors_of_windows_hold_by_an_integrator_that_is_not_ours(tmp_path: Path) -> None:
+    maker = _make(tmp_path, frames=20)
+    _, certificate = certify(maker.paths)
+    simulation = Simulation(Scene.from_parameters(SMALL))
+    frames, equations = _run_frames(simulation, list(carried_corner(simulation.scene, 20 / 60.0))), Equations()
+    motion = Motion(frames[0].before)
+    for frame, stated in zip(frames, certificate.frames, strict=True):
+        motion.take_hold(frame)
+        motion.now = dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.now)
+        error = distance(frame.after.x, motion.x)
+        assert stated.error == pytest.approx(error, rel=0.01, abs=2.0 * stated.own + 1e-12)
+        assert stated.session_error == stated.error
+    alone = frame_by_dop853(equations, frames[-1], frames[-1].before)
+    assert certificate.frames[-1].error_of_frame == pytest.approx(distance(frames[-1].after.x, alone), rel=0.01)
+
+
+def test_one_frame_changed_by_a_millimetre_is_found_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = Scene.from_parameters(SMALL)
+    maker = _make(tmp_path, frames=30, change=_moved(scene, 17, 1e-3))
+    _, certificate = certify(maker.paths)
+    assert certificate.altered == 1
+    assert [frame.frame for frame in certificate.frames if frame.stands_out] == [17]
+    assert certificate.frames[16].error == pytest.approx(1e-3, rel=0.02)
+    assert not certificate.frames[16].exact
+    assert not certificate.kept
+    # That it differs at all is graver than by how much.
+    assert main(["--accuracy", str(maker.paths[0])]) == 1
+    said = capsys.readouterr().out
+    assert "NOT KEPT" in said
+    assert "17" in said
+
+
+def test_a_session_of_other_arithmetic_is_judged_by_what_was_recorded(tmp_path: Path) -> None:
+    # Every digest is another one, as where rounding is: positions of the file are all there is.
+    def other(topic: str, data: bytes) -> bytes:
+        if topic != f"{NODE}/frame":
+            return data
+        record = json.loads(decode_string(data))
+        record["digest"] = "0" * 32
+        return encode_string(json.dumps(record))
+
+    maker = _make(tmp_path, frames=70, change=lambda _k: other)
+    verdict, certificate = certify(maker.paths)
+    assert verdict.different == 70
+    assert not any(frame.exact for frame in certificate.frames)
+    assert certificate.altered == 0
+    assert [window.verdict for window in certificate.windows] == ["kept", "kept"]
+    # What float32 does is part of the floor, and where a window begins it is not known any better.
+    assert all(frame.floor > 1e-8 for frame in certificate.frames)
+    assert certificate.frames[-1].own > 1e-8
+
+
+def test_windows_begin_each_second_and_go_on_across_files(tmp_path: Path) -> None:
+    maker = _make(tmp_path, frames=130, split_at=30)
+    _, certificate = certify(maker.paths)
+    assert [(window.frames, window.number) for window in certificate.windows] == [(60, 0), (60, 1), (10, 2)]
+    assert [window.start for window in certificate.windows] == pytest.approx([0.0, 1.0, 2.0])
+    # A window starts from the simulation's own state: its first frame's error is that frame's alone.
+    for first in (0, 60, 120):
+        told = certificate.frames[first]
+        assert told.error == pytest.approx(told.error_of_frame, rel=1e-3)
+        assert told.growth < 3.0
+    assert certificate.frames[60].session_error > 2.0 * certificate.frames[60].error
+
+
+def test_a_reset_begins_anew(tmp_path: Path) -> None:
+    maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL))
+    for k in range(40):
+        maker.add([Reset()] if k == 25 else [])
+    maker.finish()
+    _, certificate = certify(maker.paths)
+    assert [window.frames for window in certificate.windows] == [25, 15]
+    begun = certificate.frames[25]
+    assert begun.session_error == begun.error == pytest.approx(begun.error_of_frame, rel=1e-3)
+    assert begun.session_growth < 3.0
+
+
+def test_without_a_tolerance_the_error_is_stated_and_nothing_promised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = _make(tmp_path, frames=20, tolerance=0.0, step=1e-3)
+    assert main(["--accuracy", str(maker.paths[0])]) == 0
+    assert "nothing is promised" in capsys.readouterr().out
+    _, certificate = certify(maker.paths)
+    assert [window.verdict for window in certificate.windows] == ["no promise"]
+    assert certificate.windows[0].error > 1e-6
+    assert math.isnan(certificate.frames[0].promise)
+
+
+def test_frames_asleep_are_judged_as_others(tmp_path: Path) -> None:
+    maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"tolerance": 1e-2, "air.drag": 2.0}))
+    while not maker.simulation.asleep:
+        maker.add([])
+    slept = maker.simulation.frame
+    for _ in range(70):
+        maker.add([])
+    maker.finish()
+    _, certificate = certify(maker.paths)
+    asleep = [frame for frame in certificate.frames if frame.frame > slept]
+    assert len(asleep) == 70
+    # Where it fell asleep is not where it would come to rest: that is the error, and it is told.
+    assert max(frame.error for frame in asleep) > 1e-9
+    assert certificate.kept
+
+
+def test_samples_of_long_sessions_become_rare() -> None:
+    sampled = [window for window in range(3600) if _is_sampled(window)]
+    assert sampled[:10] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]
+    assert len(sampled) < 60
+    assert sampled[-1] > 3000
+
+
+@pytest.mark.parametrize(
+    ("error", "own", "flagged", "verdict"),
+    [
+        (1e-5, 1e-9, 0, "kept"),
+        (1e-5, 1e-4, 0, "undecided"),
+        (9e-3, 1e-9, 0, "not kept"),
+        (9e-3, 1e-9, 3, "flagged"),
+        (4e-4, 3e-4, 0, "undecided"),
+        (math.nan, 1e-9, 0, "undecided"),
+    ],
+)
+def test_verdicts(error: float, own: float, flagged: int, verdict: str) -> None:
+    window = Window(number=0, start=0.0)
+    window.add(_frame(error=error, own=own, flagged=flagged > 0))
+    assert window.verdict == verdict
+    certificate = Certificate(name="", windows=[window])
+    assert certificate.kept == (verdict in ("kept", "flagged"))
+
+
+def _frame(*, error: float, own: float, flagged: bool) -> FrameAccuracy:
+    return FrameAccuracy(
+        frame=1,
+        time=0.1,
+        window=0,
+        tolerance=1e-4,
+        flagged=flagged,
+        exact=True,
+        error_of_frame=1e-6,
+        promise_of_frame=1e-4,
+        error=error,
+        growth=2.0,
+        own=own,
+        floor=1e-14,
+        session_error=error,
+        session_growth=2.0,
+        session_own=own,
+    )
+
+
+def test_a_loose_simulation_that_says_it_is_tight_is_found_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Made to calculate at a thousand times the tolerance that it claims, recording and running again alike.
+    from cloth_sim_ros.scene import scene as scene_module
+
+    real = scene_module.make_integrator
+    monkeypatch.setattr(
+        scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
+    )
+    maker = _make(tmp_path, frames=40, tolerance=1e-6)
+    assert main(["--accuracy", str(maker.paths[0])]) == NOT_KEPT
+    assert "NOT KEPT, unflagged: 0.000 to 0.667 s" in capsys.readouterr().out
+
+
+def test_numbers_are_written_as_json_plot_and_particles(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    maker = _make(tmp_path, frames=12)
+    files = {name: tmp_path / name for name in ("json", "plot", "particles")}
+    options = [text for name, path in files.items() for text in (f"--{name}", str(path))]
+    assert main(["--accuracy", str(maker.paths[0]), *options]) == 0
+    told = json.loads(files["json"].read_text())
+    assert [frame["frame"] for frame in told["frames"]] == list(range(1, 13))
+    assert told["kept"] is True
+    assert told["windows"][0]["verdict"] == "kept"
+    particles = np.fromfile(files["particles"], dtype="<f4").reshape(12, 72)
+    assert particles.max(axis=1) == pytest.approx([frame["error"] for frame in told["frames"]], rel=1e-6)
+    assert files["plot"].read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("options", [["--json", "x.json"], ["--accuracy", "--plot", "x.png", "SECOND"]])
+def test_options_that_make_no_sense_are_refused(
+    tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    maker = _make(tmp_path, frames=3)
+    (tmp_path / "other").mkdir()
+    second = _make(tmp_path / "other", frames=3)
+    arguments = [str(second.paths[0]) if text == "SECOND" else text for text in options]
+    with pytest.raises(SystemExit) as stopped:
+        main([str(maker.paths[0]), *arguments])
+    assert stopped.value.code == 2
+    assert "accuracy" in capsys.readouterr().err
+
+
+def test_a_state_is_not_changed_by_being_judged() -> None:
+    scene = Scene.from_parameters(SMALL)
+    simulation = Simulation(scene)
+    (frame,) = _run_frames(simulation, [[]])
+    before, after = frame.before.digest(), frame.after.digest()
+    Truth(frame.before, seed=1).frame(Equations(), frame)
+    assert (frame.before.digest(), frame.after.digest()) == (before, after)
+    assert isinstance(frame.before, State)
