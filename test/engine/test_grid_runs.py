@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import compile
@@ -105,11 +106,10 @@ def close(actual, expected, relative):
     return np.abs(actual - expected).max() <= relative * np.abs(expected).max()
 
 
-def sheet(springs, inverse_mass=None, *, gravity=None, drag=0.0, grips=None):
+def sheet(springs, inverse_mass=None, *, beside=(), gravity=None, drag=0.0, grips=None):
     """The plan of a sheet; particles without an inverse mass are anchored."""
-    count = springs.rows * springs.columns
-    inverse = np.ones(count) if inverse_mass is None else inverse_mass
-    forces = [springs]
+    inverse = np.ones(springs.rows * springs.columns) if inverse_mass is None else inverse_mass
+    forces = [springs, *beside]
     forces += [Gravity(gravity)] if gravity is not None else []
     forces += [Drag(drag)] if drag else []
     forces += [grips] if grips is not None else []
@@ -296,23 +296,31 @@ def test_leapfrog_is_of_second_order(choice, drag):
     assert all(1.9 < order < 2.1 for order in orders), orders
 
 
-@pytest.mark.parametrize("rows", [11, 40], ids=lambda rows: f"{rows} rows")
+def crosswise(rows, columns):
+    """Springs between particles far apart, which make a list beside the sheet."""
+    first = np.arange(0, rows * columns // 2, 5)
+    return PairSprings(np.column_stack([first, rows * columns - 1 - first]), 0.3, 0.5, 0.01)
+
+
+@pytest.mark.parametrize("shape", [(11, 13), (40, 13), (70, 300)], ids=str)
 @pytest.mark.parametrize(
     ("choice", "narrow"), [("all", True), ("all", False), ("undamped", False), ("alternating", True)]
 )
-def test_any_number_of_threads_gives_the_same_bits(choice, narrow, rows):
-    springs, results = GridSprings(rows, 13, CHOICES[choice]), []
-    x, v = crumpled(rows, 13)
-    for threads in (1, 2, 3, 16):
-        plan = sheet(springs, some_masses(13 * rows), gravity=GRAVITY, drag=1.5, grips=some_grips())
-        for steps in (1, 7, 33):
-            done = run(plan, x, v, steps, 1e-4, narrow=narrow, powers=True, threads=threads)
-            results.append((threads, steps, done))
-    alone = {steps: done for threads, steps, done in results if threads == 1}
-    for threads, steps, done in results:
-        for name, mine, others in zip(done._fields, done, alone[steps], strict=True):
-            assert np.array_equal(mine, others), f"{name} of {steps} steps by {threads} threads"
-    assert np.abs(alone[33].x - x).max() > 1e-4
+@pytest.mark.parametrize("kind", ["sheet", "sheet and list", "list"])
+def test_any_number_of_threads_gives_the_same_bits(kind, choice, narrow, shape):
+    springs, inverse = GridSprings(*shape, CHOICES[choice]), some_masses(shape[0] * shape[1])
+    beside = [crosswise(*shape)] if kind == "sheet and list" else []
+    x, v = crumpled(*shape)
+    springs = springs.listed if kind == "list" else springs
+    plan = sheet(springs, inverse, beside=beside, gravity=GRAVITY, drag=1.5, grips=some_grips())
+    for steps in (1, 7, 33):
+        # Noted powers would keep all to one thread.
+        alone = run(plan, x, v, steps, 1e-4, narrow=narrow, threads=1)
+        for threads in (2, 3, 16):
+            done = run(plan, x, v, steps, 1e-4, narrow=narrow, threads=threads)
+            for name, mine, others in zip(done._fields, done, alone, strict=True):
+                assert np.array_equal(mine, others), f"{name} of {steps} steps by {threads} threads"
+    assert np.abs(alone.x - x).max() > 1e-4
 
 
 def test_single_precision_does_not_lose_small_motion():
