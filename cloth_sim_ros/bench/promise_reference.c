@@ -97,19 +97,24 @@ static inline void hinge(const int64_t *at, const double *number, Lanes h, const
     for (int c = 0; c < 4; ++c) add(f, at[c], times(tension, gradient[c]));
 }
 
-/* The distance of the lines of the edge 0-1 and of the wings 2-3 along their common normal, which meets them at p0 + s a
- * and p2 + t b. There is none where the sine between them is below 1e-6. */
+/* h = 6V / M, M^2 = |a x b|^2 + (0.1 |a|^2)^2 of the edge a = 0-1 and the wings b = 2-3. */
 static void crossed(const System *s, const double *x, const double *v, double *f) {
     for (int64_t k = 0; k < s->crossed; ++k) {
         const int64_t *at = s->crossed_particles + 4 * k;
         const Vec p0 = load(x, at[0]), p2 = load(x, at[2]);
-        const Vec a = minus(load(x, at[1]), p0), b = minus(load(x, at[3]), p2), r = minus(p2, p0), c = cross(b, a);
-        const Lanes square = dot(c, c);
-        const Lanes inverse = inverse_above(square, 1e-12 * dot(a, a) * dot(b, b));
-        const Vec n = times(root(inverse), c);
-        const Lanes foot = (Lanes){0} - dot(cross(r, b), c) * inverse, other = (Lanes){0} - dot(cross(r, a), c) * inverse;
-        const Vec gradient[4] = {times(foot - 1.0, n), times((Lanes){0} - foot, n), times(1.0 - other, n), times(other, n)};
-        hinge(at, s->crossed_numbers + 3 * k, dot(n, r), gradient, v, f);
+        const Vec a = minus(load(x, at[1]), p0), b = minus(load(x, at[3]), p2), r = minus(p2, p0), c = cross(a, b);
+        const Lanes aa = dot(a, a), square = dot(c, c) + 0.01 * aa * aa;
+        const Lanes inverse_square = inverse_above(square, (Lanes){0} + 1e-30), inverse = root(inverse_square);
+        /* 6V = r . (b x a) of any two points on the lines. */
+        const Lanes h = (Lanes){0} - dot(r, c) * inverse;
+        /* Gradients of 6V and of M^2 / 2 with respect to a, b and r. */
+        const Vec va = cross(r, b), vb = cross(a, r), vr = cross(b, a);
+        const Vec ma = plus(cross(b, c), times(0.02 * aa, a)), mb = cross(c, a);
+        const Vec ga = minus(times(inverse, va), times(h * inverse_square, ma));
+        const Vec gb = minus(times(inverse, vb), times(h * inverse_square, mb)), gr = times(inverse, vr);
+        const Vec none = {{0}, {0}, {0}};
+        const Vec gradient[4] = {minus(minus(none, ga), gr), ga, minus(gr, gb), gb};
+        hinge(at, s->crossed_numbers + 3 * k, h, gradient, v, f);
     }
 }
 

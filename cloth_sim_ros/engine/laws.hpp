@@ -204,31 +204,52 @@ struct Hinge {
     }
 };
 
-/// S8: |a x w| of the shared edge a and the line of the wings w. Undefined where they are parallel.
+/// Curvature of h = 6V/M along u, bounded a corner by bound[i] |u_i|^2 summed:
+/// h'' = (6V)''/M - 2 M'h'/M - h M''/M, with |(6V)''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and
+/// |M M''| <= most[i] |u_i|^2 summed.
+template <class V, class L>
+CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, const V* most, V* bound) {
+    const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
+    const Vec3<V> area0 = -(l.area[0] + l.area[1] + l.area[2]);
+    const V areas = norm2(area0) + norm2(l.area[0]) + norm2(l.area[1]) + norm2(l.area[2]);
+    const V weights = norm2(g[0]) + norm2(g[1]) + norm2(g[2]) + norm2(g[3]);
+    const V every = splat<V>(2) * root(areas * weights) / l.square;
+    const V inverse = inverse_root(l.square), turn = absolute(l.h) / l.square;
+    for (int i = 0; i < 4; ++i) {
+        const Vec3<V> o = x[(i + 1) & 3], q = x[(i + 2) & 3] - o, r = x[(i + 3) & 3] - o;
+        const V sides = root(norm2(q)) + root(norm2(r)) + root(norm2(r - q));
+        bound[i] = every + sides * inverse + turn * most[i];
+    }
+}
+
+/// S8: M^2 = |a x w|^2 + (parallel |a|^2)^2 of the shared edge a and the line of the wings w. The second term keeps h
+/// defined where they are parallel, as in a pair folded shut. Undefined where the edge has no length.
 struct CrossedAreas {
-    /// Sine of the angle between them below which there is no common normal.
-    static constexpr double sine = 1e-6;
+    static constexpr double parallel = 0.1;
+    /// Squared M [m^4] below which there is no edge.
+    static constexpr double least = 1e-30;
 
     template <class V>
     static CLOTH_INLINE void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
         const Vec3<V> a = d[0], w = d[2] - d[1], n = cross(a, w);
-        square = norm2(n);
-        limit = splat<V>(sine * sine) * norm2(a) * norm2(w);
-        area[0] = cross(w, n);
+        const V length2 = norm2(a), share = splat<V>(parallel * parallel) * length2;
+        square = fma(share, length2, norm2(n));
+        limit = splat<V>(least);
+        area[0] = fma(splat<V>(2) * share, a, cross(w, n));
         area[2] = cross(n, a);
         area[1] = -area[2];
     }
-    /// With P = [-a, w] of least singular value sigma: |h''| <= (2 sqrt(2) |w_i| / sigma + 2 |h| / sigma^2) |u|^2.
+    /// With |a'|, |w'| <= sqrt(2) |u|: |n'|^2 <= 2 (|a|^2 + |w|^2) |u|^2, n.n'' <= 2 |n| |u|^2, and the second term's
+    /// part is at most 12 parallel^2 |a|^2 |u|^2.
     template <class V, class L>
     static CLOTH_INLINE void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> a = d[0], w = d[2] - d[1];
-        const V half = splat<V>(0.5) * (norm2(a) + norm2(w));
-        // The smaller eigenvalue of P'P from its trace and determinant, without cancellation.
-        const V below = l.square / (half + root(larger(fma(half, half, -l.square), V{})));
-        const V weights = norm2(g[0]) + norm2(g[1]) + norm2(g[2]) + norm2(g[3]);
-        const V two = splat<V>(2);
-        bound[0] = two * root(two * weights / below) + two * absolute(l.h) / below;
-        bound[1] = bound[2] = bound[3] = bound[0];
+        const V length2 = norm2(a);
+        V most[4];
+        most[0] = splat<V>(2) * (length2 + norm2(w) + root(norm2(cross(a, w)))) +
+                  splat<V>(12 * parallel * parallel) * length2;
+        most[1] = most[2] = most[3] = most[0];
+        length_curvature(d, l, g, most, bound);
     }
 };
 
@@ -251,25 +272,18 @@ struct AltitudeAreas {
         const V size = splat<V>(sine) * (norm2(a) + norm2(b) + norm2(c));
         limit = size * size;
     }
-    /// h'' = 6V''/M - 2 M'h'/M - h M''/M, with |6V''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and
     /// M M'' <= sum over faces of (squared sides + 2 |n|) |u|^2.
     template <class V, class L>
     static CLOTH_INLINE void curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
-        const Vec3<V> area0 = -(l.area[0] + l.area[1] + l.area[2]);
-        const V areas = norm2(area0) + norm2(l.area[0]) + norm2(l.area[1]) + norm2(l.area[2]);
-        const V weights = norm2(g[0]) + norm2(g[1]) + norm2(g[2]) + norm2(g[3]);
-        const V two = splat<V>(2), every = two * root(areas * weights) / l.square;
-        V sides[4], squares[4], all{};
+        V squares[4], most[4], all{};
         for (int i = 0; i < 4; ++i) {
-            const Vec3<V> o = x[(i + 1) & 3], q = x[(i + 2) & 3] - o, r = x[(i + 3) & 3] - o, s = r - q;
-            const V one = norm2(q), other = norm2(r), third = norm2(s);
-            sides[i] = root(one) + root(other) + root(third);
-            squares[i] = one + other + third + two * root(norm2(cross(q, r)));
+            const Vec3<V> o = x[(i + 1) & 3], q = x[(i + 2) & 3] - o, r = x[(i + 3) & 3] - o;
+            squares[i] = norm2(q) + norm2(r) + norm2(r - q) + splat<V>(2) * root(norm2(cross(q, r)));
             all = all + squares[i];
         }
-        const V inverse = inverse_root(l.square), turn = absolute(l.h) / l.square;
-        for (int i = 0; i < 4; ++i) bound[i] = every + sides[i] * inverse + turn * (all - squares[i]);
+        for (int i = 0; i < 4; ++i) most[i] = all - squares[i];
+        length_curvature(p, l, g, most, bound);
     }
 };
 

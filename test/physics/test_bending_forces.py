@@ -37,7 +37,9 @@ def test_lengths_are_those_of_the_candidates(seed):
         volume, seven = laws.volume(p), laws.candidates(p)
         heights, areas = (np.array([each[k] for each in seven]) for k in (0, 2))
         assert heights == pytest.approx(volume / areas, rel=1e-10), "each by its own feet, signs included"
-        assert signed_lengths([hinge], x, kind="crossed") == pytest.approx(volume / areas[0], rel=1e-12)
+        edge = x.T[hinge[1]] - x.T[hinge[0]]
+        defined = np.hypot(areas[0], 0.1 * (edge @ edge))
+        assert signed_lengths([hinge], x, kind="crossed") == pytest.approx(volume / defined, rel=1e-12)
         # the blend: 1/h^2 is half the sum of 1/h_c^2 over all seven
         blend = np.sign(volume) * (0.5 * np.sum((areas / volume) ** 2)) ** -0.5
         assert signed_lengths([hinge], x, kind="altitude") == pytest.approx(blend, rel=1e-12)
@@ -56,11 +58,12 @@ def fold(angle, *, height0=1.0, height1=1.0, foot0=0.5, foot1=0.5, edge=1.0):
     return np.array(points, dtype=float).T
 
 
-def test_near_flat_the_crossed_length_is_h1_h2_theta_over_their_sum():
+def test_near_flat_the_crossed_length_is_nearly_h1_h2_theta_over_their_sum():
     for h0, h1, f0, f1 in [(1.0, 1.0, 0.5, 0.5), (0.7, 1.3, 0.2, 0.9), (1.0, 1.0, 0.0, 1.0)]:
         angle = 1e-4
         length = signed_lengths(PAIR, fold(angle, height0=h0, height1=h1, foot0=f0, foot1=f1), kind="crossed")[0]
-        assert length == pytest.approx(h0 * h1 * angle / (h0 + h1), rel=1e-7)
+        lines = h0 * h1 * angle / (h0 + h1)
+        assert length == pytest.approx(lines / np.sqrt(1.0 + (0.1 / (h0 + h1)) ** 2), rel=1e-7)
 
 
 def test_positive_is_the_side_of_the_normal():
@@ -74,9 +77,9 @@ def test_positive_is_the_side_of_the_normal():
 
 
 def test_where_a_length_is_not_defined_it_is_no_number():
-    # Folded shut the wings' line runs along the edge; four points on a line have no height.
+    # An edge without length has no direction; four points on a line have no height.
     for kind, x in (
-        ("crossed", fold(np.pi, foot0=0.2, foot1=0.8)),
+        ("crossed", fold(0.3, edge=0.0)),
         ("altitude", np.outer([1.0, 2.0, 3.0], np.arange(4))),
     ):
         assert np.isnan(signed_lengths(PAIR, x, kind=kind)).all()
@@ -102,6 +105,16 @@ def test_degenerate_states_give_no_nan(hinges, x):
         found += [run.x, run.v]
     for value in (*found, plan.energies(0.0, x, v), plan.dissipation(0.0, x, v), plan.rates(x)):
         assert np.isfinite(value).all()
+
+
+@pytest.mark.parametrize("short", 10.0 ** -np.arange(1, 12, 2))
+def test_force_of_crossed_springs_stays_bounded_up_to_folded_shut(short):
+    for f0, f1 in ((0.5, 0.5), (0.2, 0.8)):
+        x = fold(np.pi - short, foot0=f0, foot1=f1)
+        assert np.abs(signed_lengths(PAIR, x, kind="crossed")).max() < 1.0
+        # 6V falls as fast as the lines turn parallel: its gradient over M is what is left, 10 times that of a flat pair
+        assert gradient_squares(PAIR, x, kind="crossed").max() < 100.1
+    assert signed_lengths(PAIR, fold(np.pi), kind="crossed") == pytest.approx(0.0, abs=1e-13)
 
 
 @pytest.mark.parametrize("thin", 10.0 ** -np.arange(1, 16, 2))

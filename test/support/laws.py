@@ -130,9 +130,18 @@ def candidates(p):
 
 
 def crossed_length(p):
-    """S8: length and gradient of one hinge (4, 3)."""
-    h, gradient, _ = edge_edge(p, 0, 1, 2, 3)
-    return h, gradient
+    """S8: length and gradient of one hinge (4, 3); M^2 = |a x b|^2 + (0.1 |a|^2)^2 of the lines' directions a, b."""
+    h, slope, area = edge_edge(p, 0, 1, 2, 3)
+    a = p[1] - p[0]
+    more = 0.1 * (a @ a)
+    whole = np.hypot(area, more)
+    # h = d area / whole of the lines' distance d, whose gradient is known: so is that of the area, by 6V = d area.
+    b, n = p[3] - p[2], np.cross(a, p[3] - p[2])
+    along = np.cross(b, n) / area, np.cross(n, a) / area
+    area_slope = np.stack((-along[0], along[0], -along[1], along[1]))
+    share = area / whole
+    turn = np.stack((-a, a, 0.0 * a, 0.0 * a)) * 0.2 * more / whole
+    return h * share, share * slope + h * (area_slope - share * (share * area_slope + turn)) / whole
 
 
 def blended_length(p):

@@ -38,7 +38,6 @@ class EnergyRule:
     def __init__(self, plan: Plan, memory: Energy) -> None:
         self._plan, self.memory = plan, memory
         self._begins = memory.softest < 0.0
-        self._boundless = any(force.boundless for force in plan.model.forces)
 
     def looks(self, before: float, after: float, *, combined: bool) -> bool:
         """Whether the energy of a run whose error is unknown is looked at: a single run's only where stiffness changed
@@ -53,7 +52,7 @@ class EnergyRule:
         least, most = min(before, after), max(before, after)
         memory.softest = least if memory.softest < 0.0 else min(memory.softest, least)
         stiffened = most > CONSTANTS.stiffened * memory.softest
-        return combined or self._begins or self._boundless or stiffened
+        return combined or self._begins or stiffened
 
     def exceeds(self, start: Moment, end: Moment, step: float, work: float) -> bool:
         """Book a run with steps of a length [s]; return whether it made more energy than it may.

@@ -3,9 +3,9 @@
 """The rule of the fallback: the cap of a frame's work, and the steps that finish a frame which explicit ones can't
 follow within it.
 
-Some forces grow beyond all bounds next to a place where they are not defined, as S8's does where its two lines become
-parallel. A motion that meets such a place is kicked by whatever the step makes of it. The implicit method's safe steps
-only go where the energy falls.
+A sheet may be too violent for what its work may cost, and a force of the caller's own may grow beyond all bounds. A
+motion that meets such a place is kicked by whatever the step makes of it. The implicit method's safe steps only go
+where the energy falls.
 """
 
 from __future__ import annotations

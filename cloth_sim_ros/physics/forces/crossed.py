@@ -12,12 +12,11 @@ from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
 
 
 class CrossedSprings(HingeSprings):
-    """Edge-edge springs (S8): h is the signed distance of the lines of the shared edge and of the wings.
+    """Edge-edge springs (S8): h is the signed distance of the lines of the shared edge a and of the wings b.
 
-    h = n·(point of the wings' line - point of the edge's line), n their common normal on the side of the surface's
-    normal; the force is shared by the four particles with the weights of the feet of the common normal, which are not
-    clamped. With the lines parallel, as in a symmetric pair folded by exactly 180°, there is no such normal and no
-    force (sine below 1e-6); S9 has no such gap.
+    That distance is 6V/|a × b|, positive where the wings rise to the side of the surface's normal. Parallel lines, as
+    in a symmetric pair folded by exactly 180°, have no common normal: there its force would grow without limit. So
+    h = 6V/M with M² = |a × b|² + (0.1 |a|²)²: bounded everywhere, and within some 6° of 180° the spring lets go.
 
     Args:
         edges: the shared edges, shape (m, 2).
@@ -32,8 +31,6 @@ class CrossedSprings(HingeSprings):
     """
 
     kind = "crossed"
-    #: Next to parallel lines.
-    boundless = True
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,6 @@ class Force:
     name: str = "force"
     #: True where the force depends on velocities.
     damped: bool = False
-    #: True where there are places next to which the force grows beyond all bounds.
-    boundless: ClassVar[bool] = False
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
         """Return what the engine is to do; None for a force in numpy.

@@ -7,7 +7,7 @@ by θ, with t = cos θ,
 
     L² = h0² + h1² + d² + 2 h0 h1 t               the distance of the wings (S7), d = f1 - f0
     6V = e h0 h1 sin θ
-    M² = e² (h0² + h1² + 2 h0 h1 t)               of the edge and the wings' line (S8)
+    M² = e² (h0² + h1² + 2 h0 h1 t) + (ε e²)²     of the edge and the wings' line (S8), ε = PARALLEL
     M² = e² (h0² + h1²) + Σ (p_k² q_k² - (α_k - h0 h1 t)²)   of the four faces (S9), k = 0, 1 the ends of the edge,
 
 where p_k, q_k are the distances of the wings from end k and α_k = (f0 - e_k)(f1 - e_k). So every M² is a + b t + c
@@ -26,6 +26,8 @@ from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.forces.force import Array
 
 Length = Literal["crossed", "altitude"]
+#: S8's M² has (this e²)² more than |a × b|², so that parallel lines have a distance too; as in engine/laws.hpp.
+PARALLEL = 0.1
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -136,10 +138,7 @@ class HingeShape:
         t = -b / (a + c + np.sqrt(np.maximum((a + c) ** 2 - b * b, 0.0)))
         one = np.maximum(1.0 - t * t, 0.0)
         square = a + b * t + c * t * t
-        # S8 of equal heights: both vanish together at t = -1, where h is the height itself
-        shut = square <= 1e-14 * (np.abs(a) + np.abs(b))
-        ratio = np.divide(one, square, out=np.zeros_like(one), where=~shut)
-        highest = np.where(shut, np.minimum(self.height0, self.height1), self._volume() * np.sqrt(ratio))
+        highest = self._volume() * np.sqrt(one / square)
         half = 0.5 * (np.sqrt(self._distance2(1.0)) - np.sqrt(self._distance2(-1.0)))
         return highest / half
 
@@ -159,7 +158,8 @@ class HingeShape:
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":
-            return a, 2.0 * self.edge * self.edge * product, np.zeros_like(a)
+            least = PARALLEL * self.edge * self.edge
+            return a + least * least, 2.0 * self.edge * self.edge * product, np.zeros_like(a)
         b = np.zeros_like(a)
         for end in (np.zeros_like(self.edge), self.edge):
             one, two = self.foot0 - end, self.foot1 - end
