@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every tuned number of step control, choice of integrator, cost model and sleep.
 
-What half and double of each does to error and work is measured by `cloth_bench constants`; coefficients of methods are
-not tuned and stand with their method.
+What half and double of each does to error and work is measured by `cloth_bench constants`. Coefficients of methods,
+those of Newton's iteration among them, are not tuned and stand with their method; so do roundings, which the arithmetic
+sets, and halving and doubling.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ class Constants:
     stiffened: float = _number(1.02, "stiffening from which energy is looked at")
 
     # Implicit steps and the choice of integrator.
-    converged: float = _number(0.2, "part of a step's budget at which its iteration ends")
-    slow: float = _number(0.5, "part of a correction that the next one may be, else the iteration is given up")
     last_steps: float = _number(8.0, "steps of a frame that is finished by implicit steps")
     affordable: float = _number(0.5, "part of real time that explicit steps may cost before implicit ones come in")
+    iterations: float = _number(10.0, "Newton iterations of an implicit frame, until one was run")
+    implicit: float = _number(5e4, "most particles of a sheet that implicit steps are tried for")
 
     # Estimated cost, so that no clock is read.
     operation: float = _number(0.05, "time of an arithmetic operation in the engine's loops [ns]")

@@ -8,7 +8,7 @@ import pytest
 
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control import fallback
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators import stage_matrix
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -33,7 +33,7 @@ def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
     monkeypatch.setattr(CONSTANTS, "affordable", 1e-9)
     with pytest.raises(AssertionError, match="a matrix was asked for"):
         Simulation(scene).advance()
-    monkeypatch.setattr(fallback, "MOST_IMPLICIT", 100)
+    monkeypatch.setattr(CONSTANTS, "implicit", 100.0)
     Simulation(scene).advance()
 
 

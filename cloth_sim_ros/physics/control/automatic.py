@@ -21,9 +21,6 @@ from cloth_sim_ros.physics.state import State
 #: Integrators by the name that a scene gives.
 INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
 
-#: Newton iterations of an implicit frame that is held to a tolerance, as a rule: two steps.
-ITERATIONS = 10.0
-
 
 def make_integrator(
     name: str, *, step: float | None = None, tolerance: float | None = None, work: float = WORK_LIMIT
@@ -106,7 +103,7 @@ class Automatic(Integrator):
         elif memory.implicit:
             cost = done.evaluations * _iteration(plan)
             # A single frame that had to be repeated is no reason to change.
-            memory.cost = 0.8 * memory.cost + 0.2 * cost if memory.cost else cost
+            memory.cost = 0.5 * (memory.cost + cost) if memory.cost else cost
         memory.store(state)
         if missed:
             why = f"{missed}, explicit ones may not hold real time"
@@ -127,7 +124,7 @@ class Automatic(Integrator):
         memory.explicit, memory.vain = _explicit_frame(plan, state, duration), 0.0
         better = memory.explicit > CONSTANTS.affordable * duration * 1e9 and within_reach(plan)
         if better:
-            implicit = memory.cost or ITERATIONS * _iteration(plan)
+            implicit = memory.cost or CONSTANTS.iterations * _iteration(plan)
             better = implicit <= (CONSTANTS.trust if memory.implicit else 1.0) * memory.explicit
         if better != bool(memory.implicit):
             restart(state)

@@ -19,13 +19,12 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
 
-#: Sheets of more particles are always stepped explicitly: one implicit frame would take half a minute and gigabytes.
-MOST_IMPLICIT = 50_000
-
 
 def within_reach(plan: Plan) -> bool:
-    """Whether the implicit method comes into question for a sheet of this size."""
-    return plan.model.particle_count <= MOST_IMPLICIT
+    """Whether the implicit method comes into question for a sheet of this size: a frame of a larger one would take half
+    a minute and gigabytes.
+    """
+    return plan.model.particle_count <= CONSTANTS.implicit
 
 
 def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float) -> float:

@@ -48,8 +48,8 @@ class PrecisionRule:
             self._plan.runs(t, steps * step, (state.x, state.v), [steps], narrow=narrow)[0][0].x
             for narrow in (False, True)
         ]
-        # Twice, since it is measured once.
-        memory.rounding = 2.0 * largest_distance(*ends)
+        # It is measured once.
+        memory.rounding = CONSTANTS.trust * largest_distance(*ends)
         return 2 * (steps + 1)
 
     def narrows(self, state: State, amplified: float) -> bool:

@@ -120,8 +120,8 @@ class Stretch:
         most = min(self._most, self.first) if self.first else self._most
         self.steps = self.first = self.pieces = 0
         for k in range(2):
-            # Where the trouble lies is not known: the first half leaves some to the second, which has all that is left.
-            budget = 0.75 * self.rule.budget if k == 0 else max(self.rule.budget - spent, 0.25 * self.rule.budget)
+            # What the first half does not spend is left to the second.
+            budget = max(0.5 * self.rule.budget, (self.rule.budget - spent) * k)
             stability = StabilityRule(effort.plan, effort.stability, effort.state, half)
             rule = self.rule.of_stretch(Error(part=half), budget, effort.state, stability)
             ahead = self._ahead + (self._work_later(half) if k == 0 else 0.0)

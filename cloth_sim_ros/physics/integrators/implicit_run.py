@@ -24,6 +24,10 @@ from cloth_sim_ros.physics.state import State
 GAMMA = 1.0 - math.sqrt(0.5)
 #: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
 _MARGIN = 0.1
+#: Part of a step's budget at which its iteration ends.
+_CONVERGED = 0.2
+#: Part of a correction that the next one may be from `_SLOW_FROM` on.
+_SLOW = 0.5
 #: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.
 _PATIENCE, _LEAST_SHARE = 4, 1e-3
 #: Attempts after which an advance is given up.
@@ -157,7 +161,7 @@ class ImplicitAdvance:
     def _steps(self, steps: int) -> float | None:
         """Take equal steps; return the sum of their errors, or None if a stage did not converge."""
         h = self._duration / steps
-        self._close = CONSTANTS.converged * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
+        self._close = _CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._unsolved = math.inf, 0
         state, total = self._state, 0.0
         guess = np.empty_like(state.x)
@@ -245,7 +249,7 @@ class ImplicitAdvance:
                 correction *= self._share(t, x, v, d, u, correction)
             u += correction
             size = d * _largest(correction)
-            if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > CONSTANTS.slow * last):
+            if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > _SLOW * last):
                 return None
             if last < math.inf:
                 self._curvature = max(
