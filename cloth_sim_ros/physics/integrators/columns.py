@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import lru_cache
 
 from cloth_sim_ros.physics.arrays import combine, largest_distance
@@ -45,21 +44,13 @@ def amplification(columns: int) -> float:
 
 @lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights of T_K for K columns of these step counts: found in fractions, rounded once."""
-    size = len(counts)
-    inverse = [Fraction(counts[0], count) for count in counts]
-    powers = [0, *range(2, size + 1)]
-    rows = [[ratio**power for ratio in inverse] + [Fraction(int(power == 0))] for power in powers]
-    # Gauss and Jordan; no pivot is zero, for the counts differ.
-    for k in range(size):
-        pivot = next(row for row in range(k, size) if rows[row][k])
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        rows[k] = [entry / rows[k][k] for entry in rows[k]]
-        for row in range(size):
-            if row != k:
-                factor = rows[row][k]
-                rows[row] = [entry - factor * own for entry, own in zip(rows[row], rows[k], strict=True)]
-    return tuple(float(row[-1]) for row in rows)
+    """Return the weights of T_K for K columns of these step counts n: exact ratios of whole numbers, rounded once.
+
+    Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. So the weights that solve
+    ``sum w = 1, sum w n^-p = 0`` are ``w_i = n_i^K / (sum of n * product of n_i - n_j over the others)``.
+    """
+    size, total = len(counts), sum(counts)
+    return tuple(n**size / (total * math.prod(n - other for other in counts if other != n)) for n in counts)
 
 
 class Columns:
