@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, doubles, library
 from cloth_sim_ros.physics.forces.force import Array
 
 
@@ -28,9 +28,7 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
     out = np.empty_like(arrays[0])
     places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
     factors = np.array(weights, dtype=np.float64)
-    check(
-        library().cloth_combine(len(arrays), ctypes.addressof(places), factors.ctypes.data, out.size, out.ctypes.data)
-    )
+    check(library().cloth_combine(len(arrays), ctypes.addressof(places), address(factors), out.size, address(out)))
     return out
 
 

@@ -29,8 +29,8 @@ class Book:
 
     def restart(self) -> None:
         """Forget what was noted since the advance began: it is attempted anew."""
-        self._grips = np.zeros_like(self._grips)
-        self._powers = np.zeros(2)
+        self._grips.fill(0.0)
+        self._powers.fill(0.0)
         self._duration = 0.0
 
     def noted(self) -> tuple[Array, Array, float]:
@@ -47,7 +47,8 @@ class Book:
         """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
         for weight, grip, power in zip(weights, grips, powers, strict=True):
             self._grips += weight * grip
-            self._powers += weight * power
+            if self.powers:
+                self._powers += weight * power
         self._duration += duration
 
     def add(self, grips: Array, powers: tuple[float, float], duration: float) -> None:

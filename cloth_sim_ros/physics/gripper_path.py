@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.angles import arctangent
 from cloth_sim_ros.physics.forces.force import Array
 
@@ -45,15 +44,15 @@ def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float
     )
 
 
-def rotation_vector(start: Sequence[float], end: Sequence[float]) -> Array:
-    """Return the rotation vector [rad], shape (3,), of the shortest turn from one unit quaternion to another."""
+def rotation_vector(start: Sequence[float], end: Sequence[float]) -> Sequence[float]:
+    """Return the rotation vector [rad], 3 numbers, of the shortest turn from one unit quaternion to another."""
     x, y, z, w = product(end, (-start[0], -start[1], -start[2], start[3]))
     if w < 0.0:
         x, y, z, w = -x, -y, -z, -w
     sine = math.sqrt(x * x + y * y + z * z)
     # atan(sine / w) / sine -> 1 as the turn vanishes.
     scale = 2.0 * arctangent(sine, w) / sine if sine > 1e-12 else 2.0
-    return np.array([scale * x, scale * y, scale * z])
+    return scale * x, scale * y, scale * z
 
 
 def rotation_matrix(orientation: Array) -> Array:
@@ -69,38 +68,46 @@ def rotation_matrix(orientation: Array) -> Array:
 
 
 def path_row(
-    t: float, duration: float, pose: Array, twist: Array, last_turn: Array, target: Array
-) -> tuple[Array, Array, Array]:
+    t: float,
+    duration: float,
+    pose: Sequence[float],
+    twist: Sequence[float],
+    last_turn: Sequence[float],
+    target: Sequence[float],
+) -> tuple[list[float], list[float], list[float]]:
     """Return the path over one frame, the twist at its end, and this frame's displacement and turn.
 
     A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the last
-    frame had too:
-    a steady stream of targets is followed without ripple, a jump arrives at rest without overshoot. See docs/design.md.
+    frame had too: a steady stream of targets is followed without ripple, a jump arrives at rest without overshoot. See
+    docs/design.md. Lists go in and out: for so few numbers arrays would take several times as long.
 
     Args:
         t: time of the frame's start [s].
         duration: length of the frame [s].
-        pose: position [m] and unit quaternion x, y, z, w, shape (7,).
-        twist: velocity [m/s] and angular velocity [rad/s], shape (6,).
-        last_turn: displacement [m] and rotation vector [rad] over the frame before, shape (6,).
-        target: pose at the frame's end, shape (7,).
+        pose: position [m] and unit quaternion x, y, z, w.
+        twist: velocity [m/s] and angular velocity [rad/s], 6 numbers.
+        last_turn: displacement [m] and rotation vector [rad] over the frame before, 6 numbers.
+        target: pose at the frame's end.
     """
-    place, end = pose.tolist(), target.tolist()
-    turn = [end[i] - place[i] for i in range(3)] + rotation_vector(place[3:], end[3:]).tolist()
-    begin, before = twist.tolist(), last_turn.tolist()
-    row, end_twist = [0.0] * PATH_NUMBERS, [0.0] * 6
-    row[0] = t
-    row[1:4], row[13:17] = place[:3], place[3:]
-    for part, first in ((0, 4), (3, 17)):
-        d, d0 = turn[part : part + 3], before[part : part + 3]
-        square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-        shared = d[0] * d0[0] + d[1] * d0[1] + d[2] * d0[2]
-        kept = min(1.0, max(0.0, shared / square)) if square > 0.0 else 0.0
-        for i in range(3):
-            mean, v = d[i] / duration, begin[part + i]
-            last = mean * kept
-            row[first + i] = v
-            row[first + 3 + i] = (3.0 * mean - 2.0 * v - last) / duration
-            row[first + 6 + i] = (v + last - 2.0 * mean) / (duration * duration)
-            end_twist[part + i] = last
-    return np.array(row), np.array(end_twist), np.array(turn)
+    moved = [target[i] - pose[i] for i in range(3)]
+    turned = rotation_vector(pose[3:], target[3:])
+    way, end = _cubic(moved, twist[:3], last_turn[:3], duration)
+    turning, end_spin = _cubic(turned, twist[3:], last_turn[3:], duration)
+    return [t, *pose[:3], *way, *pose[3:], *turning], [*end, *end_spin], [*moved, *turned]
+
+
+def _cubic(
+    way: Sequence[float], start: Sequence[float], before: Sequence[float], duration: float
+) -> tuple[list[float], list[float]]:
+    """Return the coefficients, 9 numbers, of a cubic that goes a way over a duration from a start velocity, and its end
+    velocity. The frame before went another way.
+    """
+    (dx, dy, dz), (bx, by, bz) = way, before
+    square = dx * dx + dy * dy + dz * dz
+    shared = dx * bx + dy * by + dz * bz
+    kept = min(1.0, max(0.0, shared / square)) if square > 0.0 else 0.0
+    mean = [d / duration for d in way]
+    last = [m * kept for m in mean]
+    second = [(3.0 * m - 2.0 * v - e) / duration for m, v, e in zip(mean, start, last, strict=True)]
+    third = [(v + e - 2.0 * m) / (duration * duration) for m, v, e in zip(mean, start, last, strict=True)]
+    return [*start, *second, *third], last

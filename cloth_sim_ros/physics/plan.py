@@ -119,12 +119,13 @@ class Plan:
         paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
         if paths.shape != (grips.gripper_count, PATH_NUMBERS):
             raise ValueError(f"paths have shape {paths.shape}; they must be {(grips.gripper_count, PATH_NUMBERS)}")
-        if not np.isfinite(paths).all():
+        # A sum tells nearly always that all are finite, in a fraction of the time.
+        if not (math.isfinite(np.add.reduce(paths, None)) or np.isfinite(paths).all()):
             raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
         if grips.changes != self._seen:
             self._hold(grips, paths)
         else:
-            check(self._library.cloth_plan_paths(self._handle, paths.ctypes.data))
+            check(self._library.cloth_plan_paths(self._handle, doubles("paths", paths, paths.shape)))
         self._seen, self._moved = grips.changes, grips.moves
 
     def _hold(self, grips: Grips, paths: Array) -> None:

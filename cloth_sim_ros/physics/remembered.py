@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import attrs
 import numpy as np
@@ -22,6 +22,8 @@ class Remembered:
 
     #: Name in ``State.memory``.
     key: str
+    #: Names of its numbers, in order: attrs sets it.
+    __match_args__: ClassVar[tuple[str, ...]]
 
     @classmethod
     def of(cls, state: HasMemory) -> Self:
@@ -31,8 +33,7 @@ class Remembered:
 
     def store(self, state: HasMemory) -> None:
         """Write them into a state."""
-        # Each frame does this: `attrs.astuple` would take five times as long.
-        state.memory[self.key] = np.array([getattr(self, field.name) for field in attrs.fields(type(self))])  # type: ignore[arg-type]
+        state.memory[self.key] = np.array([getattr(self, name) for name in self.__match_args__])
 
     @classmethod
     def check(cls, array: np.ndarray) -> None:
@@ -41,7 +42,7 @@ class Remembered:
         Raises:
             ValueError: naming the number and what is wrong with it.
         """
-        names: list[str] = [field.name for field in attrs.fields(cls)]  # type: ignore[arg-type]
+        names = cls.__match_args__
         if not array.size:
             return
         if array.dtype != np.float64 or array.shape != (len(names),):

@@ -180,7 +180,7 @@ def _numbers(value: Any, count: int, name: str) -> Vector:
 
 def _turned(start: Vector, end: Vector, share: float) -> Vector:
     """Return the orientation at a share of the shortest turn from one to another."""
-    vector = share * rotation_vector(start, end)
+    vector = share * np.array(rotation_vector(start, end))
     angle = float(np.sqrt(vector @ vector))
     # sin(angle / 2) / angle -> 1/2 as the turn vanishes.
     scale = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import attrs
@@ -137,8 +138,12 @@ class Grippers:
 
     def plan_frame(
         self, grips: Grips, model: Model, t: float, duration: float, stiffness: float, damping: float
-    ) -> None:
+    ) -> float:
         """Lay each gripper's path over the frame into the force that holds particles, with what it holds.
+
+        Returns:
+            By how much the way of a closed gripper over this frame differs from that over the one before [m], at most,
+            along an axis.
 
         Args:
             grips: the force that holds particles.
@@ -150,15 +155,22 @@ class Grippers:
             damping: dimensionless damping k_d0 of it.
         """
         memory = self._state.memory
-        pose, twist, turn = (self._renewed(f"gripper.{what}") for what in ("pose", "twist", "turn"))
-        paths = np.empty_like(grips.paths)
-        for g in range(len(self.names)):
-            target = memory["gripper.target"][g]
-            paths[g], twist[g], turn[g] = path_row(t, duration, pose[g], twist[g], turn[g], target)
-            pose[g] = target
+        closed, before = memory["gripper.closed"].tolist(), memory["gripper.turn"].tolist()
+        poses, twists, targets = (memory[f"gripper.{what}"].tolist() for what in ("pose", "twist", "target"))
+        planned = [path_row(t, duration, *given) for given in zip(poses, twists, before, targets, strict=True)]
+        paths, ends, turns = (list(column) for column in zip(*planned, strict=True))
+        memory["gripper.twist"], memory["gripper.turn"] = np.array(ends), np.array(turns)
+        # No array of a state is written into, so two names may share one.
+        memory["gripper.pose"] = memory["gripper.target"]
+        self._lay(grips, np.array(paths), model, stiffness, damping)
+        held = [pair for shut, *pair in zip(closed, turns, before, strict=True) if shut]
+        return max((abs(new[i] - old[i]) for new, old in held for i in range(3)), default=0.0)
+
+    def _lay(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
+        memory = self._state.memory
         particles, starts = memory["grip.particles"], memory["grip.starts"]
         held = (particles, starts, memory["grip.offsets"], stiffness, damping, grips)
-        if self._laid is not None and all(new is old for new, old in zip(held, self._laid, strict=True)):
+        if self._laid is not None and all(map(operator.is_, held, self._laid)):
             grips.move(paths)
             return
         self._laid = held

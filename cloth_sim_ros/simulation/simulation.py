@@ -299,10 +299,8 @@ class Simulation:
         if grips is None:
             return
         state, period, gripper = self.state, self._scene.period, self._scene.gripper
-        before = state.memory["gripper.turn"][:, :3]
-        self.grippers.plan_frame(grips, self.model, t, period, gripper.stiffness, gripper.damping)
-        jerk = np.abs(state.memory["gripper.turn"][:, :3] - before)[state.memory["gripper.closed"]]
-        if jerk.max(initial=0.0) > JUMP * period:
+        jerk = self.grippers.plan_frame(grips, self.model, t, period, gripper.stiffness, gripper.damping)
+        if jerk > JUMP * period:
             restart(state)
 
     def _sleeps_on(self, t: float) -> bool:

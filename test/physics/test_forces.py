@@ -58,13 +58,10 @@ def sheet(damping, parity, **options):
 
 def grips(stillness=False):
     held = Grips(2)
-    one, turned = (
-        np.array([0.1, 0, 0, 0, 0, 0, 1.0]),
-        np.array([0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]),
-    )
+    one, turned = [0.1, 0, 0, 0, 0, 0, 1.0], [0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]
     paths = np.zeros((2, 26))
     for g, (pose, target) in enumerate([(one, turned), (turned, one)]):
-        paths[g] = path_row(0.0, 0.1, pose, RNG.standard_normal(6), np.zeros(6), target)[0]
+        paths[g] = path_row(0.0, 0.1, pose, RNG.standard_normal(6).tolist(), [0.0] * 6, target)[0]
     if stillness:
         paths[:, 4:13] = paths[:, 17:26] = 0.0
     particles = np.array([1, 2, 2, 5])

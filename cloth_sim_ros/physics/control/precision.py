@@ -59,5 +59,5 @@ class PrecisionRule:
         rounding = amplified * self.memory.rounding
         if not 0.0 <= rounding <= self._room:
             return False
-        fastest = max(float(state.v.max()), -float(state.v.min()))
-        return fastest * self._duration > CONSTANTS.motion * rounding
+        v, least = state.v, CONSTANTS.motion * rounding
+        return float(v.max()) * self._duration > least or -float(v.min()) * self._duration > least

@@ -14,6 +14,7 @@ import math
 
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.integrators.columns import RATIOS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
@@ -28,6 +29,13 @@ MOST_COLUMNS = len(RATIOS) - 1
 #: steps waves may grow by up to 3e-3 a step of three runs; there the error's estimate sees them.
 UNDAMPED_STEPS = 6
 UNDAMPED_SHARES = (1.0, 0.125, 0.75, 0.25)
+
+_GRIPS_AND_AIR = (Grips, Drag)
+
+
+def _damps(force: Force) -> bool:
+    """Whether a force damps waves: grips damp what they hold alone, air all waves a little."""
+    return force.damped and not isinstance(force, _GRIPS_AND_AIR)
 
 
 class StabilityRule:
@@ -46,10 +54,9 @@ class StabilityRule:
             memory.omega2, memory.damping = plan.rates(state.x)
         #: Highest angular frequency at the start [1/s].
         self.omega = math.sqrt(memory.omega2)
-        # Grips damp what they hold alone; air damps all waves a little.
-        springs = (force for force in plan.model.forces if not isinstance(force, Grips | Drag))
-        damped = memory.damping * duration >= CONSTANTS.damped and any(force.damped for force in springs)
-        self.damped = damped or memory.omega2 == 0.0
+        self.damped = memory.omega2 == 0.0 or (
+            memory.damping * duration >= CONSTANTS.damped and any(map(_damps, plan.model.forces))
+        )
 
     def least(self, columns: int) -> float:
         """Return how much finer than stability asks of one run the steps of a combination must be, at least."""
