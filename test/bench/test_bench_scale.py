@@ -8,7 +8,6 @@ import pytest
 
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators import stage_matrix
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation

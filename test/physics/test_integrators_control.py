@@ -146,13 +146,21 @@ class _Cliff(Force):
         return 1e6 * float(np.sum(np.maximum(v[0], 0.0), where=x[0] > 0.0))
 
 
-def test_errors_below_the_smallest_step_are_accepted_flagged_and_counted() -> None:
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
+def test_a_force_that_jumps_is_found_and_its_error_is_stated(tolerance: float) -> None:
+    begin = -0.00741
     plan = compile(Model([1.0], [_Cliff()]))
-    state = State([[-0.00741, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
-    done = Extrapolated(tolerance=1e-9).advance(plan, state, 0.0, PERIOD)
-    assert done.flagged == 1
+    state = State([[begin, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    done = Extrapolated(tolerance=tolerance).advance(plan, state, 0.0, PERIOD)
+    since = PERIOD + begin
     assert done.error is not None
-    assert done.error > 1e-9
+    assert abs(state.x[0, 0] - (since + 0.5e6 * since * since)) < 2.0 * done.error
+    # It is found by halving: steps as fine everywhere would be a million.
+    assert done.evaluations < 100_000
+    assert "stretches" in done.reason
+    # No step is small enough: what is left is flagged.
+    assert done.flagged == 1
+    assert done.error > tolerance * PERIOD
 
 
 def test_a_motion_that_is_not_finite_is_refused_and_leaves_the_state() -> None:

@@ -127,7 +127,7 @@ class ExplicitAdvance:
 
     def _mean_refinement(self) -> float:
         """Steps that the first runs took, relative to those that stability asks for."""
-        return max(1.0, self._whole.first * CONSTANTS.safety * self._limit / self._duration)
+        return max(1.0, self._whole.first * self._whole.longest / self._duration)
 
     def _reason(self, flagged: int) -> str:
         """The choice in words."""

@@ -96,7 +96,8 @@ class Stretch:
         if self._duration * self.choice.refine > self._most * self.longest:
             if self._halvings < _MOST_HALVINGS and effort.affords(self._ahead):
                 return self._halves()
-            effort.lost = within_reach(effort.plan)
+            effort.spent, self.choice = True, Choice(self.choice.columns, 1.0, True)
+            effort.lost = self._duration > self._most * self.longest and within_reach(effort.plan)
         while not effort.lost:
             error = self._attempt(start)
             if error is not None and self._halvings:
@@ -300,17 +301,19 @@ class Stretch:
         """Return a stretch's error [m] with what its last step may have missed, None where that is too much.
 
         Runs see forces at the middle of their steps. A force that changes at once in the last half step is seen by
-        none of them, and halving a stretch where it does leads right there. So accelerations at the end, half a step
-        and a step before it are compared: what their second difference does to the velocity in half a step.
+        none of them, and halving a stretch where it does leads right there. So accelerations over that half step are
+        compared: what their fourth difference does to the velocity in it. A smooth motion has next to none.
         """
-        effort, h = self._effort, self.finest
+        effort, last = self._effort, 0.5 * self.finest
         plan, x, v, t = effort.plan, effort.state.x, effort.state.v, self._t + self._duration
-        here, half, step = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+        here, there, sum_ = np.empty_like(x), np.empty_like(x), np.empty_like(x)
         plan.accelerations(t, x, v, here)
-        for back, out in ((0.5 * h, half), (h, step)):
-            plan.accelerations(t - back, x - back * v + (0.5 * back * back) * here, v - back * here, out)
-        effort.evaluations += 3
-        missed = 0.5 * h * largest_distance(here + step, 2.0 * half) / self._slowest
+        sum_[:] = here
+        for back, weight in ((0.25 * last, -4.0), (0.5 * last, 6.0), (0.75 * last, -4.0), (last, 1.0)):
+            plan.accelerations(t - back, x - back * v + (0.5 * back * back) * here, v - back * here, there)
+            sum_ += weight * there
+        effort.evaluations += 5
+        missed = last * largest_distance(sum_, np.zeros_like(sum_)) / self._slowest
         error += missed
         if error <= self.rule.budget or effort.spent or error <= self.rule.floor(self.choice.columns):
             return error
@@ -331,8 +334,13 @@ class Stretch:
 
     @property
     def _slowest(self) -> float:
-        """Angular frequency [1/s] at which an error of a velocity becomes one of positions."""
-        return max(self._stability.omega, 1.0 / self._effort.duration)
+        """Angular frequency [1/s] at which an error of a velocity becomes one of positions.
+
+        Over a whole advance that of a slow wave has become one, so what is left is that of the fastest. A short part of
+        it shows only the beginning: there every velocity is taken to be kept.
+        """
+        slowest = 1.0 / self._effort.duration
+        return slowest if self._halvings else max(self._stability.omega, slowest)
 
     def _try_halves(self, refine: float, *, smooth: bool) -> bool:
         """Whether the stretch is rather halved than made finer by a factor; then that is what comes next.
