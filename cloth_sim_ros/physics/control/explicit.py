@@ -75,8 +75,8 @@ class ExplicitAdvance:
             part_cost=part_cost(plan),
         )
         rule = ErrorRule(error, stability, budget, options.columns, state)
-        # A judged attempt leaves room for a retry.
-        most = self._effort.cap / (CONSTANTS.finer * sum(RATIOS[:2])) if options.tolerance is not None else math.inf
+        # A judged attempt has to fit.
+        most = self._effort.cap / sum(RATIOS[:2]) if options.tolerance is not None else math.inf
         choice = Choice(columns, error.refine, judge)
         self._whole = Stretch(self._effort, t, duration, choice, rule, stability, most=most)
 

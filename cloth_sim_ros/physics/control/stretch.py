@@ -294,7 +294,8 @@ class Stretch:
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         if wanted == choice.columns:
             refine = max(refine, 1.1 * choice.refine)
-        smooth = len(sums.errors) > 1 and CONSTANTS.trust * min(sums.errors) < sums.errors[0]
+        # A single estimate tells nothing of that.
+        smooth = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
         return not self._seek(wanted, refine, smooth=smooth)
 
     def _to_the_end(self, error: float) -> float | None:
@@ -322,12 +323,20 @@ class Stretch:
         return None if self._seek(self.choice.columns, refine, smooth=False) else error
 
     def _seek(self, columns: int, refine: float, *, smooth: bool) -> bool:
-        """Choose what is tried instead of what was not fine enough; return whether anything is."""
-        if self._try_halves(refine, smooth=smooth):
+        """Choose what is tried instead of what was not fine enough; return whether anything is.
+
+        Args:
+            columns: runs to combine.
+            refine: refinement that is wanted.
+            smooth: whether combinations gained on one another, as they do where the motion is smooth.
+        """
+        finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
+        affordable = self._affords(columns, finer)
+        if (not affordable or (not smooth and self._beyond_order(refine))) and self._can_halve():
+            self._halve = True
             return True
-        refine = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
-        if self._affords(columns, refine):
-            self.choice = Choice(columns, refine, True)
+        if affordable:
+            self.choice = Choice(columns, finer, True)
             return True
         self._effort.spent = True
         return False
@@ -342,22 +351,15 @@ class Stretch:
         slowest = 1.0 / self._effort.duration
         return slowest if self._halvings else max(self._stability.omega, slowest)
 
-    def _try_halves(self, refine: float, *, smooth: bool) -> bool:
-        """Whether the stretch is rather halved than made finer by a factor; then that is what comes next.
-
-        Args:
-            refine: refinement that is wanted.
-            smooth: whether combinations gained on one another, as they do where the motion is smooth.
-        """
+    def _beyond_order(self, refine: float) -> bool:
+        """Whether more is wanted than the order of the error promised."""
         known = self._halvings + self._rejected > 0
-        most = (CONSTANTS.trust if known else CONSTANTS.finer) * self.choice.refine
-        self._halve = (
-            ((refine > most and not smooth) or not self._affords(self.choice.columns, refine))
-            and self._halvings < _MOST_HALVINGS
-            and self.first >= _FEWEST_HALVED
-            and self._affords(self.choice.columns, self.choice.refine)
-        )
-        return self._halve
+        return refine > (CONSTANTS.trust if known else CONSTANTS.finer) * self.choice.refine
+
+    def _can_halve(self) -> bool:
+        """Whether the stretch has steps enough to be halved, and halves fit the cap as it did."""
+        enough = self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
+        return enough and self._affords(self.choice.columns, self.choice.refine)
 
     def _difference(self, columns: Columns, count: int) -> float:
         """Return the error of a combination [m], the run that it takes counted."""
@@ -397,7 +399,8 @@ class Stretch:
         """
         effort, choice = self._effort, self.choice
         options, refine = effort.options, finer * choice.refine
-        if options.tolerance is not None and finer > 1.0 and self._try_halves(2.0 * refine, smooth=False):
+        if options.tolerance is not None and finer > 1.0 and self._beyond_order(2.0 * refine) and self._can_halve():
+            self._halve = True
             return False
         if self._affords(choice.columns, refine):
             self.choice = Choice(choice.columns, refine, choice.judge)
