@@ -1,0 +1,217 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles: rigid shapes that keep cloth out, described in their own frame, and exact distances to them in numpy.
+
+The engine has its own distances, which are fast; those here are its independent reference, and what tells where a cloth
+would start inside an obstacle.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.obstacle_mesh import check_closed, mesh_distance
+
+#: Shapes, and what their sizes are called, in the order of `Obstacle.size`.
+SHAPES: dict[str, tuple[str, ...]] = {
+    "plane": (),
+    "box": ("x", "y", "z"),
+    "sphere": ("radius",),
+    "capsule": ("radius", "length"),
+    "cylinder": ("radius", "length"),
+    "mesh": (),
+}
+#: Most that a size, or a coordinate of a mesh, may be [m].
+MOST_SIZE = 1e4
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.asarray(values, dtype=np.float64).ravel())
+
+
+def _points(values: Any) -> Array | None:
+    return None if values is None else np.array(values, dtype=np.float64, order="C")
+
+
+def _faces(values: Any) -> NDArray[np.int64] | None:
+    if values is None:
+        return None
+    faces = np.array(values, order="C")
+    return faces.astype(np.int64) if faces.dtype.kind in "iu" else faces
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Obstacle:
+    """A rigid shape, centred on its own frame.
+
+    ===========  ====================  ==========================================================================
+    shape        size [m]              where
+    ===========  ====================  ==========================================================================
+    plane        none                  the half space z <= 0 is solid; its normal is z
+    box          x, y, z               edge lengths along the axes
+    sphere       radius
+    capsule      radius, length        axis z; length is that of the cylinder between the two half spheres
+    cylinder     radius, length        axis z, flat ends
+    mesh         none                  closed; seen from outside, each triangle runs counterclockwise
+    ===========  ====================  ==========================================================================
+
+    Raises:
+        ValueError: for a shape that is not known, sizes that don't fit it, friction that is no friction, or a mesh that
+            is not closed, inside out, or has triangles without area.
+    """
+
+    name: str
+    shape: str
+    #: Sizes [m], as the table says.
+    size: tuple[float, ...] = attrs.field(default=(), converter=_numbers)
+    #: Coefficients of static and kinetic friction.
+    friction: tuple[float, ...] = attrs.field(default=(0.0, 0.0), converter=_numbers)
+    #: Of a mesh: vertices [m], shape (m, 3).
+    vertices: Array | None = attrs.field(default=None, converter=_points, repr=False)
+    #: Of a mesh: three vertices each, shape (t, 3).
+    triangles: NDArray[np.int64] | None = attrs.field(default=None, converter=_faces, repr=False)
+
+    def __attrs_post_init__(self) -> None:
+        """Refuse what is no obstacle."""
+        if self.shape not in SHAPES:
+            raise ValueError(f"{self._who} is a '{self.shape}'; it must be one of {', '.join(SHAPES)}")
+        self._check_size()
+        if len(self.friction) != 2:
+            raise ValueError(f"{self._who} has {len(self.friction)} coefficients of friction; give static and kinetic")
+        static, kinetic = self.friction
+        if not (math.isfinite(static) and 0.0 <= kinetic <= static):
+            raise ValueError(
+                f"{self._who} has friction {static} at rest and {kinetic} in motion; both must be finite and at least "
+                "0, and the one in motion at most the one at rest"
+            )
+        if (self.shape == "mesh") != (self.vertices is not None and self.triangles is not None):
+            raise ValueError(f"{self._who} is a {self.shape}; a mesh, and nothing else, has vertices and triangles")
+        if self.vertices is not None and self.triangles is not None:
+            try:
+                check_closed(self.vertices, self.triangles, MOST_SIZE)
+            except ValueError as error:
+                raise ValueError(f"{self._who}: {error}") from error
+
+    @property
+    def _who(self) -> str:
+        return f"obstacle '{self.name}'"
+
+    def _check_size(self) -> None:
+        names = SHAPES[self.shape]
+        if len(self.size) != len(names):
+            raise ValueError(
+                f"{self._who} has {len(self.size)} sizes, {list(self.size)}; a {self.shape} has {len(names)}"
+                + (f": {', '.join(names)}" if names else "")
+            )
+        for name, value in zip(names, self.size, strict=True):
+            if not 0.0 < value <= MOST_SIZE:
+                raise ValueError(f"{self._who} has {name} {value} m; it must be above 0 and at most {MOST_SIZE:g} m")
+
+    @cached_property
+    def reach(self) -> float:
+        """Radius of a sphere about the frame's origin that holds the whole obstacle [m]; infinite for a plane."""
+        match self.shape:
+            case "plane":
+                return math.inf
+            case "box":
+                x, y, z = self.size
+                return 0.5 * math.sqrt(x * x + y * y + z * z)
+            case "sphere":
+                return self.size[0]
+            case "capsule":
+                return self.size[0] + 0.5 * self.size[1]
+            case "cylinder":
+                radius, half = self.size[0], 0.5 * self.size[1]
+                return math.sqrt(radius * radius + half * half)
+        assert self.vertices is not None
+        return math.sqrt(float(_squares(self.vertices).max()))
+
+    def distance(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Return how far points are outside, negative inside, and the direction in which that grows fastest.
+
+        Args:
+            points: in the obstacle's frame [m], shape (m, 3).
+
+        Returns:
+            gaps [m], shape (m,), and unit normals, shape (m, 3), away from the obstacle. Where several directions are
+            as good, as at the centre of a sphere, one of them.
+        """
+        p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        if self.shape == "mesh":
+            assert self.vertices is not None
+            assert self.triangles is not None
+            return mesh_distance(p, self.vertices, self.triangles)
+        return _DISTANCES[self.shape](p, self.size)
+
+
+def _squares(vectors: Array) -> Array:
+    """Squared lengths of vectors (m, k), summed from the first component on."""
+    total = vectors[:, 0] * vectors[:, 0]
+    for k in range(1, vectors.shape[1]):
+        total = total + vectors[:, k] * vectors[:, k]
+    return total
+
+
+def _away_from(points: Array, nearest: Array, otherwise: Array) -> tuple[Array, Array]:
+    """Distances of points (m, k) from others, and unit vectors away from those; `otherwise` where they coincide."""
+    away = points - nearest
+    distance = np.sqrt(_squares(away))
+    apart = distance > 0.0
+    return distance, np.where(apart[:, None], away / np.where(apart, distance, 1.0)[:, None], otherwise)
+
+
+def _plane(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    return p[:, 2].copy(), np.broadcast_to([0.0, 0.0, 1.0], p.shape).copy()
+
+
+def _sphere(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    distance, normal = _away_from(p, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    return distance - size[0], normal
+
+
+def _capsule(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    radius, half = size[0], 0.5 * size[1]
+    nearest = np.zeros_like(p)
+    nearest[:, 2] = np.clip(p[:, 2], -half, half)
+    distance, normal = _away_from(p, nearest, np.array([1.0, 0.0, 0.0]))
+    return distance - radius, normal
+
+
+def _block(q: Array, half: Array) -> tuple[Array, Array]:
+    """Gaps and normals of a box of any number of axes: points (m, k), half lengths (k,)."""
+    over = np.abs(q) - half
+    outside, away = _away_from(q, np.clip(q, -half, half), np.zeros(q.shape[1]))
+    side = np.argmax(over, axis=1)
+    inward = over[np.arange(len(q)), side]
+    face = np.zeros_like(q)
+    face[np.arange(len(q)), side] = np.where(q[np.arange(len(q)), side] < 0.0, -1.0, 1.0)
+    is_outside = inward > 0.0
+    return np.where(is_outside, outside, inward), np.where(is_outside[:, None], away, face)
+
+
+def _box(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    return _block(p, 0.5 * np.array(size))
+
+
+def _cylinder(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    # A box in the half plane of distance from the axis and height.
+    across, outward = _away_from(p[:, :2], np.zeros(2), np.array([1.0, 0.0]))
+    gap, flat = _block(np.stack([across, p[:, 2]], axis=1), np.array([size[0], 0.5 * size[1]]))
+    return gap, np.concatenate([outward * flat[:, :1], flat[:, 1:]], axis=1)
+
+
+_DISTANCES: dict[str, Callable[[Array, tuple[float, ...]], tuple[Array, Array]]] = {
+    "plane": _plane,
+    "box": _box,
+    "sphere": _sphere,
+    "capsule": _capsule,
+    "cylinder": _cylinder,
+}
