@@ -4,8 +4,8 @@
 // What acts in a run beside a sheet's own springs: listed elements, forces of the caller's own, grippers.
 #pragma once
 
+#include "contact_run.hpp"
 #include "list_forces.hpp"
-#include "plan.hpp"
 
 namespace cloth {
 
@@ -23,6 +23,7 @@ struct Beside {
     std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
     std::vector<Poses> poses;        ///< of each thread
     std::vector<double> grips;       ///< (grips, booked_numbers)
+    std::optional<ContactRun<T>> contact;
 
     Beside(Plan& plan, const Run& run) : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
         if constexpr (sizeof(T) == 4)
@@ -33,7 +34,18 @@ struct Beside {
     /// Whether something asks for all positions at once, so that one thread works.
     bool whole() const { return plan.callback || run.powers; }
     void hold(int threads) {
-        for (int k = 0; plan.held.count() && k < threads; ++k) poses.emplace_back(plan.held, run.t, run.step);
+        for (int k = 0; plan.held.count() && k < threads; ++k) poses.emplace_back(plan.held.paths, run.t, run.step);
+    }
+    /// Contact of a sheet's rows, of so many numbers each, and of particles by their rank.
+    void touch_rows(int threads, std::int64_t pitch) {
+        const std::int64_t columns = plan.grid->columns;
+        const auto place_of = [&](std::int64_t i) { return i / columns * pitch + i % columns; };
+        if (plan.contacts.count()) contact.emplace(plan, run, origin, threads, plan.grid->rows, pitch, place_of);
+    }
+    void touch_ranks(int threads) {
+        const std::int64_t blocks = (plan.count + contact_block - 1) / contact_block;
+        const auto place_of = [&](std::int64_t i) { return plan.rank[i]; };
+        if (plan.contacts.count()) contact.emplace(plan, run, origin, threads, blocks, contact_block, place_of);
     }
     void make(const std::vector<std::int64_t>& borders) {
         shares = &plan.shares<T>(borders);
@@ -93,10 +105,22 @@ struct Beside {
             for (std::int64_t k = 0; k < most; ++k) store4(to + 4 * (j + k), rows[k]);
         }
     }
-    /// Add what grippers, lists and the caller do to a sheet's row to its forces in the ring.
+    /// Add what obstacles do to a share's particles.
+    void add_contact(int thread, std::int64_t step, T* f) {
+        const Share<T>& share = (*shares)[thread];
+        for (std::int64_t first = share.first; contact && first < share.last; first += contact_block) {
+            const std::int64_t count = std::min(contact_block, share.last - first);
+            contact->add_quads(thread, first / contact_block, step, x.data() + 4 * first, v.data() + 4 * first,
+                               f + 4 * first, count);
+        }
+    }
+    /// Add what obstacles, grippers, lists and the caller do to a sheet's row to its forces in the ring.
     void add_row(int thread, std::int64_t row, std::int64_t step, const RowPlace<T>& at, bool book) {
         const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
         T* const ring = at.ring[0];
+        if (contact)
+            contact->add(thread, row, step, at.row[0] + position * at.pitch, at.row[0] + seen * at.pitch, ring, columns,
+                         book);
         const auto& particles = plan.held.particle;
         auto place = particles.empty() ? particles.end() : std::lower_bound(particles.begin(), particles.end(), first);
         for (; place != particles.end() && *place < last; ++place) {
@@ -132,8 +156,9 @@ struct Beside {
         }
         return {T(force.x), T(force.y), T(force.z)};
     }
-    /// Sum up what was booked, in order of the grips.
+    /// Sum up what was booked, in order of the grips and of the blocks.
     void finish() {
+        if (contact) contact->finish();
         if (!run.booked) return;
         for (std::int64_t grip = 0; grip < plan.held.count(); ++grip)
             for (int k = 0; k < booked_numbers; ++k)

@@ -24,13 +24,19 @@ public:
         : inverse_(of(1.0 / thickness)), strength_(of(0.5 * speed * speed / thickness)), half_(of(0.5 * damping)),
           share_(of(damping * speed)), rate_(of(0.5 * speed / thickness)) {}
 
-    /// Acceleration [m/s^2] away from a surface at a gap [m] that closes at a speed [m/s]. Not finite at no gap.
-    CLOTH_INLINE V push(V gap, V closing) const {
+    /// Accelerations [m/s^2] away from a surface, damping included and without it, and b.
+    struct Answer {
+        V push, elastic, shape;
+    };
+    /// At a gap [m] that closes at a speed [m/s]; nothing is finite at no gap.
+    CLOTH_INLINE Answer answer(V gap, V closing) const {
         const Terms t = terms(gap);
-        const V inverse = one() / (t.square * t.under);
+        const V inverse = one() / (t.square * t.under), part = t.under * inverse;
         const V u = half_ * closing * (t.square * t.square * inverse);
-        return strength_ * (t.n * t.under * inverse) * (u + root(fma(u, u, one())));
+        const V elastic = strength_ * (t.n * part);
+        return {elastic * (u + root(fma(u, u, one()))), elastic, t.r * t.r * (t.r * t.r) * (t.s * part)};
     }
+    CLOTH_INLINE V push(V gap, V closing) const { return answer(gap, closing).push; }
     /// The same without damping.
     CLOTH_INLINE V elastic(V gap) const {
         const Terms t = terms(gap);

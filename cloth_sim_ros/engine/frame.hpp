@@ -57,16 +57,23 @@ struct Frame {
     const double *x0, *v0;
     double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
     double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
-    double* notes;          ///< of each run what was booked for each gripper, then lost and given power; or null
+    /// Of each run what was booked for each gripper, then lost and given power; where there are obstacles, what was booked
+    /// for each of them and what `Touched` has. Null where nothing is wanted and there are none.
+    double* notes;
     std::int64_t powers;    ///< whether powers are noted
-    double* told;           ///< largest change of a velocity [m/s] (infinite where the result is not finite), then rates
+    /// Largest change of a velocity [m/s] (infinite where the result is not finite, or beyond an obstacle's surface), then
+    /// rates, then the energy per mass, in U^2/2, that contact has to take up from there.
+    double* told;
     std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
+    std::int64_t books;     ///< whether what obstacles do is booked
 };
 
-inline Done make_frame(Plan& plan, const Frame& frame) {
-    const std::int64_t n = plan.count, size = plan.held.grippers * booked_numbers;
+inline Done make_runs(Plan& plan, const Frame& frame) {
+    const std::int64_t n = plan.count, obstacles = plan.contacts.count(), size = plan.held.grippers * booked_numbers;
+    const std::int64_t touched = obstacles ? obstacles * booked_numbers + Touched::numbers : 0, whole = size + 2 + touched;
+    Approach approach(plan, frame.duration, frame.x0, frame.v0);
     for (std::int64_t k = 0; k < frame.runs; ++k) {
-        double* const notes = frame.notes ? frame.notes + k * (size + 2) : nullptr;
+        double* const notes = frame.notes ? frame.notes + k * whole : nullptr;
         double* const out = frame.out + k * 6 * n;
         const Run run{frame.t,
                       frame.duration / static_cast<double>(frame.steps[k]),
@@ -78,10 +85,24 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
                       out,
                       out + 3 * n,
                       notes,
-                      frame.powers ? notes + size : nullptr};
+                      frame.powers ? notes + size : nullptr,
+                      touched ? notes + size + 2 : nullptr,
+                      touched && frame.books};
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
+        if (touched && approach.missed(run.v, run.touched + obstacles * booked_numbers)) {
+            approach.wake();
+            std::fill(frame.notes, frame.notes + frame.runs * whole, 0.0);
+            k = -1;
+        }
     }
+    return Done::well;
+}
+
+inline Done make_frame(Plan& plan, const Frame& frame) {
+    const std::int64_t n = plan.count;
+    const Done done = make_runs(plan, frame);
+    if (done != Done::well) return done;
     const double* x = frame.out;
     if (frame.result) {
         const double* from[max_runs];
@@ -93,6 +114,11 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
     frame.told[0] = largest_distance(x + 3 * n, frame.v0, n);
     const double moved = largest_distance(x, frame.x0, n);
     if (!(moved < std::numeric_limits<double>::infinity())) frame.told[0] = moved;
+    if (plan.contacts.count()) {
+        // Drifts of half a step and combinations of runs may lead beyond a surface that no run met.
+        frame.told[3] = contact_ahead(plan, frame.t + frame.duration, 0.0, x, x + 3 * n);
+        if (!(frame.told[3] < std::numeric_limits<double>::infinity())) frame.told[0] = frame.told[3];
+    }
     if (frame.rates) {
         const Rates r = rates_of(plan, x, nullptr, nullptr);
         frame.told[1] = r.omega2;
@@ -104,6 +130,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
 /// One evaluation of all forces over masses; zero where anchored.
 inline Done accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
+    plan.contacts.wake();
     return plan.grid ? GridForces(plan, run).go() : evaluate_lists(plan, run);
 }
 

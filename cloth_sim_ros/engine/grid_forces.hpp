@@ -19,6 +19,7 @@ public:
           pitch_(plan.tables.pitch), moving_(plan.mode() != Mode::still) {
         window_.resize((rows_of_window * (seen + 3) + 3 * 3 + 3) * pitch_ + 64 / sizeof(T));
         beside_.hold(1);
+        beside_.touch_rows(1, pitch_);
     }
     Done go() {
         if (beside_.needed()) {

@@ -24,6 +24,7 @@ public:
         const std::int64_t most = std::max<std::int64_t>(1, grid_.rows / reach);
         bands_ = beside_.whole() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
         beside_.hold(bands_);
+        beside_.touch_rows(bands_, pitch_);
         levels_ = more ? 1 : levels();
         halo_ = reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);

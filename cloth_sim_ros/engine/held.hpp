@@ -101,19 +101,20 @@ struct Held {
     }
 };
 
-/// Poses of grippers at the steps of a run, for one thread: those that it asked for last are kept. A sweep takes no more
-/// steps at a time.
+/// Poses of what moves on paths at the steps of a run, for one thread: those that it asked for last are kept. A sweep takes
+/// no more steps at a time.
 class Poses {
 public:
     static constexpr std::int64_t kept = 4;
 
-    Poses(const Held& held, double t, double step) : held_(held), t_(t), step_(step), all_(kept * held.grippers) {}
+    Poses(const std::vector<double>& paths, double t, double step)
+        : paths_(paths), t_(t), step_(step), all_(kept * (paths.size() / path_numbers)) {}
     /// At the middle of a step, or with step -1 at the run's start.
-    const Pose& at(std::int64_t gripper, std::int64_t step) {
-        One& one = all_[kept * gripper + (step + 1) % kept];
+    const Pose& at(std::int64_t path, std::int64_t step) {
+        One& one = all_[kept * path + (step + 1) % kept];
         if (one.step != step) {
             const double t = step < 0 ? t_ : t_ + (step + 0.5) * step_;
-            one = {pose_at(held_.paths.data() + gripper * path_numbers, t), step};
+            one = {pose_at(paths_.data() + path * path_numbers, t), step};
         }
         return one.pose;
     }
@@ -123,7 +124,7 @@ private:
         Pose pose;
         std::int64_t step = -2;
     };
-    const Held& held_;
+    const std::vector<double>& paths_;
     double t_, step_;
     std::vector<One> all_;
 };

@@ -33,7 +33,7 @@ int guarded(F&& work) {
 }  // namespace
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 4; }
+CLOTH_API int cloth_engine_abi() { return 5; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -126,6 +126,25 @@ CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
     return guarded([&] { plan->held.paths.assign(paths, paths + plan->held.grippers * cloth::path_numbers); });
 }
 
+/// Obstacles: shapes, sizes and radii as rows of 3 and of 1, paths as those of grippers; thickness [m], damping [s/m].
+CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
+                                 const double* radii, const double* paths, double thickness, double damping) {
+    return guarded([&] {
+        cloth::Contacts contacts;
+        for (std::int64_t k = 0; k < count; ++k)
+            contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
+                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]}, radii[k]});
+        contacts.paths.assign(paths, paths + count * cloth::path_numbers);
+        contacts.thickness = thickness;
+        contacts.damping = damping;
+        plan->contacts = std::move(contacts);
+    });
+}
+/// New paths for the same obstacles.
+CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
+    return guarded([&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
+}
+
 CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
     int status = well;
     const int other = guarded([&] {
@@ -165,6 +184,36 @@ CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, cons
         for (std::size_t k = 0; k < size; ++k) out[k] += weight * rates[k];
     });
 }
+/// Adds to (obstacles, booked_numbers) times the weight.
+CLOTH_API int cloth_contact_rates(const Plan* plan, double t, const double* x, const double* v, double weight,
+                                  double* out) {
+    return guarded([&] { cloth::contact_rates(*plan, t, x, v, weight, out); });
+}
+/// Number of particles in contact, and the least gap [m], of each obstacle.
+CLOTH_API int cloth_contact_gaps(const Plan* plan, double t, const double* x, double* out) {
+    return guarded([&] { cloth::contact_gaps(*plan, t, x, out); });
+}
+CLOTH_API int cloth_contact_bounds(const Plan* plan, double t, const double* x, double* stiff, double* damp) {
+    return guarded([&] { cloth::add_contact_bounds(*plan, t, x, stiff, damp); });
+}
+/// Energy per mass that contact may have to take up from time t on, see contact_ahead.
+CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, const double* x, const double* v,
+                                  double* out) {
+    return guarded([&] { *out = cloth::contact_ahead(*plan, t, duration, x, v); });
+}
+/// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
+CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration, const double* x0, const double* x1,
+                                    std::int64_t* out) {
+    return guarded([&] { *out = cloth::contact_crosses(*plan, t, duration, x0, x1) ? 1 : 0; });
+}
+/// Squared frequency and damping rate of contact that has taken up so much.
+CLOTH_API int cloth_contact_limits(const Plan* plan, double reached, double* out) {
+    return guarded([&] {
+        const cloth::ContactLimits limits(plan->contacts, reached);
+        out[0] = limits.omega2;
+        out[1] = limits.damping;
+    });
+}
 CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
     return guarded([&] {
         const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp);
@@ -178,9 +227,9 @@ CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, dou
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
     return guarded([&] { cloth::eigenvalues(blocks, n, out); });
 }
-CLOTH_API int cloth_product(const Plan* plan, const double* x, const double* v, const double* dx, const double* dv,
-                            double* out) {
-    return guarded([&] { cloth::add_product(*plan, x, v, dx, dv, out); });
+CLOTH_API int cloth_product(const Plan* plan, double t, const double* x, const double* v, const double* dx,
+                            const double* dv, double* out) {
+    return guarded([&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
 }
 /// Blocks of a list of springs or joints, in its own order; see pair_blocks.
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,

@@ -21,6 +21,7 @@ public:
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         beside_.make(borders_);
         beside_.hold(threads_);
+        beside_.touch_ranks(threads_);
         const std::int64_t n = plan.count;
         velocity_.assign(4 * n, T(0));
         before_.assign(4 * n, T(0));
@@ -75,6 +76,7 @@ private:
             const Vec3<T> pull = beside_.pull(own, grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
             f[4 * place] += pull.x, f[4 * place + 1] += pull.y, f[4 * place + 2] += pull.z;
         }
+        beside_.add_contact(own, step, f);
         return Done::well;
     }
     void move(std::int64_t step, int own) {

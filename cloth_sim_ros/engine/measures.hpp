@@ -4,6 +4,7 @@
 // What is asked of a whole scene beside its motion: energy, power, bounds, derivative product. Arrays are (3, n).
 #pragma once
 
+#include "contact_measures.hpp"
 #include "grid_bounds.hpp"
 #include "plan.hpp"
 
@@ -33,6 +34,7 @@ inline Energy energy_of(const Plan& plan, double t, const double* x, const doubl
         const typename Joint::Params<double> params{held.stiffness[grip], held.damping[grip]};
         e.potential += Joint::energy(params, &d);
     }
+    if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
     return e;
 }
 
@@ -81,7 +83,7 @@ inline double largest_or_nan(const double* numbers, std::int64_t count) {
     return bad ? __builtin_nan("") : most;
 }
 
-/// Add to (6, n) what all parts but grippers and drag bound stiffness and damping by.
+/// Add to (6, n) what all parts but grippers, contact and drag bound stiffness and damping by.
 inline void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
     if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, stiff, damp);
     for (const List& list : plan.lists) add_list_bounds(list, x, plan.count, stiff, damp);
@@ -106,7 +108,7 @@ inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
 struct Rates {
     double omega2, damping;
 };
-/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s]; `stiff` and `damp`, (6, n) or null,
+/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside; `stiff` and `damp`, (6, n) or null,
 /// hold what parts of the caller's own add.
 inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const double* damp) {
     const std::int64_t n = plan.count;
@@ -152,11 +154,12 @@ inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const do
 }
 
 /// Add (df/dx) dx + (df/dv) dv [N] to out.
-inline void add_product(const Plan& plan, const double* x, const double* v, const double* dx, const double* dv,
-                        double* out) {
+inline void add_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
+                        const double* dv, double* out) {
     const std::int64_t n = plan.count;
     if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
+    if (plan.contacts.count()) add_contact_product(plan, t, x, v, dx, dv, out);
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)
             for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];

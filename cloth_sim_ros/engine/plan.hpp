@@ -6,6 +6,7 @@
 
 #include <optional>
 
+#include "contact.hpp"
 #include "grid.hpp"
 #include "held.hpp"
 #include "list.hpp"
@@ -30,7 +31,7 @@ struct Share {
 template <class T>
 struct Rooms {
     std::vector<Array<T>> state, ring, boxes;
-    Array<T> quads[2], more[3], window;
+    Array<T> quads[2], more[3], window, contact_masses;
     std::vector<Share<T>> shares;
 };
 
@@ -44,6 +45,7 @@ struct Plan {
     /// Rate of linear drag [1/s], and accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Held held;
+    Contacts contacts;
     Callback callback = nullptr;
     /// Where particles stand inside runs without a grid: neighbours close together.
     std::vector<std::int64_t> order, rank;
@@ -94,7 +96,8 @@ struct Plan {
         }
         return all;
     }
-    /// Borders between particles, as they stand inside runs, that share listed elements out evenly.
+    /// Borders between particles, as they stand inside runs, that share listed elements out evenly. Particles that contact
+    /// looks at together stay together.
     std::vector<std::int64_t> even_borders(int threads) const {
         std::vector<double> work(count, 1.0);
         double total = static_cast<double>(count);
@@ -111,13 +114,17 @@ struct Plan {
             if (static_cast<int>(borders.size()) < threads && done >= total * next / threads) borders.push_back(i + 1);
         }
         while (static_cast<int>(borders.size()) <= threads) borders.push_back(count);
+        if (contacts.count())
+            for (std::int64_t& border : borders)
+                border = std::min((border + contact_block / 2) / contact_block * contact_block, count);
+        borders.back() = count;
         return borders;
     }
     double push(int axis) const { return gravity[axis] + wind[axis]; }
     /// Whether forces depend on velocities, and how.
     Mode mode() const {
         if (grid && grid->damped()) return Mode::damped;
-        bool moving = drag > 0.0 || held.count() || callback;
+        bool moving = drag > 0.0 || held.count() || contacts.count() || callback;
         for (const List& list : lists) moving = moving || list.damped;
         return moving ? Mode::drag : Mode::still;
     }
@@ -133,6 +140,8 @@ struct Run {
     double *x, *v;          ///< at the end; v may be null
     double* booked;         ///< (grippers, booked_numbers), or null
     double* powers;         ///< time integrals of lost and given power [J], or null
+    double* touched = nullptr;  ///< (obstacles, booked_numbers), then what `Touched` has, or null
+    bool books = false;         ///< whether what obstacles do is booked
 };
 
 enum class Done : int { well, callback_failed };

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -15,7 +16,10 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import Gridded, Listed
+from cloth_sim_ros.physics.parts import Gridded, Listed, Surrounded
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.forces.contact import Contact
 
 #: Operations of a step: to move a particle, of a spring of a grid, of an element of a list, gathering included. What is
 #: chosen by them is the same on any machine.
@@ -31,6 +35,7 @@ class Assembly:
     #: Forces in numpy.
     own: list[Force] = attrs.field(factory=list)
     grips: Grips | None = None
+    contact: Contact | None = None
     gravity: Array = attrs.field(factory=lambda: np.zeros(3))
     wind: Array = attrs.field(factory=lambda: np.zeros(3))
     drag: float = 0.0
@@ -63,6 +68,12 @@ class Assembly:
                     sheets.append(part)
                 elif isinstance(part, Listed):
                     found.listed.append(part)
+                elif isinstance(part, Surrounded):
+                    if found.contact is not None:
+                        raise ValueError(
+                            f"two forces have obstacles, '{found.contact.name}' and '{force.name}'; make them one"
+                        )
+                    found.contact = part.contact
                 else:
                     found.gravity, found.wind = found.gravity + part.gravity, found.wind + part.wind
                     found.drag += part.drag

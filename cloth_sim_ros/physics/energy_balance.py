@@ -23,10 +23,10 @@ class EnergyBalance:
     def __init__(self, plan: Plan, state: State, t: float = 0.0) -> None:
         self._plan = plan
         #: Notes what an advance takes and gives.
-        self.book = Book(plan.gripper_count, powers=True)
+        self.book = Book(plan.gripper_count, powers=True, obstacle_count=plan.obstacle_count)
         #: Dissipated so far [J].
         self.lost = 0.0
-        #: Done on the cloth by grippers so far [J].
+        #: Done on the cloth by grippers and obstacles so far [J].
         self.work = 0.0
         #: Done on the cloth by moving air so far [J].
         self.wind = 0.0

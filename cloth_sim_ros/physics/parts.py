@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.forces.contact import Contact
 
 Array = NDArray[np.float64]
 
@@ -63,4 +66,11 @@ class Uniform:
     drag: float = 0.0
 
 
-Part: TypeAlias = Listed | Gridded | Uniform
+@attrs.frozen(eq=False, kw_only=True)
+class Surrounded:
+    """Obstacles about all particles: which, and where they are, changes while a cloth moves, so the plan asks."""
+
+    contact: Contact
+
+
+Part: TypeAlias = Listed | Gridded | Uniform | Surrounded

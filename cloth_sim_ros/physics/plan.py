@@ -15,7 +15,7 @@ import os
 import threading
 import weakref
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
     MOST_RUNS,
     PATH_NUMBERS,
+    TOUCHED_NUMBERS,
     Frame,
     address,
     check,
@@ -40,6 +41,9 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.own_forces import OwnForces
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.turn import one_at_a_time
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.touching import Touching
 
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
@@ -74,7 +78,7 @@ class Plan:
         self.turn = threading.Lock()
         # The engine's request, made once: what a frame asks for is written into it.
         self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
-        self._told = (ctypes.c_double * 3)()
+        self._told = (ctypes.c_double * 4)()
         self._frame = Frame(steps=ctypes.addressof(self._steps), weights=ctypes.addressof(self._weights))
         self._frame_at = ctypes.byref(self._frame)
         count, masses = model.particle_count, (model.masses.ctypes.data, model.inverse_masses.ctypes.data)
@@ -84,6 +88,12 @@ class Plan:
         # Not at exit: a daemon's thread may still be at work with it.
         weakref.finalize(self, self._library.cloth_plan_free, self._handle).atexit = False
         parts.hand_over(self._handle)
+        #: Contact with obstacles, where the model has any.
+        self.contact: Touching | None = None
+        if parts.contact is not None:
+            from cloth_sim_ros.physics.touching import Touching
+
+            self.contact = Touching(self._handle, parts.contact, count)
         self._frame.rates = not self._own
         self._called = OwnForces(self._own, self._shape) if self._own else None
         if self._called is not None:
@@ -112,7 +122,9 @@ class Plan:
     # What follows is called in every frame.
 
     def _sync(self) -> None:
-        """Tell the engine what grippers hold and how they move, where that changed."""
+        """Tell the engine what grippers hold, what obstacles there are and how both move, where that changed."""
+        if self.contact is not None:
+            self.contact.sync()
         grips = self._grips
         if grips is None or (grips.changes == self._seen and grips.moves == self._moved):
             return
@@ -157,6 +169,11 @@ class Plan:
         return 0 if self._grips is None else self._grips.gripper_count
 
     @property
+    def obstacle_count(self) -> int:
+        """Number of obstacles."""
+        return 0 if self.contact is None else self.contact.count
+
+    @property
     def grips(self) -> Grips | None:
         """The force by which grippers hold particles, where the model has one."""
         return self._grips
@@ -177,6 +194,7 @@ class Plan:
         weights: Sequence[float] | None = None,
         narrow: bool = False,
         powers: bool = False,
+        touches: bool = False,
         threads: int | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
         """Run a stretch of time several times, each from the start with its own number of equal steps.
@@ -189,6 +207,7 @@ class Plan:
             weights: of the runs in a combination that is wanted too; None where it is not.
             narrow: whether they calculate in single precision.
             powers: whether powers are noted.
+            touches: whether what obstacles do is noted.
             threads: of a sheet; None chooses. No bit depends on it.
 
         Returns:
@@ -212,11 +231,12 @@ class Plan:
             self._steps[:count] = list(steps)
         except TypeError as error:
             raise ValueError(f"runs of {list(steps)} steps; they must be whole numbers") from error
-        noted = BOOKED_NUMBERS * self.gripper_count
-        out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2))
+        noted, obstacles = BOOKED_NUMBERS * self.gripper_count, self.obstacle_count
+        touched = BOOKED_NUMBERS * obstacles + TOUCHED_NUMBERS if obstacles else 0
+        out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2 + touched))
         frame = self._frame
         frame.t, frame.duration, frame.runs = t, duration, count
-        frame.narrow, frame.powers, frame.bands = narrow, powers, self._threads(threads)
+        frame.narrow, frame.powers, frame.books, frame.bands = narrow, powers, touches, self._threads(threads)
         frame.x0, frame.v0 = doubles("x", x0, self._shape), doubles("v", v0, self._shape)
         frame.out, frame.notes = address(out), address(notes)
         frame.result = frame.told = None
@@ -229,11 +249,17 @@ class Plan:
                 frame.result = address(result)
         self._checked(self._library.cloth_frame(self._handle, self._frame_at))
         grips = notes[:, :noted].reshape(count, -1, BOOKED_NUMBERS)
-        runs = [Run(out[k, 0], out[k, 1], grips[k], notes[k, noted:]) for k in range(count)]
+        lost, met = notes[:, noted : noted + 2], notes[:, noted + 2 :]
+        size = BOOKED_NUMBERS * obstacles
+        booked = met[:, :size].reshape(count, obstacles, BOOKED_NUMBERS)
+        runs = [
+            Run(out[k, 0], out[k, 1], grips[k], lost[k], booked[k], *met[k, size : size + 2].tolist())
+            for k in range(count)
+        ]
         if weights is None:
             return runs, None
         rates = self.rates(result[0]) if self._own else (self._told[1], self._told[2])
-        return runs, (result[0], result[1], Told(self._told[0], *rates))
+        return runs, (result[0], result[1], Told(self._told[0], *rates, self._told[3]))
 
     def _threads(self, wanted: int | None) -> int:
         """Threads of a run: a second one where a step is long enough to be worth meeting it."""
@@ -257,8 +283,19 @@ class Plan:
             self._called.raise_trouble()
         check(status)
 
+    def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return what contact may add to `rates` from time t on, within a duration [s]."""
+        return (0.0, 0.0) if self.contact is None else self.contact.ahead(t, duration, x, v)
+
+    def contact_limits(self, energy: float) -> tuple[float, float]:
+        """Return what contact adds to `rates` that has taken up an energy per mass, in U^2/2."""
+        return (0.0, 0.0) if self.contact is None else self.contact.limits(energy)
+
     def rates(self, x: Array) -> tuple[float, float]:
-        """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x."""
+        """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x.
+
+        Contact is left out: what it comes to depends on how the cloth moves, see `ahead`.
+        """
         self._sync()
         place, stiff, damped = doubles("x", x, self._shape), None, None
         if self._own:
@@ -303,8 +340,9 @@ class Plan:
         return out
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that damping takes out of the motion [W], that of grippers' joints included."""
-        return sum(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+        """Return the power that damping takes out of the motion [W], that of grips and of contact included."""
+        lost = sum(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+        return lost if self.contact is None else sum(self.contact.rates(t, x, v)[:, 7].tolist(), lost)
 
     def supply(self, t: float, x: Array, v: Array) -> float:
         """Return the power that moving air puts into the motion [W]."""
@@ -316,8 +354,8 @@ class Plan:
         self.accelerations(t, x, v, out)
         f += out * self.model.masses
 
-    def add_bounds(self, x: Array, stiff: Array, damped: Array) -> None:
-        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i."""
+    def add_bounds(self, x: Array, stiff: Array, damped: Array, t: float = 0.0) -> None:
+        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m] at time t: u'Ku <= sum of u_i' B_i u_i."""
         self._sync()
         shape = (6, self.model.particle_count)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
@@ -328,6 +366,8 @@ class Plan:
             for axis in range(3):
                 np.add.at(stiff[axis], self._grips.particles, self._grips.stiffness)
                 np.add.at(damped[axis], self._grips.particles, self._grips.damping)
+        if self.contact is not None:
+            self.contact.add_bounds(t, x, stiff, damped)
         for force in self._own:
             force.add_stiffness(x, stiff)
             force.add_damping(x, damped)
@@ -338,7 +378,7 @@ class Plan:
         given = {"x": x, "v": v, "dx": dx, "dv": dv}
         addresses = [doubles(name, array, self._shape) for name, array in given.items()]
         addresses.append(writable("out", out, self._shape))
-        check(self._library.cloth_product(self._handle, *addresses))
+        check(self._library.cloth_product(self._handle, t, *addresses))
         for force in self._own:
             force.add_jacobian_product(t, x, v, dx, dv, out)
 

@@ -103,6 +103,16 @@ class Error(Remembered):
 
 
 @attrs.define
+class Touch(Remembered):
+    """What is remembered of contact, by scenes with obstacles alone."""
+
+    key = "control.contact"
+
+    #: Largest energy per mass that contact held in the frame that was judged last, in U^2/2.
+    held: float = number(0.0, least=0.0)
+
+
+@attrs.define
 class Precision(Remembered):
     """What is known of single precision."""
 
@@ -183,7 +193,7 @@ class Sleep(Remembered):
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
 #: What step control remembers.
-RULES: tuple[type[Remembered], ...] = (Stability, Error, Precision, Energy, Fallback, Implicit, Choice)
+RULES: tuple[type[Remembered], ...] = (Stability, Error, Touch, Precision, Energy, Fallback, Implicit, Choice)
 #: Names under which versions up to 0.2 kept what other rules remembered: it is not taken over.
 BEFORE = ("stepper", "automatic", "sleep")
 

@@ -149,7 +149,7 @@ def test_what_is_noted_along_a_run_is_the_integral_of_what_is_there(values):
     duration, points = 4e-3, 400
     booked, exact = Book(2, powers=True), Book(2, powers=True)
     (run,), _ = plan.runs(t, duration, (start.x, start.v), [800], powers=True)
-    booked.add_runs([1.0], [run.grips], [run.powers], duration)
+    booked.add_runs([1.0], [run], duration)
     x, v, part = start.x, start.v, duration / points
     for k in range(points):
         (middle,), _ = plan.runs(t + k * part, 0.5 * part, (x, v), [4])

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.physics.forces.air_panels import AirPanels
 from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
@@ -212,8 +213,38 @@ def grips(t, x, v, force):
     return Values(f, energy, float(booked[:, 7].sum())), booked
 
 
+#: U of contact [m/s].
+STOPPING_SPEED = 35.0
+
+
+def contact(t, x, v, force, masses):
+    """Push of obstacles; secondly, of each obstacle, force, torque, power on the cloth and power lost.
+
+    The energy of a mass is U^2/2 (1 - s)^4 / s, its slope taken term by term of 1/s - 4 + 6 s - 4 s^2 + s^3.
+    """
+    f, energy, d = np.zeros_like(x), 0.0, force.thickness
+    booked = np.zeros((len(force.obstacles), 8))
+    for k, (obstacle, path) in enumerate(zip(force.obstacles, force.paths, strict=True)):
+        place, velocity, rotation, turning = pose(path, t)
+        gaps, normals = obstacle.distance((x.T - place) @ rotation)
+        for i in np.flatnonzero(gaps < d):
+            s, normal, arm = gaps[i] / d, rotation @ normals[i], x[:, i] - place
+            surface = velocity + turning @ rotation.T @ arm
+            closing = -(v[:, i] - surface) @ normal
+            elastic = STOPPING_SPEED**2 / 2.0 / d * (1.0 / s**2 - 6.0 + 8.0 * s - 3.0 * s**2)
+            u = force.damping * closing / (1.0 + force.damping * elastic / (STOPPING_SPEED / 2.0 / d))
+            push = masses[i] * elastic * (0.5 * u + np.sqrt(1.0 + 0.25 * u * u)) * normal
+            f[:, i] += push
+            energy += masses[i] * STOPPING_SPEED**2 / 2.0 * (1.0 - s) ** 4 / s
+            lost = (push - masses[i] * elastic * normal) @ normal * closing
+            booked[k] += [*-push, *np.cross(arm, -push), push @ surface, lost]
+    return Values(f, energy, float(booked[:, 7].sum())), booked
+
+
 def values(force, t, x, v, masses):
     """What one of the engine's forces is worth, by the laws above."""
+    if isinstance(force, Contact):
+        return contact(t, x, v, force, masses)[0]
     if isinstance(force, Grips):
         return grips(t, x, v, force)[0]
     if isinstance(force, GridSprings):

@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.control.stretch import Stretch
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.columns import RATIOS
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 
@@ -45,7 +45,8 @@ class ExplicitAdvance:
         self._known = Stability.key in state.memory
         self._memory = memory = Stability.of(state)
         stability = StabilityRule(plan, memory, state, duration)
-        self._limit = limit = options.step_limit(memory.omega2, memory.damping)
+        #: Longest stable step, contact aside [s].
+        self._bare = limit = options.step_limit(memory.omega2, memory.damping)
         error, precision = Error.of(state), Precision.of(state)
         if abs(error.part - duration) > 1e-6 * duration:
             # What was known is of frames of another length.
@@ -70,6 +71,7 @@ class ExplicitAdvance:
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state)),
             precision=PrecisionRule(plan, precision, duration, budget),
+            touch=Touch.of(state),
             duration=duration,
             cap=work_cap(plan, options.work, duration, memory.longest, self._fallen),
             part_cost=part_cost(plan),
@@ -79,6 +81,7 @@ class ExplicitAdvance:
         most = self._effort.cap / sum(RATIOS[:2]) if options.tolerance is not None else math.inf
         choice = Choice(columns, error.refine, judge)
         self._whole = Stretch(self._effort, t, duration, choice, rule, stability, most=most)
+        self._limit = self._whole.limit
 
     def run(self) -> Advance:
         """Do it."""
@@ -86,7 +89,7 @@ class ExplicitAdvance:
         if options.step is not None and options.step > self._limit and not self._known:
             refuse_unstable(options.step, self._limit, options.name)
         # Even the longest stable steps may exceed the frame's work.
-        effort.lost = self._duration / self._limit > effort.cap and within_reach(self._plan)
+        effort.lost = self._duration / self._bare > effort.cap and within_reach(self._plan)
         if options.tolerance is not None and not whole.affords_first():
             # What the last frame would have needed is beyond the cap: no more is tried than leaves room for a retry.
             most = effort.cap / whole.least_work() / CONSTANTS.finer
@@ -109,6 +112,10 @@ class ExplicitAdvance:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
+        if self._plan.contact is not None:
+            if whole.choice.judge or whole.pieces > 1:
+                effort.touch.held = effort.held
+            effort.touch.store(state)
         if self._fallen:
             Fallback().store(state)
         flagged = int(options.tolerance is not None and error > whole.rule.budget)

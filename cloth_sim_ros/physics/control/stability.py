@@ -13,9 +13,7 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.integrators.columns import RATIOS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
@@ -30,12 +28,10 @@ MOST_COLUMNS = len(RATIOS) - 1
 UNDAMPED_STEPS = 6
 UNDAMPED_SHARES = (1.0, 0.125, 0.75, 0.25)
 
-_GRIPS_AND_AIR = (Grips, Drag)
-
 
 def _damps(force: Force) -> bool:
-    """Whether a force damps waves: grips damp what they hold alone, air all waves a little."""
-    return force.damped and not isinstance(force, _GRIPS_AND_AIR)
+    """Whether a force damps waves: grips and contact damp what they touch alone, air all waves a little."""
+    return force.damped and force.damps_waves
 
 
 class StabilityRule:

@@ -29,6 +29,8 @@ from cloth_sim_ros.physics.state import State
 
 #: A stretch whose first run takes fewer steps is not halved: half of them would be too few to tell runs apart.
 _FEWEST_HALVED = 2 * UNDAMPED_STEPS
+#: The same where contact makes them many.
+_FEWEST_TOUCHING = 100
 #: Halvings of an advance: a ten thousandth of a microsecond is never what a motion is about.
 _MOST_HALVINGS = 24
 
@@ -65,7 +67,7 @@ class Stretch:
         self._effort, self._t, self._duration = effort, t, duration
         self.choice, self.rule = choice, rule
         self._stability, self._ahead, self._halvings, self._most = stability, ahead, halvings, most
-        self.limit = effort.options.step_limit(effort.stability.omega2, effort.stability.damping)
+        self.limit = self._limit_with(effort.plan.ahead(t, duration, effort.state.x, effort.state.v))
         #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
         self.steps = self.first = 0
         self.finest = math.inf
@@ -77,6 +79,12 @@ class Stretch:
         self._kept: Columns | None = None
         self._sums = Sums()
         self._counts_first = 0
+        self._held = 0.0
+
+    def _limit_with(self, contact: tuple[float, float]) -> float:
+        """The step limit [s] of the sheet as it was last, and of contact with this squared frequency and damping."""
+        known = self._effort.stability
+        return self._effort.options.step_limit(known.omega2 + contact[0], known.damping + contact[1])
 
     @property
     def longest(self) -> float:
@@ -98,6 +106,8 @@ class Stretch:
                 return self._halves()
             effort.spent, self.choice = True, Choice(self.choice.columns, 1.0, True)
             effort.lost = self._duration > self._most * self.longest and within_reach(effort.plan)
+        if self._touches_for_a_moment():
+            return self._halves(untried=True)
         while not effort.lost:
             error = self._attempt(start)
             if error is not None and self._halvings:
@@ -114,7 +124,18 @@ class Stretch:
                 return self._halves()
         return None
 
-    def _halves(self) -> float | None:
+    def _touches_for_a_moment(self) -> bool:
+        """Whether contact makes steps much shorter than the sheet does, over a stretch of many: rather halved untried,
+        for an impact is soon over.
+        """
+        effort = self._effort
+        if effort.plan.contact is None or effort.options.tolerance is None or self._halvings >= _MOST_HALVINGS:
+            return False
+        bare = min(CONSTANTS.safety * self._limit_with((0.0, 0.0)), self._duration)
+        steps = self._duration / self.longest
+        return bare > CONSTANTS.trust * self.longest and steps > 2.0 * _FEWEST_TOUCHING
+
+    def _halves(self, *, untried: bool = False) -> float | None:
         """Cover both halves, each by what it needs."""
         effort, half, spent = self._effort, 0.5 * self._duration, 0.0
         self.finest = math.inf
@@ -129,7 +150,8 @@ class Stretch:
             t, deeper = self._t + k * half, self._halvings + 1
             child = Stretch(effort, t, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
             # It begins with the steps that were too long for the whole.
-            refine = max(1.0, self.choice.refine * child.longest / self.longest)
+            longest = min(child.longest, self.longest) if untried else child.longest
+            refine = max(1.0, self.choice.refine * longest / self.longest)
             child.choice = Choice(self.choice.columns, refine, True)
             error = child.cover()
             if error is None:
@@ -152,7 +174,7 @@ class Stretch:
         length = self._duration / parts
         self.finest = length / self._counts_first
         self.first, self.steps = parts * self._counts_first, 0
-        self._sums, self._halve = Sums(), False
+        self._sums, self._halve, self._held = Sums(), False, 0.0
         for part in range(parts):
             if not self._part(part, length, start):
                 return None
@@ -160,6 +182,7 @@ class Stretch:
             rule.judged(self.choice.columns, max(choice.refine, least), self._sums)
         else:
             rule.passed(choice.columns, self._sums)
+        self._effort.held = max(self._effort.held, self._held)
         return self._sums.error
 
     def _parts(self, columns: int, steps: int) -> int:
@@ -182,18 +205,24 @@ class Stretch:
         if told.finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
         if not told.finite:
-            return self._instead(2.0, "not finite")
+            # Contact that stops nothing any more: by finer steps it would have reached no further.
+            limit = self._limit_with(effort.plan.contact_limits(columns.reached(self.choice.columns)))
+            finer, self.limit = 2.0 if self.finest <= limit else 1.0, min(self.limit, limit)
+            return self._instead(finer, "not finite")
         if not accepted:
             return False
         told = columns.told(self.choice.columns)
-        limit = options.step_limit(told.omega2, told.damping)
+        reached = effort.plan.contact_limits(max(columns.reached(self.choice.columns), told.contact))
+        limit = options.step_limit(told.omega2 + reached[0], told.damping + reached[1])
         if not self.finest <= limit:
             # The motion stiffened.
             self.limit = min(self.limit, limit)
             return self._instead(1.0, "not within their stability limit")
         choice = self.choice
         x, v = columns.combine(choice.columns)
-        if self._unknown() and effort.energy.looks(memory.omega2, told.omega2, combined=choice.columns > 1):
+        if self._unknown() and effort.energy.looks(
+            memory.omega2, told.omega2 + reached[0], combined=choice.columns > 1
+        ):
             ends = (t, state.x, state.v), (t + length, x, v)
             # A combination's energy does not swing.
             step = self.finest if choice.columns == 1 else 0.0
@@ -211,14 +240,17 @@ class Stretch:
         return self._effort.options.tolerance is None or self._sums.error > self.rule.budget
 
     def _put_in(self, columns: Columns, t: float, count: int) -> float:
-        """Return the work [J] that grippers and moving air did over a part that begins at t [s]."""
+        """Return the work [J] that grippers, obstacles and moving air did over a part that begins at t [s]."""
         effort = self._effort
         plan, state = effort.plan, effort.state
         x, v = columns.combine(count)
-        if not (plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+        moved = plan.contact is not None and not plan.contact.force.steady()
+        if not (moved or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
             return columns.work(count)
-        # The work of air is noted on demand alone.
-        noted = Columns(plan, state, t, columns.duration, columns.counts, powers=True, narrow=columns.narrow)
+        # The work of air and of obstacles is noted on demand alone.
+        noted = Columns(
+            plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=columns.narrow
+        )
         work = noted.work(count)
         effort.evaluations += noted.evaluations
         return work
@@ -242,8 +274,10 @@ class Stretch:
             length,
             counts,
             powers=effort.book is not None and effort.book.powers,
+            touches=effort.book is not None and effort.book.obstacle_count > 0,
             narrow=effort.narrow,
             omega=self._slowest,
+            touched=1.0 / effort.duration,
         )
         if part == 0:
             self._kept = columns
@@ -260,6 +294,11 @@ class Stretch:
         effort, choice, rule, sums = self._effort, self.choice, self.rule, self._sums
         difference = columns.difference(choice.columns - 1) if choice.columns > 1 else 0.0
         predicted = rule.predicted(choice.columns, difference, activity)
+        held = columns.held(choice.columns)
+        self._held = max(self._held, held)
+        if held > CONSTANTS.trust * effort.touch.held:
+            # Harder contact than in any part of what was judged, or the first one.
+            predicted = math.inf
         if not choice.judge:
             sums.error += predicted
             sums.before += difference

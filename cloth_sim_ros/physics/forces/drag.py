@@ -23,6 +23,7 @@ class Drag(EngineForce):
 
     name = "drag"
     damped = True
+    damps_waves = False
 
     def __init__(self, rate: float) -> None:
         self.rate = float(finite("drag rate", rate, (), least=0.0))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class Force:
     name: str = "force"
     #: True where the force depends on velocities.
     damped: bool = False
+    #: Whether its damping, where it has any, takes out waves of the whole cloth.
+    damps_waves: ClassVar[bool] = True
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
         """Return what the engine is to do; None for a force in numpy.

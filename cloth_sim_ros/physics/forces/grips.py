@@ -28,6 +28,7 @@ class Grips(EngineForce):
 
     name = "grips"
     damped = True
+    damps_waves = False
 
     def __init__(self, gripper_count: int) -> None:
         if not isinstance(gripper_count, int | np.integer) or gripper_count < 0:

@@ -63,8 +63,10 @@ class Columns:
         duration: length of the stretch [s].
         counts: step counts of the columns that may be asked for.
         powers: whether runs note what damping takes and wind gives.
+        touches: whether they note what obstacles do.
         narrow: whether they calculate in single precision.
         omega: highest angular frequency [1/s], see `difference`.
+        touched: the same where contact is [1/s]: one over the time for which what it throws off is looked ahead.
     """
 
     def __init__(
@@ -76,14 +78,16 @@ class Columns:
         counts: Sequence[int],
         *,
         powers: bool = False,
+        touches: bool = False,
         narrow: bool = False,
         omega: float = math.inf,
+        touched: float = math.inf,
     ) -> None:
         self._plan, self._start, self._t, self.duration = plan, start, t, duration
-        self._powers = powers
+        self._powers, self._touches = powers, touches
         self.counts = tuple(counts)
         self.narrow = narrow
-        self._omega = omega
+        self._omega, self._touched = omega, touched
         self.evaluations = 0
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
@@ -108,21 +112,42 @@ class Columns:
             activity = max(largest_distance(v, self._start.v), 0.0 * largest_distance(x, self._start.x))
             if not math.isfinite(largest_distance(x, self._start.x)):
                 activity = math.inf
-            self._told[columns] = Told(activity, *self._plan.rates(x))
+            contact = self._plan.contact
+            held = 0.0 if contact is None else contact.energy_ahead(self._t + self.duration, 0.0, x, v)
+            self._told[columns] = Told(activity if held < math.inf else math.inf, *self._plan.rates(x), held)
         return self._told[columns]
 
     def difference(self, columns: int) -> float:
         """Return how far T_(K+1) is from T_K, K = columns [m]: the error of T_K.
 
         That is the largest distance of a particle's positions, or of its velocities over the highest angular frequency:
-        the error of a wave that swings may lie in its velocity alone when it is looked at.
+        the error of a wave that swings may lie in its velocity alone when it is looked at. What contact throws off
+        flies on with the error of its velocity.
         """
         (x, v), (y, w) = self.combine(columns + 1), self.combine(columns)
-        return max(largest_distance(x, y), largest_distance(v, w) / self._omega)
+        omega = self._touched if self.held(columns + 1) else self._omega
+        return max(largest_distance(x, y), largest_distance(v, w) / omega)
+
+    def reached(self, columns: int) -> float:
+        """Return the energy per mass that contact had to take up in the runs of T_K, or would have had to, had they
+        gone on as they came in; in U^2/2.
+        """
+        if self._plan.contact is None:
+            return 0.0
+        self._make(columns)
+        return max(run.reached for run in self._runs[:columns])
+
+    def held(self, columns: int) -> float:
+        """Return the largest energy per mass that contact held in the runs of T_K, K = columns, in U^2/2."""
+        contact = self._plan.contact
+        if contact is None:
+            return 0.0
+        self._make(columns)
+        return contact.held(min(run.gap for run in self._runs[:columns]))
 
     def work(self, columns: int) -> float:
-        """Return the work [J] that grippers did over T_K, K = columns, and moving air where powers are noted."""
-        book = Book(self._plan.gripper_count, powers=self._powers)
+        """Return the work [J] that grippers did over T_K, K = columns, and obstacles and air where these are noted."""
+        book = Book(self._plan.gripper_count, powers=self._powers, obstacle_count=self._plan.obstacle_count)
         self.note(columns, book)
         return book.work + book.given
 
@@ -131,7 +156,7 @@ class Columns:
         self._make(columns)
         runs = self._runs[:columns]
         factors = weights(self.counts[:columns])
-        book.add_runs(factors, [run.grips for run in runs], [run.powers for run in runs], self.duration)
+        book.add_runs(factors, runs, self.duration)
 
     def _make(self, columns: int) -> None:
         """Make the runs that are missing; all at once, and combined, where none is there yet."""
@@ -147,6 +172,7 @@ class Columns:
             weights=weights(self.counts[:columns]) if whole else None,
             narrow=self.narrow,
             powers=self._powers,
+            touches=self._touches,
         )
         self._runs.extend(runs)
         self.evaluations += sum(steps) + len(steps)

@@ -29,6 +29,7 @@ def advance_fixed(
     run: Callable[[float, int], int],
     plan: Plan,
     state: State,
+    t: float,
     duration: float,
     step: float | None,
     book: Book | None,
@@ -41,6 +42,7 @@ def advance_fixed(
         run: advances the state by so many steps of h; returns its force evaluations.
         plan: equations of motion.
         state: advanced in place.
+        t: time at the start [s].
         duration: time to advance [s].
         step: the user's largest step [s], or None.
         book: begun anew with every attempt.
@@ -49,7 +51,13 @@ def advance_fixed(
         ValueError: if the given step is above the limit.
         UnstableError: if the motion does not stay finite.
     """
-    limit = integrator.step_limit(*plan.rates(state.x))
+
+    def limit_at(now: float, ahead: float) -> float:
+        """The step limit now [s], with contact that comes within so many seconds."""
+        (omega2, damping), contact = plan.rates(state.x), plan.ahead(now, ahead, state.x, state.v)
+        return integrator.step_limit(omega2 + contact[0], damping + contact[1])
+
+    limit = limit_at(t, duration)
     if step is not None:
         refuse_unstable(step, limit, integrator.name)
     h_most = CONSTANTS.safety * limit if step is None else step
@@ -64,7 +72,7 @@ def advance_fixed(
             book.restart()
         evaluations += run(h, steps)
         finite = bool(np.isfinite(state.x).all() and np.isfinite(state.v).all())
-        if finite and (step is not None or h <= integrator.step_limit(*plan.rates(state.x))):
+        if finite and (step is not None or h <= limit_at(t + duration, 0.0)):
             break
         if step is not None:
             raise UnstableError(

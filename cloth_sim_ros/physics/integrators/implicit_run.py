@@ -197,6 +197,8 @@ class ImplicitAdvance:
         k2x, k2v = second
         error = error_constant() * h * h / (1.0 - GAMMA) * _largest(k1v - k2v)
         end = base_x + d * k2x
+        if self._crosses(t, h, end):
+            return None
         stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
         return _Step(end, base_v + d * k2v, k2v, error, stages)
 
@@ -218,6 +220,11 @@ class ImplicitAdvance:
             moved = attrs.evolve(moved, v=slower * u, a=(slower * u - v) / h)
         return moved
 
+    def _crosses(self, t: float, h: float, end: Array) -> bool:
+        """Whether a step would take a particle through an obstacle."""
+        contact = self._plan.contact
+        return contact is not None and contact.crosses(t, h, self._state.x, end)
+
     def _makes_energy(self, t: float, h: float, done: _Step) -> bool:
         gain, kinetic = self._gain(t, h, done)
         return not gain <= _GAIN * (kinetic + abs(self._work(done)))
@@ -230,12 +237,14 @@ class ImplicitAdvance:
         return after - before - self._work(done) - _ROUNDING * abs(before), kinetic
 
     def _work(self, done: _Step) -> float:
-        """Work of the grippers and of moving air over a step [J], as a book notes it."""
+        """Work of the grippers, of obstacles and of moving air over a step [J], as a book notes it."""
         work = 0.0
         for moment, weight, x, v in done.stages:
             work += weight * self._plan.supply(moment, x, v)
             if self._plan.gripper_count:
                 work = sum(self._plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), work)
+            if self._plan.contact is not None:
+                work = sum(self._plan.contact.rates(moment, x, v, weight)[:, 6].tolist(), work)
         return work
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
@@ -281,8 +290,11 @@ class ImplicitAdvance:
         place, a = x + d * u, np.empty_like(x)
         self._plan.accelerations(t, place, u, a)
         self._evaluations += 1
+        if self._plan.contact is not None and not np.isfinite(a).all():
+            # Beyond an obstacle's surface there is no way back.
+            return np.full_like(a, np.nan)
         correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
-        self._matrix.update(place, d)
+        self._matrix.update(t, place, d)
         self._matrix.solve(correction)
         return correction
 
@@ -299,6 +311,8 @@ class ImplicitAdvance:
 
     def _merit(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
         place = x + d * u
+        if self._safe and self._crosses(t - 0.5 * d, d, place):
+            return math.inf
         # Moving air pushes with a force that is nearly constant, and has no energy of its own.
         slip = 0.5 * self._plan.dissipation(t, place, u) - self._plan.supply(t, place, u)
         return self._plan.energy(t, place, u - v) + d * slip

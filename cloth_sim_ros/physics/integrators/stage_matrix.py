@@ -61,14 +61,14 @@ class StageMatrix:
             np.maximum.at(largest, ends[:, side], size)
         return ends[size >= _NEGLIGIBLE * largest[ends].min(axis=1)]
 
-    def update(self, x: Array, d: float) -> None:
-        """Factorise M + d^2 K + d D at positions x (3, n), d [s]; K and D are stiffness and damping matrices.
+    def update(self, t: float, x: Array, d: float) -> None:
+        """Factorise M + d^2 K + d D at time t and positions x (3, n), d [s]; K and D are stiffness and damping.
 
         Raises:
             UnstableError: if an entry is not finite.
         """
         stiffness, damping = np.zeros((2, 6, self._model.particle_count))
-        self._others.add_bounds(x, stiffness, damping)
+        self._others.add_bounds(x, stiffness, damping, t)
         self._matrix.update(self._blocks(x, d * d, d), self._model.masses, d * d * stiffness + d * damping)
 
     def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:

@@ -54,4 +54,4 @@ class SymplecticEuler(Integrator):
                 state.x += h * state.v
             return steps
 
-        return advance_fixed(self, run, plan, state, duration, self.step, book)
+        return advance_fixed(self, run, plan, state, t, duration, self.step, book)

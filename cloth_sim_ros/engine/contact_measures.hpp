@@ -1,0 +1,304 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What is asked of contact beside its forces: energy, powers, bounds, derivative product, and what is about to happen.
+// Arrays are (3, n) by component; sums run obstacle by obstacle, particle by particle.
+#pragma once
+
+#include "list_measures.hpp"
+#include "plan.hpp"
+
+namespace cloth {
+
+/// What a call of `for_each_near` tells of one particle.
+struct NearOne {
+    std::int64_t obstacle, particle;
+    double gap, closing, mass;
+    Vec3<double> normal, arm;
+    const Placed<double>& placed;
+};
+
+/// Call `what` for each free particle of those that `widest(fastest speed)` [m] may hold: it is asked for a few particles at
+/// a time, with the speed of the fastest.
+template <class W, class F>
+inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& what) {
+    const std::int64_t n = plan.count;
+    const Contacts& contacts = plan.contacts;
+    const double origin[3] = {};
+    Array<double> room(7 * contact_block, 0.0);
+    double* const mass = room.data() + 6 * contact_block;
+    for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
+        const Placed<double> placed(pose_at(contacts.path(obstacle), t), origin);
+        const Vec3<double>& size = contacts.obstacles[obstacle].size;
+        with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
+            for (std::int64_t first = 0; first < n; first += contact_block) {
+                const std::int64_t count = std::min(contact_block, n - first);
+                if (count < contact_block) std::fill(room.begin(), room.end(), 0.0);
+                for (int c = 0; c < 3; ++c) {
+                    std::copy_n(x + c * n + first, count, room.data() + c * contact_block);
+                    if (v) std::copy_n(v + c * n + first, count, room.data() + (3 + c) * contact_block);
+                }
+                for (std::int64_t i = 0; i < count; ++i)
+                    mass[i] = plan.inverse[first + i] > 0.0 ? plan.masses[first + i] : 0.0;
+                const Block<double> block{room.data(), room.data() + 3 * contact_block, contact_block, mass, count};
+                const auto found = look<shape.value, true, double>(placed, size, block, contacts.thickness, 0.0);
+                if (!(found.gap < widest(found.speed))) continue;
+                for (std::int64_t i = 0; i < count; ++i) {
+                    if (!(mass[i] > 0.0)) continue;
+                    const auto s = stand<shape.value, true, double>(placed, size, block.place<double>(i),
+                                                                    block.velocity<double>(i));
+                    what(NearOne{obstacle, first + i, s.gap, s.closing, mass[i], s.normal, s.arm, placed});
+                }
+            }
+        });
+    }
+}
+/// The same for particles in contact.
+template <class F>
+inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& what) {
+    const double thickness = plan.contacts.thickness;
+    for_each_near(plan, t, x, v, [&](double) { return thickness; }, [&](const NearOne& one) {
+        if (one.gap < thickness) what(one);
+    });
+}
+
+inline double contact_energy(const Plan& plan, double t, const double* x) {
+    const auto law = plan.contacts.law<double>();
+    double total = 0.0;
+    for_each_contact(plan, t, x, nullptr, [&](const NearOne& one) { total += one.mass * law.energy(one.gap); });
+    return total;
+}
+
+/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, booked_numbers).
+inline void contact_rates(const Plan& plan, double t, const double* x, const double* v, double weight, double* rates) {
+    const auto law = plan.contacts.law<double>();
+    for_each_contact(plan, t, x, v, [&](const NearOne& one) {
+        const auto answer = law.answer(one.gap, one.closing);
+        const Vec3<double> force = (one.mass * answer.push) * one.normal, torque = cross(force, one.arm);
+        const Vec3<double> moving = one.placed.speed + cross(one.placed.spin, one.arm);
+        const double now[booked_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z,
+                                            dot(force, moving), one.mass * (answer.push - answer.elastic) * one.closing};
+        for (int k = 0; k < booked_numbers; ++k) rates[one.obstacle * booked_numbers + k] += weight * now[k];
+    });
+}
+
+/// Add blocks of stiffness and damping across the gap. What a curved surface adds along itself only softens.
+inline void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
+    const auto law = plan.contacts.law<double>();
+    for_each_contact(plan, t, x, nullptr, [&](const NearOne& one) {
+        if (stiff) add_block(stiff, plan.count, one.particle, outer(one.mass * law.stiffness(one.gap), one.normal, 0.0));
+        if (damp) add_block(damp, plan.count, one.particle, outer(one.mass * law.damping(one.gap), one.normal, 0.0));
+    });
+}
+
+/// Squared frequency [1/s^2] and damping rate [1/s] of contact that has taken up so much energy per mass, in U^2/2.
+struct ContactLimits {
+    double omega2 = 0.0, damping = 0.0;
+    ContactLimits(const Contacts& contacts, double reached) {
+        if (!(reached > 0.0)) return;
+        const auto law = contacts.law<double>();
+        const double gap = stopping_gap(reached) * contacts.thickness;
+        omega2 = law.stiffness(gap);
+        damping = law.damping(gap);
+    }
+};
+
+/// Energy per mass, in U^2/2, that contact may have to take up within `duration`: of particles in contact what it has taken
+/// up already and that of their closing speed; of those that come into contact by then that of the speed that they come
+/// with, weight and wind included.
+inline double contact_ahead(const Plan& plan, double t, double duration, const double* x, const double* v) {
+    const Contacts& contacts = plan.contacts;
+    const auto law = contacts.law<double>();
+    const double push = 2.0 * root(norm2(Vec3<double>{plan.push(0), plan.push(1), plan.push(2)}));
+    const double thickness = contacts.thickness, per = 1.0 / ContactLaw<double>::speed;
+    const auto reach = [&](double speed) { return thickness + (speed + 0.5 * push * duration) * duration; };
+    // An obstacle that speeds up on its path is counted with the greatest speed of its middle and its end.
+    std::vector<Placed<double>> later;
+    const double origin[3] = {};
+    for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle)
+        for (const double share : {0.5, 1.0})
+            later.emplace_back(pose_at(contacts.path(obstacle), t + share * duration), origin);
+    double fastest = 0.0, most = 0.0;
+    for (const Placed<double>& one : later) fastest = larger(root(norm2(one.speed)), fastest);
+    for_each_near(plan, t, x, v, [&](double speed) { return reach(speed + fastest); }, [&](const NearOne& one) {
+        double speed = one.closing;
+        for (int k = 0; k < 2; ++k) {
+            const Placed<double>& then = later[2 * one.obstacle + k];
+            const Vec3<double> more = then.speed - one.placed.speed + cross(then.spin - one.placed.spin, one.arm);
+            speed = larger(one.closing + dot(more, one.normal), speed);
+        }
+        speed = larger(speed, 0.0);
+        if (!(one.gap < reach(speed))) return;
+        const double way = larger(one.gap - thickness, 0.0);
+        const double energy = per * per * (speed * speed + 2.0 * push * way) + law.shape(one.gap);
+        most = larger(energy, most);
+    });
+    return most;
+}
+
+/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+inline void add_contact_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
+                                const double* dv, double* out) {
+    const std::int64_t n = plan.count;
+    const ContactLaw<Dual> law(plan.contacts.thickness, plan.contacts.damping);
+    for_each_contact(plan, t, x, v, [&](const NearOne& one) {
+        const Obstacle& obstacle = plan.contacts.obstacles[one.obstacle];
+        const auto at = [&](const double* a, const double* slope) {
+            const std::int64_t i = one.particle;
+            return Vec3<Dual>{{a[i], slope[i]}, {a[n + i], slope[n + i]}, {a[2 * n + i], slope[2 * n + i]}};
+        };
+        with_shape(obstacle.shape, [&](auto shape) {
+            const auto s = stand<shape.value, true, Dual>(one.placed, obstacle.size, at(x, dx), at(v, dv));
+            const Vec3<Dual> force = (Dual{one.mass, 0.0} * law.push(s.gap, s.closing)) * s.normal;
+            out[one.particle] += force.x.slope;
+            out[n + one.particle] += force.y.slope;
+            out[2 * n + one.particle] += force.z.slope;
+        });
+    });
+}
+
+/// How many particles are in contact with each obstacle, and the least gap to each, in contact or not: (obstacles, 2).
+inline void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
+    for (std::int64_t obstacle = 0; obstacle < plan.contacts.count(); ++obstacle) {
+        out[2 * obstacle] = 0.0;
+        out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
+    }
+    const auto anyone = [](double) { return no_gap<double>; };
+    for_each_near(plan, t, x, nullptr, anyone, [&](const NearOne& one) {
+        double* const to = out + 2 * one.obstacle;
+        to[0] += one.gap < plan.contacts.thickness ? 1.0 : 0.0;
+        to[1] = smaller(one.gap, to[1]);
+    });
+}
+
+/// Whether any particle meets an obstacle's surface on its straight way from x0 at time t to x1, `duration` later. Each way is
+/// followed by gaps, which no way is shorter than.
+inline bool contact_crosses(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
+    const std::int64_t n = plan.count;
+    const double origin[3] = {}, least = 1e-3 * plan.contacts.thickness;
+    double longest = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        const Vec3<double> way{x1[i] - x0[i], x1[n + i] - x0[n + i], x1[2 * n + i] - x0[2 * n + i]};
+        longest = larger(root(norm2(way)), longest);
+    }
+    bool crosses = false;
+    const auto anyone = [](double) { return no_gap<double>; };
+    for_each_near(plan, t, x0, nullptr, anyone, [&](const NearOne& one) {
+        const double* const path = plan.contacts.path(one.obstacle);
+        const Obstacle& obstacle = plan.contacts.obstacles[one.obstacle];
+        const double end = t + duration - path[0];
+        double way = 0.0, turn = 0.0;
+        for (int order = 0; order < 3; ++order) {
+            // The fastest that a cubic gets until then, times the duration.
+            const double power = (order == 0 ? 1.0 : order == 1 ? 2.0 * end : 3.0 * end * end) * duration;
+            const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
+            way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
+            turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+        }
+        way += longest;
+        way += turn * (root(norm2(one.arm)) + way);
+        if (crosses || one.gap > way) return;
+        const std::int64_t i = one.particle;
+        const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
+        for (double part = 0.0, gap = one.gap; part < 1.0 && !crosses;) {
+            part = smaller(part + larger(gap, least) / way, 1.0);
+            const Placed<double> placed(pose_at(path, t + part * duration), origin);
+            gap = with_shape(obstacle.shape, [&](auto shape) {
+                return stand<shape.value, true, double>(placed, obstacle.size, from + part * (to - from), {}).gap;
+            });
+            crosses = !(gap > 0.0);
+        }
+    });
+    return crosses;
+}
+
+/// What a frame can't meet is left out of its runs: obstacles that are several times as far off as the fastest particle
+/// gets. Where particles turn out to be faster, everything is run again with all of them.
+class Approach {
+public:
+    Approach(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
+        Contacts& contacts = plan.contacts;
+        contacts.active.clear();
+        contacts.sleeps = true;
+        if (!contacts.count()) return;
+        const std::int64_t n = plan.count;
+        Vec3<double> low = particle_at(x0, 0), high = low;
+        for (int c = 0; c < 3; ++c) {
+            double least = x0[c * n], most = least;
+            range(x0 + c * n, n, least, most);
+            (c == 0 ? low.x : c == 1 ? low.y : low.z) = least;
+            (c == 0 ? high.x : c == 1 ? high.y : high.z) = most;
+        }
+        const Vec3<double> middle = 0.5 * (low + high);
+        const double radius = 0.5 * root(norm2(high - low));
+        speed_ = fastest(v0) + slack;
+        for (std::int64_t k = 0; k < contacts.count(); ++k) {
+            const double* const path = contacts.path(k);
+            double way = 0.0, turn = 0.0, power = 1.0;
+            for (int order = 0; order < 3; ++order) {
+                power *= duration;
+                const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
+                way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
+                turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+            }
+            const Obstacle& obstacle = contacts.obstacles[k];
+            double away;
+            if (obstacle.shape == Shape::plane) {
+                const Pose pose = pose_at(path, path[0]);
+                away = turn > 0.0 ? 0.0 : dot(pose.rotation[2], middle - pose.place) - radius;
+            } else {
+                away = root(norm2(middle - Vec3<double>{path[1], path[2], path[3]})) - radius - obstacle.radius;
+            }
+            if (!(away - way - contacts.thickness > 4.0 * speed_ * duration)) contacts.active.push_back(k);
+        }
+        whole_ = static_cast<std::int64_t>(contacts.active.size()) == contacts.count();
+    }
+    /// Whether a run that ended with velocities v, and met what it says, has to be made again.
+    bool missed(const double* v, const double* touched) const {
+        if (!plan_.contacts.sleeps && whole_) return false;
+        return touched[2] != 0.0 || (!whole_ && !(fastest(v) <= 2.0 * speed_));
+    }
+    void wake() {
+        plan_.contacts.wake();
+        plan_.contacts.sleeps = false;
+        whole_ = true;
+    }
+
+private:
+    /// Speed that anything may gain [m/s].
+    static constexpr double slack = 0.5;
+
+    Vec3<double> particle_at(const double* a, std::int64_t i) const {
+        return {a[i], a[plan_.count + i], a[2 * plan_.count + i]};
+    }
+    static void range(const double* from, std::int64_t n, double& least, double& most) {
+        using V = vec<double>;
+        V low = splat<V>(least), high = splat<V>(most);
+        std::int64_t i = 0;
+        for (; i + lanes<double> <= n; i += lanes<double>) {
+            const V a = load(from + i);
+            low = smaller(a, low);
+            high = larger(a, high);
+        }
+        for (; i < n; ++i) least = smaller(from[i], least), most = larger(from[i], most);
+        for (int k = 0; k < lanes<double>; ++k) least = smaller<double>(low[k], least), most = larger<double>(high[k], most);
+    }
+    double fastest(const double* v) const {
+        using V = vec<double>;
+        const std::int64_t n = plan_.count;
+        V most{};
+        double square = 0.0;
+        std::int64_t i = 0;
+        for (; i + lanes<double> <= n; i += lanes<double>)
+            most = larger(norm2(Vec3<V>{load(v + i), load(v + n + i), load(v + 2 * n + i)}), most);
+        for (; i < n; ++i) square = larger(norm2(particle_at(v, i)), square);
+        for (int k = 0; k < lanes<double>; ++k) square = larger<double>(most[k], square);
+        return root(square);
+    }
+
+    Plan& plan_;
+    double speed_ = 0.0;
+    bool whole_ = true;
+};
+
+}  // namespace cloth

@@ -1,0 +1,76 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// How far points are from obstacles, and which way leads off. Points are in the obstacle's own frame, on whose origin each
+// shape is centred. V is a number, a vector or a Dual.
+#pragma once
+
+#include "algebra.hpp"
+
+namespace cloth {
+
+/// Sizes [m] in order: plane none, its normal is z; box its edges along x, y, z; sphere radius; capsule and cylinder radius
+/// and length along z, a capsule's without its ends.
+enum class Shape : int { plane, box, sphere, capsule, cylinder };
+
+/// Distance from the surface, negative inside, and the unit vector in which it grows. Inside a shape with corners, which no
+/// cloth ever gets to, the vector is not a number.
+template <class V>
+struct Near {
+    V gap;
+    Vec3<V> normal;
+};
+
+template <class V>
+CLOTH_INLINE V with_sign_of(V magnitude, V sign) {
+    return select(sign < V{}, -magnitude, magnitude);
+}
+template <class V>
+CLOTH_INLINE V clamped(V a, V most) {
+    return smaller(larger(a, -most), most);
+}
+
+template <Shape S, class V>
+CLOTH_INLINE Near<V> near(const Vec3<V>& p, const Vec3<V>& size) {
+    const V half = splat<V>(scalar<V>(0.5)), none = splat<V>(scalar<V>(0)), one = splat<V>(scalar<V>(1));
+    if constexpr (S == Shape::plane) {
+        return {p.z, {none, none, one}};
+    } else if constexpr (S == Shape::sphere) {
+        const V away = root(norm2(p));
+        return {away - size.x, (one / away) * p};
+    } else if constexpr (S == Shape::capsule) {
+        const Vec3<V> q{p.x, p.y, p.z - clamped(p.z, half * size.y)};
+        const V away = root(norm2(q));
+        return {away - size.x, (one / away) * q};
+    } else if constexpr (S == Shape::box) {
+        const Vec3<V> q{absolute(p.x) - half * size.x, absolute(p.y) - half * size.y, absolute(p.z) - half * size.z};
+        const Vec3<V> out{larger(q.x, none), larger(q.y, none), larger(q.z, none)};
+        const V away = root(norm2(out)), inverse = one / away;
+        const V inside = smaller(larger(larger(q.x, q.y), q.z), none);
+        return {away + inside, inverse * Vec3<V>{with_sign_of(out.x, p.x), with_sign_of(out.y, p.y),
+                                                  with_sign_of(out.z, p.z)}};
+    } else {
+        const V across = root(fma(p.y, p.y, p.x * p.x));
+        const V over = across - size.x, above = absolute(p.z) - half * size.y;
+        const V out = larger(over, none), up = larger(above, none);
+        const V away = root(fma(up, up, out * out)), inverse = one / away;
+        // On the axis there is no way outward, and none is asked for.
+        const V outward = inverse * out / select(across > none, across, one);
+        return {away + smaller(larger(over, above), none),
+                {outward * p.x, outward * p.y, inverse * with_sign_of(up, p.z)}};
+    }
+}
+
+/// Call `what` with a constant that is the shape.
+template <class F>
+inline auto with_shape(Shape shape, F&& what) {
+    switch (shape) {
+        case Shape::plane: return what(std::integral_constant<Shape, Shape::plane>{});
+        case Shape::box: return what(std::integral_constant<Shape, Shape::box>{});
+        case Shape::sphere: return what(std::integral_constant<Shape, Shape::sphere>{});
+        case Shape::capsule: return what(std::integral_constant<Shape, Shape::capsule>{});
+        default: return what(std::integral_constant<Shape, Shape::cylinder>{});
+    }
+}
+
+}  // namespace cloth

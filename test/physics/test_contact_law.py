@@ -1,0 +1,175 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Contact with obstacles: forces, energy, bounds and what is booked, against formulas of their own."""
+
+import numpy as np
+import pytest
+from support import laws
+from support.alone import alone, blocks, force, gradient, matrix, product
+from support.contact_scenes import SHAPES, THICKNESS, contact, moving, near, still
+
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan import compile
+
+COUNT = 60
+every_shape = pytest.mark.parametrize("shape", SHAPES)
+
+
+def about(shape, seed=0, damping=10.0, path=None, **where):
+    """A force with one moving obstacle, its plan with random masses, and particles about it with random velocities."""
+    rng = np.random.default_rng(seed)
+    path = moving(seed) if path is None else path
+    own = contact(shape, paths=[path], damping=damping)
+    x = near(SHAPES[shape], path, 0.3, COUNT, rng, **where)
+    masses = rng.uniform(0.5, 2.0, COUNT)
+    return own, alone(own, masses=masses), masses, x, 3.0 * rng.normal(size=x.shape)
+
+
+@every_shape
+@pytest.mark.parametrize("damping", [0.0, 0.1, 10.0])
+def test_forces_energies_and_powers_are_those_of_the_formulas(shape, damping):
+    own, plan, masses, x, v = about(shape, damping=damping)
+    found, booked = laws.contact(0.3, x, v, own, masses)
+    assert np.abs(found.force).max() > 1e4
+    # Places are known to 1e-16 m, and a thickness of 2 mm turns that into 1e-13 of it.
+    scale = np.abs(found.force).max()
+    assert force(plan, x, v, 0.3) == pytest.approx(found.force, rel=1e-9, abs=1e-10 * scale)
+    assert plan.energies(0.3, x, v)[1] == pytest.approx(found.energy, rel=1e-9)
+    assert plan.dissipation(0.3, x, v) == pytest.approx(found.lost, rel=1e-9)
+    assert plan.contact.rates(0.3, x, v) == pytest.approx(booked, rel=1e-9, abs=1e-9 * np.abs(booked).max())
+    assert plan.contact.gaps(0.3, x)[0, 0] == np.count_nonzero(np.abs(found.force).any(axis=0))
+
+
+@every_shape
+def test_without_motion_the_force_is_minus_the_gradient_of_the_energy(shape):
+    _, plan, _, x, _ = about(shape, damping=0.0, path=still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7)), deepest=0.6)
+    slopes = gradient(lambda places: plan.energies(0.3, places, None)[1], x, step=1e-7)
+    assert force(plan, x, t=0.3) == pytest.approx(-slopes, abs=1e-5 * np.abs(slopes).max())
+
+
+@every_shape
+def test_damping_never_gives_energy_and_never_pulls(shape):
+    own, plan, masses, x, v = about(shape)
+    one = compile(Model(masses, [own]))
+    for speed in (1e-3, 0.1, 10.0, 1e3):
+        found = force(plan, x, speed * v, 0.3)
+        still_found = force(one, x, np.zeros_like(x), 0.3)
+        assert plan.dissipation(0.3, x, speed * v) >= 0.0
+        # Along one normal each: pushes stay pushes.
+        assert (np.sum(found * still_found, axis=0) >= 0.0).all()
+
+
+@every_shape
+def test_the_derivative_product_is_that_of_the_force(shape):
+    _, plan, _, x, v = about(shape, deepest=0.6, farthest=0.95)
+    rng = np.random.default_rng(2)
+    dx, dv = rng.normal(size=x.shape), rng.normal(size=x.shape)
+    h = 1e-8
+    by_place = (force(plan, x + h * dx, v, 0.3) - force(plan, x - h * dx, v, 0.3)) / (2 * h)
+    by_speed = (force(plan, x, v + 1e-5 * dv, 0.3) - force(plan, x, v - 1e-5 * dv, 0.3)) / 2e-5
+    zero = np.zeros_like(x)
+    found = product(plan, x, v, dx, zero, 0.3), product(plan, x, v, zero, dv, 0.3)
+    assert found[0] == pytest.approx(by_place, abs=1e-4 * np.abs(by_place).max())
+    assert found[1] == pytest.approx(by_speed, abs=1e-6 * np.abs(by_speed).max())
+
+
+@every_shape
+def test_bounds_hold_where_nothing_moves(shape):
+    path = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
+    _, plan, _, x, v = about(shape, path=path)
+    stiff, damped = blocks(plan, x)
+    zero = np.zeros_like(x)
+    for part, bound in (("x", stiff), ("v", damped)):
+        whole = matrix(plan, x, zero, part)
+        whole = 0.5 * (whole + whole.T)
+        each = whole.reshape(3, COUNT, 3, COUNT)
+        for i in range(COUNT):
+            xx, yy, zz, xy, xz, yz = bound[:, i]
+            block = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            least = np.linalg.eigvalsh(block - each[:, i, :, i])[0]
+            assert least >= -1e-9 * np.abs(bound).max()
+    # Damping grows with speed to at most the bound.
+    whole = matrix(plan, x, v, "v")
+    assert np.linalg.eigvalsh(0.5 * (whole + whole.T))[-1] <= damped[:3].sum(axis=0).max() * (1.0 + 1e-9)
+
+
+def test_the_push_reaches_no_further_than_the_thickness_and_begins_smoothly():
+    plan = alone(contact("plane", damping=0.0), count=1)
+    gaps = THICKNESS * np.array([1.0, 1.0 - 1e-3, 1.0 - 2e-3, 1.5, 100.0])
+    push = [force(plan, np.array([[0.0], [0.0], [gap]]))[2, 0] for gap in gaps]
+    assert push[0] == push[3] == push[4] == 0.0
+    # As the third power of the way in: its first two derivatives are continuous.
+    assert push[2] / push[1] == pytest.approx(8.0, rel=1e-2)
+
+
+@every_shape
+def test_no_energy_and_no_force_is_finite_where_there_is_no_gap(shape):
+    own, plan, *_ = about(shape)
+    place, _, rotation, _ = laws.pose(own.paths[0], 0.3)
+    inside = (place + 0.05 * rotation @ [0.1, 0.2, -1.0])[:, None]
+    one = alone(own, count=1)
+    assert plan.contact.gaps(0.3, np.repeat(inside, COUNT, axis=1))[0, 1] < 0.0
+    assert not np.isfinite(force(one, inside, t=0.3)).all()
+    assert not np.isfinite(one.energies(0.3, inside, None)[1])
+
+
+def test_a_sheet_over_several_obstacles_feels_their_sum_and_anchored_particles_none():
+    rng = np.random.default_rng(3)
+    paths = [moving(k) for k in range(5)]
+    paths[0][1:4], paths[0][13:26] = [0.0, 0.0, -9.0], still()[13:26]
+    for k, path in enumerate(paths):
+        path[1] += 30.0 * k
+    places = [near(SHAPES[shape], path, 0.1, 9, rng) for shape, path in zip(SHAPES, paths, strict=True)]
+    x = np.concatenate(places, axis=1)
+    v = rng.normal(size=x.shape)
+    masses = rng.uniform(0.5, 2.0, x.shape[1])
+    own = contact(*SHAPES, paths=paths)
+    plan = compile(Model(masses, [own], anchors=[3, 20]))
+    free = plan.model.inverse_masses > 0.0
+    expected = laws.contact(0.1, x, v, own, masses)[0].force * free
+    assert force(plan, x, v, 0.1) == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+    booked = plan.contact.rates(0.1, x, v)
+    assert booked[:, :3].sum(axis=0) == pytest.approx(-expected.sum(axis=1), rel=1e-9)
+
+
+def test_rates_ahead_are_those_of_the_gap_at_which_the_speed_is_used_up():
+    plan = alone(contact("plane", damping=0.0), count=1)
+    for speed in (0.5, 3.0, 20.0):
+        x, v = np.array([[0.0], [0.0], [0.01]]), np.array([[1.0], [0.0], [-speed]])
+        omega2, _ = plan.ahead(0.0, 0.05, x, v)
+        # The push's slope where (1 - s)^4 / s = (speed / U)^2, and a margin of half of that energy.
+        gaps = np.linspace(1e-3, 1.0, 100_001)
+        s = gaps[np.argmin(np.abs((1.0 - gaps) ** 4 / gaps - (speed / laws.STOPPING_SPEED) ** 2))]
+        slope = laws.STOPPING_SPEED**2 / 2.0 / THICKNESS**2 * (2.0 / s**3 - 8.0 + 6.0 * s)
+        assert slope <= omega2 <= 2.0 * slope
+        # It goes away, or does not get there.
+        assert plan.ahead(0.0, 0.05, x, -v) == (0.0, 0.0)
+        assert plan.ahead(0.0, 0.001 / speed, x, v) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"thickness": 0.0}, "thickness is 0.0 m; it must be above 0"),
+        ({"thickness": np.nan}, "contact thickness is nan; it must be finite"),
+        ({"thickness": 1e-3, "damping": -1.0}, "contact damping is -1.0; it must be finite and at least 0"),
+        ({"thickness": 1e-3, "obstacles": [SHAPES["box"]] * 2}, "two obstacles are named 'box'"),
+    ],
+)
+def test_what_is_no_contact_is_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        Contact(values.pop("obstacles", ()), **values)
+
+
+def test_two_forces_with_obstacles_are_refused_and_wrong_paths_told():
+    one, two = contact("plane"), contact(Obstacle(name="other", shape="plane"))
+    two.name = "more"
+    with pytest.raises(ValueError, match="make them one"):
+        compile(Model([1.0], [one, two]))
+    plan = alone(one, count=1)
+    for paths, message in ((np.zeros((2, 26)), "paths have shape"), (np.full((1, 26), np.nan), "must be finite")):
+        one.move(paths)
+        with pytest.raises(ValueError, match=message):
+            plan.contact.gaps(0.0, np.zeros((3, 1)))
