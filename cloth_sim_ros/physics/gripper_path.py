@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.angles import arctangent
+from cloth_sim_ros.physics.angles import arctangent, sine_and_cosine
 from cloth_sim_ros.physics.forces.force import Array
 
 
@@ -53,6 +53,17 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> Sequence[fl
     # atan(sine / w) / sine -> 1 as the turn vanishes.
     scale = 2.0 * arctangent(sine, w) / sine if sine > 1e-12 else 2.0
     return scale * x, scale * y, scale * z
+
+
+def turned_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
+    """Return a unit quaternion (x, y, z, w) turned by a rotation vector of at most pi [rad]."""
+    x, y, z = rotation
+    angle = math.sqrt(x * x + y * y + z * z)
+    sine, cosine = sine_and_cosine(0.5 * angle)
+    # sin(angle / 2) / angle -> 1/2 as the turn vanishes.
+    scale = sine / angle if angle > 1e-12 else 0.5
+    found: list[float] = normalised(product((scale * x, scale * y, scale * z, cosine), orientation)).tolist()
+    return found
 
 
 def rotation_matrix(orientation: Array) -> Array:

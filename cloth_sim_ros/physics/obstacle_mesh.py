@@ -29,7 +29,8 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     sides = np.stack([b - a, c - b, a - c])
     longest = np.sqrt((sides * sides).sum(axis=2).max(axis=0))
-    area2 = np.sqrt((np.cross(sides[0], -sides[2]) ** 2).sum(axis=1))
+    across = np.cross(sides[0], -sides[2])
+    area2 = np.sqrt((across * across).sum(axis=1))
     flat = np.flatnonzero(~(area2 > FLATNESS * longest * longest))
     if flat.size:
         raise ValueError(
@@ -66,10 +67,9 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
 def _check_arrays(vertices: Array, triangles: NDArray[np.int64], most: float) -> None:
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or len(vertices) < 4:
         raise ValueError(f"vertices have shape {vertices.shape}; they must be (m, 3), at least 4")
-    if triangles.ndim != 2 or triangles.shape[1:] != (3,) or len(triangles) < 4 or triangles.dtype.kind not in "iu":
+    if triangles.ndim != 2 or triangles.shape[1:] != (3,) or triangles.dtype.kind not in "iu":
         raise ValueError(
-            f"triangles have shape {triangles.shape} and type {triangles.dtype}; they must be whole numbers (t, 3), at "
-            "least 4"
+            f"triangles have shape {triangles.shape} and type {triangles.dtype}; they must be whole numbers (t, 3)"
         )
     bad = np.flatnonzero(~(np.abs(vertices) <= most).all(axis=1))
     if bad.size:

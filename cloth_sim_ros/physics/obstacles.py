@@ -19,18 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import check_closed, mesh_distance
-
-#: Shapes, and what their sizes are called, in the order of `Obstacle.size`.
-SHAPES: dict[str, tuple[str, ...]] = {
-    "plane": (),
-    "box": ("x", "y", "z"),
-    "sphere": ("radius",),
-    "capsule": ("radius", "length"),
-    "cylinder": ("radius", "length"),
-    "mesh": (),
-}
-#: Most that a size, or a coordinate of a mesh, may be [m].
-MOST_SIZE = 1e4
+from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
 
 
 def _numbers(values: Any) -> tuple[float, ...]:

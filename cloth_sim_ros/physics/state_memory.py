@@ -24,12 +24,20 @@ _GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
     "grip.offsets": (_FLOAT, ("m", 3)),
     "grip.starts": (_INT, ("g+1",)),
 }
+#: The same of obstacles, o standing for their number.
+_OBSTACLES: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
+    "obstacle.pose": (_FLOAT, ("o", 7)),
+    "obstacle.target": (_FLOAT, ("o", 7)),
+    "obstacle.twist": (_FLOAT, ("o", 6)),
+    "obstacle.turn": (_FLOAT, ("o", 6)),
+}
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Refuse memory that steppers, grippers, the pause or sleep can't go on from; names that are not known here pass.
+    """Refuse memory that steppers, grippers, obstacles, the pause or sleep can't go on from; names that are not known
+    here pass.
 
-    The arrays of grippers and grips are there together, or none of them.
+    The arrays of grippers and grips are there together, or none of them; so are those of obstacles.
 
     Args:
         memory: arrays by name, as in `State.memory`.
@@ -56,16 +64,9 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
     for rule in rules:
         if rule.key in memory:
             rule.check(memory[rule.key])
-    if not any(name in memory for name in _GRIPPERS):
+    _check_table("obstacles", memory, _OBSTACLES, {"o": "obstacle.pose"})
+    if not _check_table("grippers", memory, _GRIPPERS, {"g": "gripper.pose", "m": "grip.particles"}):
         return
-    for name in _GRIPPERS:
-        if name not in memory:
-            raise ValueError(f"memory '{name}' is missing; a state with grippers has {', '.join(_GRIPPERS)}")
-    grippers = len(np.atleast_1d(memory["gripper.pose"]))
-    sizes = {"g": grippers, "g+1": grippers + 1, "m": len(np.atleast_1d(memory["grip.particles"]))}
-    for name, (dtype, shape) in _GRIPPERS.items():
-        wanted = tuple(sizes[length] if isinstance(length, str) else length for length in shape)
-        _check_one(name, memory[name], dtype, wanted)
     particles, starts = memory["grip.particles"], memory["grip.starts"]
     if starts[0] != 0 or starts[-1] != len(particles) or (np.diff(starts) < 0).any():
         raise ValueError(
@@ -77,6 +78,33 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         raise ValueError(
             f"memory 'grip.particles' names particle {particles[wrong[0]]}; there are {particle_count}, counted from 0"
         )
+
+
+def _check_table(
+    what: str,
+    memory: Mapping[str, np.ndarray],
+    table: Mapping[str, tuple[np.dtype, tuple[str | int, ...]]],
+    counted: Mapping[str, str],
+) -> bool:
+    """Check arrays that are there together, or none of them; whether they are.
+
+    Args:
+        what: they belong to.
+        memory: all arrays.
+        table: type and shape of each.
+        counted: the array whose length each letter of the shapes stands for.
+    """
+    if not any(name in memory for name in table):
+        return False
+    for name in table:
+        if name not in memory:
+            raise ValueError(f"memory '{name}' is missing; a state with {what} has {', '.join(table)}")
+    sizes = {letter: len(np.atleast_1d(memory[name])) for letter, name in counted.items()}
+    sizes |= {f"{letter}+1": size + 1 for letter, size in sizes.items()}
+    for name, (dtype, shape) in table.items():
+        wanted = tuple(sizes[length] if isinstance(length, str) else length for length in shape)
+        _check_one(name, memory[name], dtype, wanted)
+    return True
 
 
 def _check_one(name: str, array: np.ndarray, dtype: np.dtype, shape: tuple[int, ...]) -> None:

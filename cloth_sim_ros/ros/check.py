@@ -8,6 +8,7 @@ import statistics
 import sys
 import time
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
@@ -18,10 +19,14 @@ from cloth_sim_ros.ros.step_setters import in_words, step_setters
 from cloth_sim_ros.ros.unknown import unknown
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.obstacles import described
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.obstacles import Obstacles
 
 #: The beginning of the motion that is tried: simulated [s], and at most so long by the clock on the wall [s].
 _TRIED, _PATIENCE = 1.0, 5.0
@@ -48,7 +53,7 @@ def check(path: str, *, node: str) -> int:
     """
     try:
         values = parameter_file.read(path, node=node)
-        known = {entry.name for entry in Scene.declared()}
+        known = {entry.name for entry in Scene.declared(described(values, Scene.groups()))}
         own = {name: value for name, value in values.items() if name in known}
         scene = Scene.from_parameters(own, files=session_state(str(own.get("initial_state", ""))))
         simulation = Simulation(scene)
@@ -91,6 +96,18 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     print(f"{what}: {count} particles, {anchored} anchored; forces: {forces}")
     held = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
     print(f"{scene.rate:g} frames a second; {held}; grippers: {', '.join(scene.gripper_names) or 'none'}")
+    if simulation.obstacles is not None:
+        _print_obstacles(scene, simulation.obstacles)
+
+
+def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
+    for solid in obstacles.solids:
+        size = f" of {' x '.join(f'{length:g}' for length in solid.size)} m" if solid.size else ""
+        gap, particle = obstacles.nearest(solid.name)
+        print(
+            f"obstacle '{solid.name}': {solid.shape}{size}; the "
+            f"nearest particle, {particle}, starts {gap:.3g} m away; it pushes from {scene.contact.thickness:g} m on"
+        )
 
 
 def _print_forecast(simulation: Simulation, cost: float | None) -> None:

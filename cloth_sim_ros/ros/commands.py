@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command topics of the grippers. A callback checks a message and queues an event, nothing more."""
+"""The command topics of grippers and obstacles. A callback checks a message and queues an event, nothing more."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
+import attrs
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
@@ -21,8 +23,8 @@ from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog, counted
 from cloth_sim_ros.ros.outputs import Tape
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import EventError
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 
 #: Best effort, so that any publisher matches; the newest target is what counts.
 TARGETS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -31,7 +33,7 @@ GRASPS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Commands:
-    """Subscriptions of every gripper of a cloth, from `listen` on.
+    """Subscriptions of every gripper and obstacle of a cloth, from `listen` on.
 
     Args:
         node: the node.
@@ -64,7 +66,9 @@ class Commands:
         self._tape = tape
         self._log = log
         self._turn = turn
+        self._grippers = grippers
         self._gates = {name: StampGate() for name in grippers}
+        self._obstacles: dict[str, Subscription] = {}
         self._heard: dict[str, int] = {}
         #: Messages that had arrived at the last call of `settled`, and the number of turns in a row that brought some.
         self._seen = 0
@@ -76,24 +80,37 @@ class Commands:
 
     def listen(self) -> None:
         """Subscribe: whoever meets a subscription may rely on being heard."""
-        for gripper in self._gates:
+        for gripper in self._grippers:
             for leaf, kind, qos, handle in (
                 ("target", PoseStamped, TARGETS, self._target),
                 ("point", PointStamped, TARGETS, self._point),
                 ("grasp", Bool, GRASPS, self._grasp),
             ):
-                topic = f"~/{gripper}/{leaf}"
-                take = functools.partial(
-                    self._take, gripper, leaf, kind, qos, self._node.resolve_topic_name(topic, only_expand=True), handle
-                )
-                # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-                # Best effort meets every publisher: nothing is to be told, and each event costs time every turn.
-                reliable = qos.reliability == ReliabilityPolicy.RELIABLE
-                misfit = (
-                    functools.partial(self._tell_misfit, self._node.resolve_topic_name(topic)) if reliable else None
-                )
-                events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
-                self._node.create_subscription(kind, topic, self._single(take), qos, raw=True, event_callbacks=events)
+                self._subscribe(gripper, leaf, kind, qos, handle)
+
+    def listen_to_obstacles(self, names: list[str]) -> None:
+        """Subscribe for the obstacles that there are now, and no more for those that are gone."""
+        for name in [name for name in self._obstacles if name not in names]:
+            self._node.destroy_subscription(self._obstacles.pop(name))
+            del self._gates[name]
+        for name in names:
+            if name not in self._obstacles:
+                self._gates[name] = StampGate()
+                self._obstacles[name] = self._subscribe(name, "target", PoseStamped, TARGETS, self._move)
+
+    def _subscribe(
+        self, name: str, leaf: str, kind: Any, qos: QoSProfile, handle: Callable[[str, Any, int], None]
+    ) -> Subscription:
+        topic = f"~/{name}/{leaf}"
+        take = functools.partial(
+            self._take, name, leaf, kind, qos, self._node.resolve_topic_name(topic, only_expand=True), handle
+        )
+        # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
+        # Best effort meets every publisher: nothing is to be told, and each event costs time every turn.
+        reliable = qos.reliability == ReliabilityPolicy.RELIABLE
+        misfit = functools.partial(self._tell_misfit, self._node.resolve_topic_name(topic)) if reliable else None
+        events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
+        return self._node.create_subscription(kind, topic, self._single(take), qos, raw=True, event_callbacks=events)
 
     def _tell_misfit(self, topic: str, _event: Any) -> None:
         self._log.warn(
@@ -102,7 +119,7 @@ class Commands:
         )
 
     def heard(self, gripper: str) -> int | None:
-        """When the newest target of a gripper came, ROS time [ns]; None if none has."""
+        """When the newest target of a gripper or obstacle came, ROS time [ns]; None if none has."""
         return self._heard.get(gripper)
 
     def settled(self) -> bool:
@@ -135,7 +152,7 @@ class Commands:
 
     def _take(
         self,
-        gripper: str,
+        name: str,
         leaf: str,
         kind: Any,
         qos: QoSProfile,
@@ -150,39 +167,42 @@ class Commands:
         try:
             message = deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError) as error:
-            self._refuse(gripper, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}: {_first_line(error)}")
+            self._refuse(name, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}: {_first_line(error)}")
             return
         try:
-            handle(gripper, message, now)
+            handle(name, message, now)
         except OldStampError as error:
             self.outdated += 1
-            self._log.warn(f"{leaf} {gripper} old", f"{leaf} of '{gripper}' is dropped: {error}")
+            self._log.warn(f"{leaf} {name} old", f"{leaf} of '{name}' is dropped: {error}")
         except (StampError, FrameError, EventError, QueueFullError, ValueError) as error:
-            self._refuse(gripper, leaf, type(error).__name__, str(error))
+            self._refuse(name, leaf, type(error).__name__, str(error))
 
-    def _refuse(self, gripper: str, leaf: str, kind: str, reason: str) -> None:
+    def _refuse(self, name: str, leaf: str, kind: str, reason: str) -> None:
         self.refused += 1
-        self._log.warn(f"{leaf} {gripper} {kind}", f"{leaf} of '{gripper}' is refused: {reason}")
+        self._log.warn(f"{leaf} {name} {kind}", f"{leaf} of '{name}' is refused: {reason}")
 
     def _target(self, gripper: str, message: PoseStamped, now: int) -> None:
         p, q = message.pose.position, message.pose.orientation
-        self._aim(gripper, message.header, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), now)
+        self._aim(Target(gripper, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
 
     def _point(self, gripper: str, message: PointStamped, now: int) -> None:
         p = message.point
-        self._aim(gripper, message.header, (p.x, p.y, p.z), None, now)
+        self._aim(Target(gripper, (p.x, p.y, p.z)), message.header, now)
 
-    def _aim(
-        self, gripper: str, header: Any, position: tuple[float, ...], orientation: tuple[float, ...] | None, now: int
-    ) -> None:
+    def _move(self, obstacle: str, message: PoseStamped, now: int) -> None:
+        p, q = message.pose.position, message.pose.orientation
+        self._aim(Move(obstacle, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
+
+    def _aim(self, event: Target | Move, header: Any, now: int) -> None:
         stamp = checked(header.stamp.sec, header.stamp.nanosec)
         # An invalid value is reported as such, before its frame is looked up and its stamp compared.
-        self._check(Target(gripper, position, orientation))
-        position, orientation = self._frames.to_cloth(header.frame_id, position, orientation, stamp)
-        event = Target(gripper, position, orientation)
         self._check(event)
-        self._queue.put(event, stamp=self._gates[gripper].accept(stamp, now))
-        self._heard[gripper] = now
+        position, orientation = self._frames.to_cloth(header.frame_id, event.position, event.orientation, stamp)
+        event = attrs.evolve(event, position=position, orientation=orientation)
+        self._check(event)
+        name = event.gripper if isinstance(event, Target) else event.obstacle
+        self._queue.put(event, stamp=self._gates[name].accept(stamp, now))
+        self._heard[name] = now
 
     def _grasp(self, gripper: str, message: Bool, _now: int) -> None:
         event = Grasp(gripper, bool(message.data))

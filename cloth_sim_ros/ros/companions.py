@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a gripper does by itself: lets go when its commands fall silent, follows a TF frame."""
+"""What grippers and obstacles do by themselves: follow a TF frame; a gripper lets go when its commands fall silent."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from collections.abc import Callable
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import EventError, Simulation
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
-class GripperCompanions:
+class Companions:
     """Adds events of its own before a frame.
 
     Args:
@@ -41,22 +42,24 @@ class GripperCompanions:
     def events(self, now: int) -> list[Event]:
         """Return the events of a frame that is due at a ROS time [ns]."""
         scene = self._simulation.scene
-        if not scene.gripper.timeout and not scene.gripper.frame:
-            return []
         found: list[Event] = []
+        for name in scene.obstacle_names:
+            found += self._follow(Move, name, scene.described[name].frame, now)
+        if not scene.gripper.timeout and not scene.gripper.frame:
+            return found
         for index, name in enumerate(scene.gripper_names):
-            if scene.gripper.frame:
-                found += self._follow(scene, name, now)
+            found += self._follow(Target, name, scene.gripper.frame.replace("{gripper}", name), now)
             found += self._let_go(scene, index, name, now)
         return found
 
-    def _follow(self, scene: Scene, name: str, now: int) -> list[Event]:
-        frame = scene.gripper.frame.replace("{gripper}", name)
+    def _follow(self, kind: type[Target | Move], name: str, frame: str, now: int) -> list[Event]:
+        if not frame:
+            return []
         try:
             position, orientation, stamp = self._frames.newest(frame)
             if stamp == self._followed.get(name):
                 return []
-            target = Target(name, position, orientation)
+            target = kind(name, position, orientation)
             self._simulation.check(target)
         except (FrameError, EventError) as error:
             self._log.warn(f"follow {name}", f"'{name}' can't follow frame '{frame}': {error}")

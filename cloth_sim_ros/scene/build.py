@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.parameters import ParameterError
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.obstacles import Obstacle
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -55,6 +58,12 @@ class Configuration(Protocol):
 
     @property
     def gripper_names(self) -> list[str]: ...
+
+    @property
+    def contact(self) -> sections.Contact: ...
+
+    @property
+    def solids(self) -> list[Obstacle]: ...
 
     @property
     def sheet(self) -> Sheet: ...
@@ -143,6 +152,11 @@ def build_model(scene: Configuration) -> Model:
     forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_panels(scene, sheet)]
     if scene.gripper_names:
         forces.append(Grips(len(scene.gripper_names)))
+    solids = scene.solids
+    if solids:
+        from cloth_sim_ros.physics.forces.contact import Contact
+
+        forces.append(Contact(solids, thickness=scene.contact.thickness, damping=scene.contact.damping))
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
 
 

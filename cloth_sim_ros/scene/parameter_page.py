@@ -32,6 +32,8 @@ _TAIL = """## Of ROS itself
 ([topics](../ros.md#topics)).
 """
 
+#: Stands for the name of an obstacle.
+OBSTACLE = "<obstacle>"
 #: Headings of the groups, in the order of the page; "" is for names without a group.
 _GROUPS = {
     "": "Node and time stepping",
@@ -41,6 +43,8 @@ _GROUPS = {
     "air": "Air",
     "wind": "Wind",
     "gripper": "Grippers",
+    "contact": "Contact with obstacles",
+    OBSTACLE: "Each obstacle, under its own name",
     "points": "Point cloud",
     "record": "Recording",
     "diagnostics": "Diagnostics",
@@ -49,7 +53,7 @@ _GROUPS = {
 
 def page() -> str:
     """Return the whole page; each declared parameter stands in it once."""
-    declared = Scene.declared()
+    declared = Scene.declared([OBSTACLE])
     groups = dict.fromkeys([*_GROUPS, *(_group(entry) for entry in declared)])
     parts = [_HEAD]
     for group in groups:

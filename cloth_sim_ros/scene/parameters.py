@@ -9,7 +9,7 @@ documentation read its default, unit and limits from there, and whether it may c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -124,9 +124,9 @@ def section(cls: type) -> Any:
     return attrs.field(factory=cls, metadata={_SECTION: cls})
 
 
-def declared(cls: type) -> tuple[Parameter, ...]:
-    """Every parameter of a configuration class, sections included, with its full name."""
-    return _declared(cls, "")
+def declared(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
+    """Every parameter of a configuration class, sections included, with its full name, behind a prefix."""
+    return _declared(cls, prefix)
 
 
 @cache
@@ -152,25 +152,32 @@ def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
     return values
 
 
-def check(cls: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Return values by full name in their own types, arrays as tuples.
+def check(
+    entries: Iterable[Parameter], values: dict[str, Any], *, hint: Callable[[str], str] = lambda _: ""
+) -> dict[str, Any]:
+    """Return values of declared parameters by full name in their own types, arrays as tuples.
+
+    Args:
+        entries: the declared ones.
+        values: by full name.
+        hint: returns more words on a name that is not known.
 
     Raises:
         ParameterError: for an unknown name or a bad value.
     """
-    known = {entry.name: entry for entry in declared(cls)}
+    known = {entry.name: entry for entry in entries}
     for name in values:
         if name not in known:
-            raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}")
+            raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}{hint(name)}")
     return {name: known[name].check(value) for name, value in values.items()}
 
 
-def build(cls: Callable[..., Any], values: dict[str, Any], **further: Any) -> Any:
+def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **further: Any) -> Any:
     """Return an instance of a configuration class from checked values by full name; missing names take their default.
 
-    `further` are fields of the class that are no parameters.
+    `prefix` stands before the names of its fields; `further` are fields of the class that are no parameters.
     """
-    return _build(cls, values, "", further)
+    return _build(cls, values, prefix, further)
 
 
 def _build(cls: Any, values: dict[str, Any], prefix: str, further: dict[str, Any]) -> Any:

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import attrs
+
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.build import build_plan, uniform_forces
 
@@ -64,13 +66,15 @@ class Plans:
 
 
 def same_elements(before: Scene, scene: Scene) -> bool:
-    """Whether two scenes have the same springs, hinges, panels, masses, anchors and grippers."""
+    """Whether two scenes have the same springs, hinges, panels, masses, anchors, grippers and obstacles."""
     return _elements(before) == _elements(scene)
 
 
 def _elements(scene: Scene) -> tuple[Any, ...]:
     panels = scene.wind.normal_drag, scene.wind.tangential_drag
-    return scene.cloth, scene.material, scene.bending, scene.grippers, panels
+    obstacles = [(name, attrs.evolve(scene.described[name], frame="")) for name in scene.obstacle_names]
+    contact = (obstacles, scene.contact) if obstacles else None
+    return scene.cloth, scene.material, scene.bending, scene.grippers, panels, contact
 
 
 def _uniform(scene: Scene) -> tuple[Any, ...]:

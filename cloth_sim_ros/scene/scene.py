@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -24,7 +24,8 @@ from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import files as scene_files
-from cloth_sim_ros.scene import parameter_file, parameters, relaxation
+from cloth_sim_ros.scene import obstacles as scene_obstacles
+from cloth_sim_ros.scene import parameter_file, parameters, relaxation, sections
 from cloth_sim_ros.scene.build import (
     Sheet,
     anchored_particles,
@@ -35,12 +36,28 @@ from cloth_sim_ros.scene.build import (
 )
 from cloth_sim_ros.scene.identity import cloth_of, difference
 from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
-from cloth_sim_ros.scene.sections import Air, Bending, Cloth, Diagnostics, Gripper, Material, Points, Record, Tf, Wind
+from cloth_sim_ros.scene.sections import (
+    Air,
+    Bending,
+    Cloth,
+    Contact,
+    Diagnostics,
+    Gripper,
+    Material,
+    Points,
+    Record,
+    Tf,
+    Wind,
+)
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.obstacles import Obstacle
 
 MOST_PARTICLES = 4_000_000
 #: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
 LEAST_TOLERANCE = 1e-12
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+#: Parameters that rclpy declares by itself, and the groups of its own.
+_OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
 @attrs.frozen(kw_only=True)
@@ -75,6 +92,13 @@ class Scene:
     wind: Wind = section(Wind)
     grippers: tuple[str, ...] = parameter("string[]", ("gripper",), "Names of the grippers; none by ['']")
     gripper: Gripper = section(Gripper)
+    obstacles: tuple[str, ...] = parameter(
+        "string[]",
+        ("",),
+        "Names of the obstacles that are there, each described by <name>.shape and so on; none by ['']",
+        live=True,
+    )
+    contact: Contact = section(Contact)
     integrator: str = parameter(
         "string",
         "auto",
@@ -123,6 +147,8 @@ class Scene:
     tf: Tf = section(Tf)
     record: Record = section(Record)
     diagnostics: Diagnostics = section(Diagnostics)
+    #: Obstacles that are described, by name: those of `obstacles`, and those that wait to be named there.
+    described: dict[str, sections.Obstacle] = attrs.field(factory=dict)
     #: Content of the files that parameters name, by that name; what a recording must hold to run again.
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
@@ -139,24 +165,27 @@ class Scene:
             )
         if not self.frame_id:
             raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")
-        names = self.gripper_names
-        for name in names:
-            if not _NAME.fullmatch(name):
-                raise ParameterError(f"gripper name '{name}' is no ROS name; use letters, digits and _, a letter first")
-            if names.count(name) > 1:
-                raise ParameterError(f"two grippers are named '{name}'; give each its own name")
-        if self.tf.publish and "cloth" in names:
+        scene_obstacles.check_distinct("gripper", self.gripper_names)
+        if self.tf.publish and "cloth" in self.gripper_names:
             raise ParameterError("a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it")
         try:
             normalised(self.cloth.orientation)
         except ValueError as error:
             raise ParameterError(f"cloth.orientation: {error}") from error
         self._check_sheet()
+        self._check_obstacles()
 
     @classmethod
-    def declared(cls) -> tuple[parameters.Parameter, ...]:
-        """Every parameter of a scene."""
-        return parameters.declared(cls)
+    def declared(cls, obstacles: Iterable[str] = ()) -> tuple[parameters.Parameter, ...]:
+        """Every parameter of a scene, with those of obstacles of some names."""
+        own = parameters.declared(cls)
+        return (*own, *(entry for name in obstacles for entry in scene_obstacles.declared(name)))
+
+    @staticmethod
+    @cache
+    def groups() -> frozenset[str]:
+        """First parts of parameters' names, which no obstacle may have."""
+        return frozenset(entry.name.partition(".")[0] for entry in Scene.declared()).union(_OF_ROS)
 
     @classmethod
     def from_parameters(
@@ -172,8 +201,12 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, a bad value, or a file that can't be read.
         """
-        checked = parameters.check(cls, values)
-        scene: Scene = parameters.build(cls, checked, files=scene_files.read(checked, files or {}, folder))
+        names = scene_obstacles.described(values, cls.groups())
+        checked = parameters.check(
+            cls.declared(names), values, hint=lambda name: scene_obstacles.hint(name, cls.groups())
+        )
+        content = scene_files.read(checked, files or {}, folder)
+        scene: Scene = parameters.build(cls, checked, described=scene_obstacles.read(checked, names), files=content)
         return scene
 
     @classmethod
@@ -187,7 +220,10 @@ class Scene:
 
     def parameters(self) -> dict[str, Any]:
         """Every parameter's value by full name."""
-        return parameters.flatten(self)
+        values = parameters.flatten(self)
+        for name, obstacle in self.described.items():
+            values.update(parameters.flatten(obstacle, f"{name}."))
+        return values
 
     def changed(self, values: dict[str, Any]) -> Scene:
         """Return a scene with live parameters changed.
@@ -199,7 +235,11 @@ class Scene:
         for name in values:
             if name in known and not known[name].live:
                 raise ParameterError(f"{name} can't change while the cloth runs; set it at start")
-        return self.from_parameters({**self.parameters(), **values}, files=self.files)
+        scene = self.from_parameters({**self.parameters(), **values}, files=self.files)
+        for name in self.obstacle_names:
+            if name in scene.obstacle_names:
+                scene_obstacles.check_change(name, self.described[name], scene.described[name])
+        return scene
 
     @property
     def period(self) -> float:
@@ -210,6 +250,16 @@ class Scene:
     def gripper_names(self) -> list[str]:
         """Names of the grippers."""
         return [name for name in self.grippers if name]
+
+    @property
+    def obstacle_names(self) -> list[str]:
+        """Names of the obstacles that are there."""
+        return [name for name in self.obstacles if name]
+
+    @property
+    def solids(self) -> list[Obstacle]:
+        """The rigid shapes of the obstacles that are there."""
+        return [scene_obstacles.solid(name, self.described[name]) for name in self.obstacle_names]
 
     @property
     def sheet(self) -> Sheet:
@@ -305,6 +355,12 @@ class Scene:
         state.memory.pop("paused", None)
         relaxation.set_factor(state, 1.0)
         return state
+
+    def _check_obstacles(self) -> None:
+        names = self.obstacle_names
+        scene_obstacles.check_names(names, self.described, self.gripper_names, self.groups())
+        if names and self.solids:
+            scene_obstacles.check_cloth(self.sheet, self.contact.thickness)
 
     def _check_sheet(self) -> None:
         cloth, model, modulus = self.cloth, self.bending.model, self.material.bending_modulus

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import attrs
 
+from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
 from cloth_sim_ros.physics.sheets.surface import LAYOUTS
 from cloth_sim_ros.scene.parameters import parameter
 
@@ -214,6 +215,81 @@ class Gripper:
         "string",
         "",
         "TF frame that a gripper follows, {gripper} standing for its name; empty for none. Needs tf2_ros",
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Contact:
+    """How obstacles keep the cloth out."""
+
+    thickness: float = parameter(
+        "double",
+        0.003,
+        "Distance from an obstacle's surface within which it pushes the cloth's middle surface away; at most half the "
+        "shortest edge of the cloth",
+        unit="m",
+        least=0.0,
+        most=1.0,
+        open_least=True,
+        live=True,
+    )
+    damping: float = parameter(
+        "double",
+        10.0,
+        "How much of a bounce is lost: much of it from speeds of 1 / damping on; 0 loses nothing",
+        unit="s/m",
+        least=0.0,
+        most=1e4,
+        live=True,
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Obstacle:
+    """An obstacle; each has a group of its own name. What says so may change only while it is not in `obstacles`."""
+
+    shape: str = parameter(
+        "string",
+        "box",
+        "What it is: the half space below a plane (normal z), or a solid centred on the obstacle's frame, axis z; set "
+        "at once with the obstacle, or before anything else of it; changes only while it is not in obstacles",
+        choices=tuple(shape for shape in SHAPES if shape != "mesh"),
+        live=True,
+    )
+    size: tuple[float, ...] = parameter(
+        "double[]",
+        (0.1, 0.1, 0.1),
+        "box: x, y, z; sphere: radius; capsule and cylinder: radius, length (a capsule's without its round ends); "
+        "a plane has none; changes only while it is not in obstacles",
+        unit="m",
+        least=0.0,
+        most=MOST_SIZE,
+        open_least=True,
+        live=True,
+    )
+    position: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0, 0.0),
+        "Where it starts; changes only while it is not in obstacles, then ~/<obstacle>/target moves it",
+        unit="m",
+        length=3,
+        least=-1e4,
+        most=1e4,
+        live=True,
+    )
+    orientation: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0, 0.0, 1.0),
+        "Quaternion x, y, z, w with which it starts; changes only while it is not in obstacles",
+        length=4,
+        live=True,
+    )
+    frame: str = parameter(
+        "string",
+        "",
+        "TF frame that it follows; empty for none. Needs tf2_ros",
+        live=True,
+        observes=True,
     )
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterable
 
 from cloth_sim_ros.scene.scene import Scene
@@ -64,6 +65,11 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         lambda scene: not scene.gripper_names,
         "there are no grippers",
     ),
+    (
+        ("contact.thickness", "contact.damping"),
+        lambda scene: not scene.obstacle_names,
+        "there are no obstacles",
+    ),
 )
 
 
@@ -74,7 +80,7 @@ def without_effect(scene: Scene, given: Iterable[str]) -> list[str]:
         scene: that was built with them.
         given: full names.
     """
-    defaults = {entry.name: entry.default for entry in Scene.declared()}
+    defaults = {entry.name: entry.default for entry in Scene.declared(scene.described)}
     values = scene.parameters()
     sentences: dict[str, str] = {}
     chosen = {name for name in given if values[name] != defaults[name]}
@@ -83,4 +89,19 @@ def without_effect(scene: Scene, given: Iterable[str]) -> list[str]:
             for name in names:
                 if name in chosen:
                     sentences.setdefault(name, f"{name} is set and has no effect: {reason}")
-    return list(sentences.values())
+    return [*sentences.values(), *_of_obstacles(scene, chosen)]
+
+
+def _of_obstacles(scene: Scene, chosen: set[str]) -> list[str]:
+    """The same of the parameters of single obstacles."""
+    sentences = []
+    for name, obstacle in scene.described.items():
+        if name not in scene.obstacle_names:
+            close = difflib.get_close_matches(name, [*scene.obstacle_names, *scene.groups()], n=1)
+            sentences.append(
+                f"{name}.shape is set and has no effect: obstacles does not name '{name}'; it may be added while the "
+                "cloth runs" + (f". Did you mean '{close[0]}'?" if close else "")
+            )
+        elif f"{name}.size" in chosen and obstacle.shape == "plane":
+            sentences.append(f"{name}.size is set and has no effect: a {obstacle.shape} has no size")
+    return sentences

@@ -29,6 +29,17 @@ class Target:
 
 
 @attrs.frozen
+class Move:
+    """An obstacle is commanded to a pose; without an orientation it keeps its present target's."""
+
+    obstacle: str
+    #: Position [m], 3 numbers.
+    position: Vector = attrs.field(converter=_floats)
+    #: Unit quaternion x, y, z, w, or None.
+    orientation: Vector | None = attrs.field(default=None, converter=attrs.converters.optional(_floats))
+
+
+@attrs.frozen
 class Grasp:
     """A gripper closes or opens."""
 
@@ -58,7 +69,7 @@ class Step:
 
 @attrs.frozen
 class Reset:
-    """Cloth and grippers return to their initial state; the frame number goes on."""
+    """Cloth, grippers and obstacles return to their initial state; the frame number goes on."""
 
 
 @attrs.frozen
@@ -69,10 +80,11 @@ class Relax:
     factor: float = attrs.field(converter=float)
 
 
-Event = Target | Grasp | SetParameters | Pause | Step | Reset | Relax
+Event = Target | Move | Grasp | SetParameters | Pause | Step | Reset | Relax
 
 _KINDS: dict[str, type] = {
     "target": Target,
+    "move": Move,
     "grasp": Grasp,
     "set_parameters": SetParameters,
     "pause": Pause,
@@ -86,15 +98,20 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 def ordered(events: list[Event]) -> list[Event]:
     """Return events in the order in which a frame applies them.
 
-    First the newest target of each gripper, then every grasp in order of arrival, then the rest in order of arrival.
+    First the newest target of each gripper and each obstacle, then every grasp in order of arrival, then the rest in
+    order of arrival.
     """
     targets: dict[str, Event] = {}
+    moves: dict[str, Event] = {}
     for event in events:
         if isinstance(event, Target):
             targets[event.gripper] = event
+        elif isinstance(event, Move):
+            moves[event.obstacle] = event
     grasps = [event for event in events if isinstance(event, Grasp)]
-    rest = [event for event in events if not isinstance(event, Target | Grasp)]
-    return [*(targets[name] for name in sorted(targets)), *grasps, *rest]
+    rest = [event for event in events if not isinstance(event, Target | Move | Grasp)]
+    newest = [*(targets[name] for name in sorted(targets)), *(moves[name] for name in sorted(moves))]
+    return [*newest, *grasps, *rest]
 
 
 def to_dict(event: Event) -> dict[str, Any]:

@@ -13,10 +13,11 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
-from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Target
+from cloth_sim_ros.simulation.movers import Movers, renewed
 
 
 @attrs.frozen
@@ -47,22 +48,15 @@ class Grippers:
         count = len(names)
         pose = np.zeros((count, 7))
         pose[:, 6] = 1.0
-        for name, array in self._initial(count, pose).items():
+        self._movers = Movers("gripper", pose, state)
+        for name, array in (
+            ("gripper.placed", np.zeros(count, dtype=bool)),
+            ("gripper.closed", np.zeros(count, dtype=bool)),
+            ("grip.starts", np.zeros(count + 1, dtype=np.int64)),
+            ("grip.particles", np.empty(0, dtype=np.int64)),
+            ("grip.offsets", np.empty((0, 3))),
+        ):
             state.memory.setdefault(name, array)
-
-    @staticmethod
-    def _initial(count: int, pose: Array) -> dict[str, np.ndarray]:
-        return {
-            "gripper.placed": np.zeros(count, dtype=bool),
-            "gripper.closed": np.zeros(count, dtype=bool),
-            "gripper.pose": pose,
-            "gripper.twist": np.zeros((count, 6)),
-            "gripper.turn": np.zeros((count, 6)),
-            "gripper.target": pose.copy(),
-            "grip.starts": np.zeros(count + 1, dtype=np.int64),
-            "grip.particles": np.empty(0, dtype=np.int64),
-            "grip.offsets": np.empty((0, 3)),
-        }
 
     def poses(self) -> Array:
         """Present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
@@ -84,21 +78,15 @@ class Grippers:
     @property
     def settled(self) -> bool:
         """Whether every gripper stands at its target, and stood there for a frame."""
-        memory = self._state.memory
-        still = not memory["gripper.turn"].any() and not memory["gripper.twist"].any()
-        return still and np.array_equal(memory["gripper.pose"], memory["gripper.target"])
+        return self._movers.settled
 
     def set_target(self, event: Target) -> None:
         """Take note of a target; the first one places the gripper there at once."""
-        memory = self._state.memory
         g = self.names.index(event.gripper)
-        target = self._renewed("gripper.target")
-        target[g, :3] = event.position
-        if event.orientation is not None:
-            target[g, 3:] = normalised(event.orientation)
-        if not memory["gripper.placed"][g]:
-            self._renewed("gripper.placed")[g] = True
-            self._renewed("gripper.pose")[g] = target[g]
+        target = self._movers.aim(g, event.position, event.orientation)
+        if not self._state.memory["gripper.placed"][g]:
+            renewed(self._state, "gripper.placed")[g] = True
+            self._movers.renewed("pose")[g] = target
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
         """Grab the free particles within the radius [m] of a gripper's present position."""
@@ -106,7 +94,7 @@ class Grippers:
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
             return GraspResult(name, True, len(self.held(g)), "it is closed already: open it first")
-        self._renewed("gripper.closed")[g] = True
+        renewed(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
@@ -132,7 +120,7 @@ class Grippers:
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
-        self._renewed("gripper.closed")[g] = False
+        renewed(self._state, "gripper.closed")[g] = False
         self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
         return GraspResult(name, False, 0, reason)
 
@@ -155,16 +143,10 @@ class Grippers:
             damping: dimensionless damping k_d0 of it.
         """
         memory = self._state.memory
-        closed, before = memory["gripper.closed"].tolist(), memory["gripper.turn"].tolist()
-        poses, twists, targets = (memory[f"gripper.{what}"].tolist() for what in ("pose", "twist", "target"))
-        planned = [path_row(t, duration, *given) for given in zip(poses, twists, before, targets, strict=True)]
-        paths, ends, turns = (list(column) for column in zip(*planned, strict=True))
-        memory["gripper.twist"], memory["gripper.turn"] = np.array(ends), np.array(turns)
-        # No array of a state is written into, so two names may share one.
-        memory["gripper.pose"] = memory["gripper.target"]
-        self._lay(grips, np.array(paths), model, stiffness, damping)
-        held = [pair for shut, *pair in zip(closed, turns, before, strict=True) if shut]
-        return max((abs(new[i] - old[i]) for new, old in held for i in range(3)), default=0.0)
+        closed = memory["gripper.closed"].tolist()
+        paths, changes = self._movers.paths(t, duration)
+        self._lay(grips, paths, model, stiffness, damping)
+        return max((change for shut, change in zip(closed, changes, strict=True) if shut), default=0.0)
 
     def _lay(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
         memory = self._state.memory
@@ -179,12 +161,6 @@ class Grippers:
         each = stiffness * model.masses[particles] / model.masses.max()
         damping_each = lecture_damping(damping, each, model.masses[particles])
         grips.hold(paths, starts, particles, memory["grip.offsets"], each, damping_each)
-
-    def _renewed(self, name: str) -> np.ndarray:
-        """Put a copy of an array in its place, to write into: who holds the array holds the state before."""
-        memory = self._state.memory
-        memory[name] = memory[name].copy()
-        return memory[name]
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
         """Set what one gripper holds, the others' grips staying as they are."""

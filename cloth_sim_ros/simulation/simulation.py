@@ -4,16 +4,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
@@ -21,48 +18,28 @@ from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.identity import difference
 from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target, ordered
+from cloth_sim_ros.simulation.event_checks import check, check_added
+from cloth_sim_ros.simulation.events import (
+    Event,
+    Grasp,
+    Move,
+    Pause,
+    Relax,
+    Reset,
+    SetParameters,
+    Step,
+    Target,
+    ordered,
+)
+from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.holding import hold, stop
 from cloth_sim_ros.simulation.loads import JUMP, is_gentle
 from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
+from cloth_sim_ros.simulation.surroundings import change_obstacles, obstacles_of
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
-
-#: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
-REACH = 1e4
-#: Parameters whose change leaves the motion as it is.
-_OBSERVING = frozenset(entry.name for entry in Scene.declared() if entry.observes)
-
-
-class EventError(ValueError):
-    """An event that can't take effect; the message says why."""
-
-
-@attrs.frozen(kw_only=True)
-class Frame:
-    """What one call of `Simulation.advance` did."""
-
-    #: Number of the frame that the state stands at now.
-    index: int
-    #: Simulated time of it [s].
-    time: float
-    #: The events that took effect, in the order in which they did.
-    events: tuple[Event, ...]
-    #: One for each grasp event, in order.
-    grasps: tuple[GraspResult, ...]
-    #: Whether simulated time passed.
-    moved: bool
-    #: Name of the integrator that ran; of the one that is chosen where no time passed.
-    integrator: str
-    #: Tolerance in force [m]; None where the step is fixed or none is set.
-    tolerance: float | None
-    #: Steps, evaluations, step sizes, error estimate and what bound the step; None where no time passed.
-    advance: Advance | None
-    #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape
-    #: (gripper_count, 6).
-    wrenches: Array
 
 
 class Simulation:
@@ -92,11 +69,17 @@ class Simulation:
         self.state.cloth = initial.cloth
         self.state.memory.setdefault("paused", np.zeros(1, dtype=bool))
         self.grippers = Grippers(scene.gripper_names, self.state)
+        self.obstacles = obstacles_of(scene, self.state)
         if len(self.state.memory["gripper.pose"]) != len(scene.gripper_names):
             raise ValueError(
                 f"the state has {len(self.state.memory['gripper.pose'])} grippers, "
                 f"the scene {len(scene.gripper_names)} ({', '.join(scene.gripper_names) or 'none'})"
             )
+        if state is None and self.obstacles is not None:
+            try:
+                self.obstacles.check_outside(self.obstacles.names, scene.anchored_particles())
+            except ValueError as error:
+                raise ValueError(f"the cloth {error}") from error
         #: Energy balance since it was asked for or parameters changed; None where it is not asked for.
         self.energy_report: EnergyReport | None = None
         # Two shortcuts, both derived from the state. The first: the sheet sleeps, the scene in force allows it, and the
@@ -154,6 +137,14 @@ class Simulation:
         """Kinetic plus potential energy [J] at the present state."""
         return self.plan.energy(self.time, self.state.x, self.state.v)
 
+    def gaps(self) -> Array | None:
+        """For each obstacle, how many particles it touches and the smallest gap [m], shape (obstacle_count, 2).
+
+        None where there are no obstacles.
+        """
+        contact = self.plan.contact
+        return None if contact is None else contact.gaps(self.time, self.state.x)
+
     def rates(self, scene: Scene) -> tuple[float, float]:
         """Bounds of the squared highest frequency [1/s^2] and of the damping rate [1/s] with another scene in force."""
         return self._plans.rates(scene, self.state.x)
@@ -164,24 +155,15 @@ class Simulation:
         Raises:
             EventError: naming the value, the limit and the remedy.
         """
-        if not isinstance(event, Event):
-            raise EventError(f"{event!r} is no event; see cloth_sim_ros.simulation.events")
-        if isinstance(event, Target | Grasp) and event.gripper not in self.grippers.names:
-            known = ", ".join(self.grippers.names) or "none"
-            raise EventError(f"there is no gripper '{event.gripper}'; this cloth has {known}")
-        if isinstance(event, Target):
-            _check_target(event)
-        elif isinstance(event, SetParameters):
-            if not isinstance(event.values, dict) or not all(isinstance(name, str) for name in event.values):
-                raise EventError(f"parameters {event.values!r} must be values by full name, e.g. {{'air.drag': 0.5}}")
-            try:
-                self._scene.changed(event.values)
-            except ValueError as error:
-                raise EventError(str(error)) from error
-        elif isinstance(event, Relax) and not 1.0 <= event.factor <= relaxation.MOST_FACTOR:
-            raise EventError(
-                f"a tolerance is relaxed {event.factor} times; it must be from 1 to {relaxation.MOST_FACTOR:g}"
-            )
+        check(event, self._scene, self.state, self._initial)
+
+    def check_scene(self, scene: Scene) -> None:
+        """Refuse a scene that is to be in force later where its new obstacles would hold the cloth as it is now.
+
+        Raises:
+            EventError: naming the obstacle and the place.
+        """
+        check_added(self._scene, scene, self.state)
 
     def advance(self, events: Sequence[Event] = ()) -> Frame:
         """Apply events at the frame's boundary, then let one frame of time pass, unless paused.
@@ -196,15 +178,18 @@ class Simulation:
             return self._sleep_on(self._slept)
         self._slept = None
         in_order = ordered(list(events))
+        wanted = self._scene
         for event in in_order:
-            self.check(event)
-        before, scene = self.state.share(), self._scene
+            wanted = check(event, wanted, self.state, self._initial)
+        before, scene, initial = self.state.share(), self._scene, self._initial.memory
         try:
             return self._advance(in_order)
         except BaseException:
             self.state.restore(before)
+            self._initial.memory = initial
             if self._scene is not scene:
                 self._apply_scene(scene)
+                self.obstacles = obstacles_of(scene, self.state)
             else:
                 self._hold_tolerance()
             raise
@@ -216,6 +201,9 @@ class Simulation:
             match event:
                 case Target():
                     self.grippers.set_target(event)
+                case Move():
+                    assert self.obstacles is not None
+                    self.obstacles.set_target(event)
                 case Grasp():
                     grasps.append(self._grasp(event))
                 case SetParameters(values=values):
@@ -242,16 +230,19 @@ class Simulation:
             tolerance=self._tolerance,
             advance=done,
             wrenches=self._book.wrenches if moved and self._book else np.zeros((len(self.grippers.names), 6)),
+            loads=self._book.loads if moved and self._book else np.zeros((self.plan.obstacle_count, 6)),
         )
-        if done and not done.steps and not self.paused and self.grippers.settled:
+        if done and not done.steps and not self.paused and self._settled:
             self._slept = frame
         return frame
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
-        observing = values.keys() <= _OBSERVING
+        observing = all(entry.observes for entry in Scene.declared(scene.described) if entry.name in values)
         # A motion beyond the fixed step already is none of the parameters' doing.
         stable = observing or self._holds_step()
+        change_obstacles(before, scene, (self.state, self._initial))
+        self.obstacles = obstacles_of(scene, self.state)
         self._apply_scene(scene)
         if observing:
             return
@@ -275,10 +266,10 @@ class Simulation:
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._scene.period
         done: Advance | None = None
-        if is_asleep(state) and self._known_to_rest and self.grippers.settled and self.frame < sleeps_until(state):
+        if is_asleep(state) and self._known_to_rest and self._settled and self.frame < sleeps_until(state):
             done = self._sleep.frame(self._integrator.name)
         else:
-            self._plan_grippers(start)
+            self._plan_movers(start)
             if is_asleep(state) and self._sleeps_on(start):
                 done = self._sleep.frame(self._integrator.name)
         if done is None:
@@ -294,12 +285,19 @@ class Simulation:
         state.frame += 1
         return done
 
-    def _plan_grippers(self, t: float) -> None:
-        grips = self.plan.grips
-        if grips is None:
-            return
+    @property
+    def _settled(self) -> bool:
+        """Whether grippers and obstacles stand still."""
+        return self.grippers.settled and (self.obstacles is None or self.obstacles.settled)
+
+    def _plan_movers(self, t: float) -> None:
+        """Lay the paths of grippers and obstacles over the frame that starts at time t [s]."""
         state, period, gripper = self.state, self._scene.period, self._scene.gripper
-        jerk = self.grippers.plan_frame(grips, self.model, t, period, gripper.stiffness, gripper.damping)
+        jerk = 0.0
+        if self.plan.grips is not None:
+            jerk = self.grippers.plan_frame(self.plan.grips, self.model, t, period, gripper.stiffness, gripper.damping)
+        if self.obstacles is not None and self.plan.contact is not None:
+            jerk = max(jerk, self.obstacles.plan_frame(self.plan.contact.force, t, period))
         if jerk > JUMP * period:
             restart(state)
 
@@ -330,6 +328,7 @@ class Simulation:
             tolerance=last.tolerance,
             advance=last.advance,
             wrenches=last.wrenches.copy(),
+            loads=last.loads.copy(),
         )
 
     def _reset(self) -> None:
@@ -340,13 +339,23 @@ class Simulation:
         self.state.frame = frame
         self.state.memory["paused"] = np.array([paused])
         self.grippers = Grippers(self._scene.gripper_names, self.state)
+        self.obstacles = obstacles_of(self._scene, self.state)
+        self._stand_obstacles()
+
+    def _stand_obstacles(self) -> None:
+        """Let contact know where obstacles are, until the next frame moves them."""
+        if self.obstacles is not None and self.plan.contact is not None:
+            self.plan.contact.force.move(self.obstacles.standing(self.time))
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene = scene
         self.plan = self._plans.change(scene)
         self.model = self.plan.model
         watches = scene.diagnostics.energy
-        self._book = Book(self.plan.gripper_count, powers=watches) if self.plan.gripper_count or watches else None
+        grippers, obstacles = self.plan.gripper_count, self.plan.obstacle_count
+        noted = grippers or obstacles or watches
+        self._book = Book(grippers, powers=watches, obstacle_count=obstacles) if noted else None
+        self._stand_obstacles()
         self._energy: EnergyWatch | None = None
         if scene.diagnostics.energy:
             from cloth_sim_ros.simulation.energy_watch import EnergyWatch
@@ -370,17 +379,3 @@ class Simulation:
         self._tolerance = (relaxation.relaxed(scene.tolerance, factor) or None) if not scene.step else None
         self._sleep = Sleep(self.plan, tolerance=self._tolerance, period=scene.period)
         self._known_to_rest, self._slept = False, None
-
-
-def _check_target(event: Target) -> None:
-    if len(event.position) != 3 or not all(math.isfinite(value) for value in event.position):
-        raise EventError(f"target of '{event.gripper}' is {list(event.position)}; it must be 3 finite numbers")
-    if max(abs(value) for value in event.position) > REACH:
-        raise EventError(
-            f"target of '{event.gripper}' is {list(event.position)} m; no coordinate may be beyond {REACH:g} m"
-        )
-    if event.orientation is not None:
-        try:
-            normalised(event.orientation)
-        except ValueError as error:
-            raise EventError(f"target of '{event.gripper}': {error}") from error

@@ -21,11 +21,12 @@ FOREIGN = {
     *("tanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "cbrt", "hypot", "pow", "power", "float_power"),
     *("einsum", "dot", "vdot", "inner", "matmul", "tensordot", "norm", "eigh", "eigvalsh", "svd", "inv"),
 }
-#: Where they do no harm: what is said of a mesh that is refused or mended; exact fractions; squares, which numpy takes
-#: by a product; whole numbers.
+#: Where they do no harm: what is said of a mesh that is refused or mended, and on which side of one a point is; exact
+#: fractions; squares, which numpy takes by a product; whole numbers.
 HARMLESS = {
     ("physics/sheets/meshes.py", "norm"),
     ("physics/sheets/meshes.py", "@"),
+    ("physics/obstacle_mesh.py", "arctan2"),
     ("physics/integrators/columns.py", "**"),
     ("physics/sheets/hinge_shape.py", "**"),
     ("physics/sheets/mesh.py", "**"),

@@ -14,7 +14,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, State, Target
-from cloth_sim_ros.simulation.simulation import EventError
+from cloth_sim_ros.simulation.event_checks import EventError
 
 GRID = {"cloth.resolution": [6, 7]}
 TOP, BOTTOM = range(7), range(35, 42)

@@ -13,14 +13,14 @@ import pytest
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.companions import GripperCompanions
+from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.stepper import Stepper
-from cloth_sim_ros.simulation.events import Event, Pause, Step
+from cloth_sim_ros.simulation.events import Event, Move, Pause, Step
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND
@@ -276,14 +276,14 @@ def test_transforms_are_forgotten_when_the_clock_goes_back(monkeypatch: pytest.M
     assert cleared == [True]
 
 
-def companions(heard: int | None, **values: Any) -> tuple[Simulation, GripperCompanions, Log]:
+def companions(heard: int | None, **values: Any) -> tuple[Simulation, Companions, Log]:
     simulation = Simulation(
         Scene.from_parameters(
             {"cloth.resolution": (5, 5), **{name.replace("__", "."): v for name, v in values.items()}}
         )
     )
     log = Log()
-    return simulation, GripperCompanions(simulation, transformer(), lambda _: heard, ThrottledLog(log)), log
+    return simulation, Companions(simulation, transformer(), lambda _: heard, ThrottledLog(log)), log
 
 
 def test_a_silent_gripper_lets_go_only_if_asked() -> None:
@@ -309,6 +309,17 @@ def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     _, own, log = companions(None, gripper__frame="{gripper}_tool")
     assert own.events(NOW) == []
     assert "'gripper_tool' does not exist" in log.lines[0]
+
+
+def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.frame": "base"}
+    _, own, _ = companions(None, **ball)
+    (move,) = own.events(NOW)
+    assert isinstance(move, Move)
+    assert move.obstacle == "ball"
+    assert move.position == pytest.approx((1.0, 0.0, 0.0))
+    assert own.events(NOW) == [], "the same transform is no news"
 
 
 def test_a_gripper_whose_frame_stands_still_lets_go_as_a_silent_one_does(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,8 +11,8 @@ import pytest
 
 from cloth_sim_ros import Pause, Relax, Reset, Scene, SetParameters, Simulation, State
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import from_dict, to_dict
-from cloth_sim_ros.simulation.simulation import EventError
 
 
 def simulation(**values: Any) -> Simulation:

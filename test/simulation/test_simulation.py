@@ -11,6 +11,7 @@ from cloth_sim_ros.physics.control.automatic import INTEGRATORS
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import (
     Grasp,
     Pause,
@@ -22,7 +23,7 @@ from cloth_sim_ros.simulation.events import (
     ordered,
     to_dict,
 )
-from cloth_sim_ros.simulation.simulation import EventError, Simulation
+from cloth_sim_ros.simulation.simulation import Simulation
 
 
 def small(**values):

@@ -11,24 +11,51 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.writer import WriterOptions
-from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Relax, Reset, SetParameters, Step, Target
-from cloth_sim_ros.simulation.simulation import EventError
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
+from cloth_sim_ros.simulation.simulation import Simulation
 from support.session_maker import Change, SessionMaker
 
 _ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"], [""])
 
+#: Shapes of obstacles, and how many sizes each has.
+_SIZES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
 
-def random_scene(random: np.random.Generator) -> Scene:
-    """A small cloth with random geometry, material and grippers."""
+
+def random_scene(random: np.random.Generator, *, obstacles: bool = False) -> Scene:
+    """A small cloth with random geometry, material and grippers, and obstacles about it where they are asked for."""
     while True:
+        values = _values(random)
+        if obstacles:
+            values |= _obstacles(random, values)
         try:
-            return Scene.from_parameters(_values(random))
-        except ParameterError:
-            # Not every material can be woven into every grid.
+            scene = Scene.from_parameters(values)
+            Simulation(scene)
+        except ValueError:
+            # Not every material can be woven into every grid, and obstacles may lie in the cloth.
             continue
+        return scene
+
+
+def _obstacles(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
+    """Obstacles near a cloth: all are described, some are there."""
+    found: dict[str, Any] = {"contact.thickness": float(random.uniform(0.002, 0.01))}
+    for shape, count in _SIZES.items():
+        found[f"{shape}_1.shape"] = shape
+        if count:
+            found[f"{shape}_1.size"] = random.uniform(0.05, 0.5, count).tolist()
+        beside = random.normal(scale=0.4, size=3) - np.array([0.0, 0.0, 0.6 if shape == "plane" else 0.1])
+        found[f"{shape}_1.position"] = (np.array(values["cloth.position"]) + beside).tolist()
+        if shape != "plane":
+            found[f"{shape}_1.orientation"] = random.normal(size=4).tolist()
+    return {**found, "obstacles": _some(random)}
+
+
+def _some(random: np.random.Generator) -> list[str]:
+    names = [f"{shape}_1" for shape in _SIZES if random.random() < 0.5]
+    return [str(name) for name in random.permutation(names)] or [""]
 
 
 def _values(random: np.random.Generator) -> dict[str, Any]:
@@ -68,8 +95,18 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
             )
         if random.random() < 0.15:
             events.append(Grasp(name, bool(random.random() < 0.6)))
+    scene = simulation.scene
+    for name in scene.obstacle_names:
+        if random.random() < 0.3:
+            particle = simulation.positions[random.integers(simulation.state.particle_count)]
+            turn = random.normal(size=4)
+            events.append(
+                Move(name, tuple((particle + random.normal(scale=0.2, size=3)).tolist()), tuple(turn.tolist()))
+            )
     if random.random() < 0.05:
-        change = SetParameters(_change(random))
+        change = SetParameters(
+            {"obstacles": _some(random)} if scene.described and random.random() < 0.5 else _change(random)
+        )
         with contextlib.suppress(EventError):
             simulation.check(change)
             events.append(change)
@@ -79,14 +116,22 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
         events.append(Step() if random.random() < 0.5 else Pause(False))
     if random.random() < 0.05:
         events.append(Relax(float(random.choice([1.0, 2.0, 10.0]))))
-    if random.random() < 0.02:
-        events.append(Reset())
+    # Of one with other obstacles the cloth's start may be refused.
+    if random.random() < 0.02 and not any(isinstance(event, SetParameters) for event in events):
+        with contextlib.suppress(EventError):
+            simulation.check(Reset())
+            events.append(Reset())
     # The order of arrival is any.
     return [events[k] for k in random.permutation(len(events))]
 
 
 def make_random_session(
-    folder: Path, seed: int, *, frames: int = 60, change: Callable[[int], Change | None] = lambda _frame: None
+    folder: Path,
+    seed: int,
+    *,
+    frames: int = 60,
+    obstacles: bool = False,
+    change: Callable[[int], Change | None] = lambda _frame: None,
 ) -> list[Path]:
     """Write a random session; its files, in order. It may end cut off, and may have several files.
 
@@ -94,7 +139,7 @@ def make_random_session(
     """
     random = np.random.default_rng(seed)
     options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)
-    maker = SessionMaker(folder, random_scene(random), stem=f"random_{seed}", options=options)
+    maker = SessionMaker(folder, random_scene(random, obstacles=obstacles), stem=f"random_{seed}", options=options)
     for k in range(frames):
         spoil = change(k)
         maker.add(random_events(random, maker), **({"change": spoil} if spoil else {}))

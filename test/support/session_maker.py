@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.layouts import Qos
 from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
 from cloth_sim_ros.simulation.environment import environment
-from cloth_sim_ros.simulation.events import Event, Grasp, Target, to_dict
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
 from cloth_sim_ros.simulation.simulation import Simulation
 
 NODE = "/cloth_sim"
@@ -32,6 +33,7 @@ _WRENCH = "geometry_msgs/msg/WrenchStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _BOOL = "std_msgs/msg/Bool"
 _POSE = "geometry_msgs/msg/PoseStamped"
+_MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
 Change = Callable[[str, bytes], bytes | None]
@@ -92,7 +94,7 @@ def diagnostics_bytes(log_time: int, values: Mapping[str, str]) -> bytes:
     return encode(message_class(_DIAGNOSTICS)(header=_header(log_time), status=[status]), _DIAGNOSTICS)
 
 
-def target_bytes(event: Target, log_time: int) -> bytes:
+def target_bytes(event: Target | Move, log_time: int) -> bytes:
     """CDR bytes of a commanded pose."""
     assert event.orientation is not None
     x, y, z = event.position
@@ -149,6 +151,7 @@ class SessionMaker:
         self._options = options or WriterOptions(sync_seconds=0.0, chunk_bytes=1 << 20)
         self._clock = 0
         self._sequences: dict[str, int] = {}
+        self._marked: list[str] = []
         self._open()
 
     @property
@@ -175,6 +178,8 @@ class SessionMaker:
                     else ("point", _POINT, point_bytes(event, now))
                 )
                 self._write(f"{NODE}/{event.gripper}/{leaf}", kind, change, data)
+            elif isinstance(event, Move) and event.orientation:
+                self._write(f"{NODE}/{event.obstacle}/target", _POSE, change, target_bytes(event, now))
             elif isinstance(event, Grasp):
                 data = encode(message_class(_BOOL)(data=event.closed), _BOOL)
                 self._write(f"{NODE}/{event.gripper}/grasp", _BOOL, change, data)
@@ -195,10 +200,25 @@ class SessionMaker:
         velocity = self.simulation.velocities if scene.points.velocity else None
         cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
+        # The node's markers are made of ROS messages; who has none leaves them out.
+        if self.simulation.obstacles is not None and importlib.util.find_spec("rclpy"):
+            self._write(f"{NODE}/obstacles", _MARKERS, change, self._markers(now))
         for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))
+        for name, load in zip(self.simulation.scene.obstacle_names, frame.loads, strict=True):
+            self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(load, now))
         if diagnostics is not None:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
+
+    def _markers(self, now: int) -> bytes:
+        """CDR bytes of the obstacles as the node shows them; needs ROS's messages."""
+        from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
+
+        obstacles = self.simulation.obstacles
+        assert obstacles is not None
+        gone, self._marked = [name for name in self._marked if name not in obstacles.names], obstacles.names
+        markers = ObstacleMarkers(obstacles.solids, frame_id="world", node=NODE, gone=gone)
+        return markers.serialized(obstacles.poses(), now)
 
     def split(self) -> None:
         """Go on in a new file that opens with a snapshot of the present state."""

@@ -1,0 +1,162 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles of a scene: which parameters describe them, their names, and the rigid shapes that are made of them.
+
+`<name>.shape` describes an obstacle; those that `obstacles` names are there, others wait to be named.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.scene import parameters, sections
+from cloth_sim_ros.scene.build import Sheet
+from cloth_sim_ros.scene.parameters import Parameter, ParameterError
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.obstacles import Obstacle
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+#: Of an obstacle that is there, the parameters that may change.
+LIVE = ("frame",)
+#: What describes an obstacle; without it, its other parameters mean nothing.
+_DESCRIBES = "shape"
+
+
+def declared(name: str) -> tuple[Parameter, ...]:
+    """Every parameter of an obstacle of a name."""
+    return parameters.declared(sections.Obstacle, f"{name}.")
+
+
+def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
+    """Return the names of the obstacles that values by full name describe, in their order.
+
+    Args:
+        values: full names.
+        groups: first parts of the names of all other parameters, which no obstacle may have.
+    """
+    split = [name.rpartition(".") for name in values]
+    return [name for name, _, leaf in split if leaf == _DESCRIBES and NAME.fullmatch(name) and name not in groups]
+
+
+def hint(name: str, groups: Collection[str]) -> str:
+    """Return the end of a sentence about an unknown parameter that would be one of an obstacle; empty for others."""
+    obstacle, _, leaf = name.rpartition(".")
+    leaves = [entry.name.rpartition(".")[2] for entry in declared("o")]
+    if leaf not in leaves or not NAME.fullmatch(obstacle) or obstacle in groups:
+        return ""
+    return f" If '{obstacle}' is to be an obstacle, set {obstacle}.{_DESCRIBES} with it, or before"
+
+
+def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.Obstacle]:
+    """Return the descriptions of obstacles from checked values by full name."""
+    return {name: parameters.build(sections.Obstacle, dict(values), f"{name}.") for name in names}
+
+
+def check_distinct(kind: str, names: Sequence[str]) -> None:
+    """Refuse names of grippers or obstacles that are no names in ROS, or there twice.
+
+    Raises:
+        ParameterError: naming it.
+    """
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise ParameterError(f"{kind} name '{name}' is no ROS name; use letters, digits and _, a letter first")
+        if names.count(name) > 1:
+            raise ParameterError(f"two {kind}s are named '{name}'; give each its own name")
+
+
+def check_change(name: str, before: sections.Obstacle, now: sections.Obstacle) -> None:
+    """Refuse a change that an obstacle can't take while it is there.
+
+    Raises:
+        ParameterError: naming the parameter.
+    """
+    old, new = parameters.flatten(before), parameters.flatten(now)
+    fixed = [leaf for leaf in new if new[leaf] != old[leaf] and leaf not in LIVE]
+    if fixed:
+        raise ParameterError(
+            f"{name}.{fixed[0]} can't change while '{name}' is there; take it out of obstacles first, or move it by "
+            f"~/{name}/target"
+        )
+
+
+def check_names(
+    names: Sequence[str], described: Collection[str], grippers: Collection[str], groups: Collection[str]
+) -> None:
+    """Refuse names that obstacles can't have.
+
+    Args:
+        names: of the obstacles that are there.
+        described: names of those whose shape is set.
+        grippers: names of the grippers.
+        groups: first parts of the names of all other parameters.
+
+    Raises:
+        ParameterError: naming the obstacle.
+    """
+    check_distinct("obstacle", names)
+    for name in names:
+        if name in groups:
+            raise ParameterError(f"an obstacle is named '{name}', as parameters are; give it another name")
+        if name not in described and name not in grippers:
+            raise ParameterError(f"obstacles names '{name}', and {name}.{_DESCRIBES} is not set; set it")
+    for name in [*names, *described]:
+        if name in grippers:
+            raise ParameterError(f"'{name}' names a gripper and an obstacle; give the obstacle another name")
+
+
+@lru_cache(maxsize=64)
+def solid(name: str, description: sections.Obstacle) -> Obstacle:
+    """Return the rigid shape that a description makes.
+
+    Raises:
+        ParameterError: if it makes none.
+    """
+    from cloth_sim_ros.physics.obstacles import Obstacle
+
+    try:
+        normalised(description.orientation)
+    except ValueError as error:
+        raise ParameterError(f"{name}.orientation: {error}") from error
+    size = () if description.shape == "plane" else description.size
+    try:
+        return Obstacle(name=name, shape=description.shape, size=size)
+    except ValueError as error:
+        raise ParameterError(str(error)) from error
+
+
+def check_cloth(sheet: Sheet, thickness: float) -> None:
+    """Refuse a cloth that obstacles can't keep out.
+
+    Args:
+        sheet: its geometry.
+        thickness: distance at which obstacles begin to act [m].
+
+    Raises:
+        ParameterError: for a cloth without a surface, or a thickness above half its shortest edge.
+    """
+    if not len(sheet.triangles()):
+        raise ParameterError("obstacles need a surface; raw springs (cloth.springs) have none")
+    shortest = _shortest_edge(sheet)
+    if thickness > 0.5 * shortest:
+        raise ParameterError(
+            f"contact.thickness is {thickness:g} m, more than half the cloth's shortest edge, {shortest:.4g} m; take "
+            f"{0.49 * shortest:.2g} m or less, or a coarser cloth"
+        )
+
+
+def _shortest_edge(sheet: Sheet) -> float:
+    if isinstance(sheet, GridSheet):
+        return min(sheet.spacing)
+    assert isinstance(sheet, MeshSheet)
+    away = sheet.rest[sheet.surface.edges[:, 1]] - sheet.rest[sheet.surface.edges[:, 0]]
+    square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
+    return math.sqrt(float(square.min()))

@@ -1,0 +1,112 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Events that can't take effect are refused here, before anything changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import attrs
+
+from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import relaxation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target
+
+#: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
+REACH = 1e4
+
+
+class EventError(ValueError):
+    """An event that can't take effect; the message says why."""
+
+
+def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
+    """Refuse an event that can't take effect, and return the scene that is in force after it.
+
+    Args:
+        event: the event.
+        scene: in force.
+        state: at which it is to take effect.
+        initial: to which a reset returns.
+
+    Raises:
+        EventError: naming the value, the limit and the remedy.
+    """
+    if isinstance(event, Target | Grasp):
+        _check_name("gripper", event.gripper, scene.gripper_names)
+    if isinstance(event, Target):
+        _check_pose(event.gripper, event.position, event.orientation)
+    elif isinstance(event, Move):
+        _check_name("obstacle", event.obstacle, scene.obstacle_names)
+        _check_pose(event.obstacle, event.position, event.orientation)
+    elif isinstance(event, SetParameters):
+        return _check_parameters(event, scene, state)
+    elif isinstance(event, Reset):
+        _check_start(scene, scene.obstacle_names, initial, "the cloth as it starts")
+    elif isinstance(event, Relax) and not 1.0 <= event.factor <= relaxation.MOST_FACTOR:
+        raise EventError(
+            f"a tolerance is relaxed {event.factor} times; it must be from 1 to {relaxation.MOST_FACTOR:g}"
+        )
+    elif not isinstance(event, Event):
+        raise EventError(f"{event!r} is no event; see cloth_sim_ros.simulation.events")
+    return scene
+
+
+def _check_name(kind: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        raise EventError(f"there is no {kind} '{name}'; this cloth has {', '.join(known) or 'none'}")
+
+
+def _check_pose(name: str, position: Sequence[float], orientation: Sequence[float] | None) -> None:
+    if len(position) != 3 or not all(math.isfinite(value) for value in position):
+        raise EventError(f"target of '{name}' is {list(position)}; it must be 3 finite numbers")
+    if max(abs(value) for value in position) > REACH:
+        raise EventError(f"target of '{name}' is {list(position)} m; no coordinate may be beyond {REACH:g} m")
+    if orientation is not None:
+        try:
+            normalised(orientation)
+        except ValueError as error:
+            raise EventError(f"target of '{name}': {error}") from error
+
+
+def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene:
+    if not isinstance(event.values, dict) or not all(isinstance(name, str) for name in event.values):
+        raise EventError(f"parameters {event.values!r} must be values by full name, e.g. {{'air.drag': 0.5}}")
+    try:
+        wanted = scene.changed(event.values)
+    except ValueError as error:
+        raise EventError(str(error)) from error
+    check_added(scene, wanted, state)
+    return wanted
+
+
+def check_added(scene: Scene, wanted: Scene, state: State) -> None:
+    """Refuse a scene that is to be in force after another one where obstacles would hold the cloth: new ones, or those
+    in which particles were anchored.
+
+    Raises:
+        EventError: naming the obstacle and the place.
+    """
+    kept = [name for name in wanted.obstacle_names if name in scene.obstacle_names]
+    added = [name for name in wanted.obstacle_names if name not in kept]
+    # New ones come to where they are described to start.
+    _check_start(wanted, added, State(state.positions), "the cloth")
+    if wanted.cloth.anchors != scene.cloth.anchors and kept:
+        there = attrs.evolve(wanted, obstacles=scene.obstacles)
+        _check_start(there, kept, state, "the cloth, once it is let go,")
+
+
+def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) -> None:
+    """Refuse a state that is inside obstacles of some names, which are where it says, or else where they start."""
+    if not names:
+        return
+    from cloth_sim_ros.simulation.obstacles import Obstacles
+
+    try:
+        obstacles = Obstacles(scene.solids, scene.described, state.share())
+        obstacles.check_outside(names, scene.anchored_particles())
+    except ValueError as error:
+        raise EventError(f"{what} {error}") from error

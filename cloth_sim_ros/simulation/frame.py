@@ -1,0 +1,39 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What one frame did."""
+
+from __future__ import annotations
+
+import attrs
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.simulation.events import Event
+from cloth_sim_ros.simulation.grippers import GraspResult
+
+
+@attrs.frozen(kw_only=True)
+class Frame:
+    """What one call of `Simulation.advance` did."""
+
+    #: Number of the frame that the state stands at now.
+    index: int
+    #: Simulated time of it [s].
+    time: float
+    #: The events that took effect, in the order in which they did.
+    events: tuple[Event, ...]
+    #: One for each grasp event, in order.
+    grasps: tuple[GraspResult, ...]
+    #: Whether simulated time passed.
+    moved: bool
+    #: Name of the integrator that ran; of the one that is chosen where no time passed.
+    integrator: str
+    #: Tolerance in force [m]; None where the step is fixed or none is set.
+    tolerance: float | None
+    #: Steps, evaluations, step sizes, error estimate and what bound the step; None where no time passed.
+    advance: Advance | None
+    #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape
+    #: (gripper_count, 6).
+    wrenches: Array
+    #: The same of the cloth on each obstacle about its place, shape (obstacle_count, 6).
+    loads: Array

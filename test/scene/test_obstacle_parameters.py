@@ -1,0 +1,97 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles as parameters: what describes one, which names it may have, and what is refused with the reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cloth_sim_ros import Scene
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.without_effect import without_effect
+
+BASE: dict[str, Any] = {
+    "cloth.resolution": [10, 10],
+    "obstacles": ["table", "ball"],
+    "table.shape": "box",
+    "table.size": [1.0, 2.0, 0.1],
+    "ball.shape": "sphere",
+    "ball.size": [0.2],
+    "ball.position": [0.0, 0.5, 0.25],
+}
+
+
+def test_a_scene_has_the_obstacles_that_it_names() -> None:
+    scene = Scene.from_parameters(BASE)
+    table, ball = scene.solids
+    assert (table.name, table.shape, table.size) == ("table", "box", (1.0, 2.0, 0.1))
+    assert (ball.name, ball.shape, ball.size) == ("ball", "sphere", (0.2,))
+    assert scene.parameters()["ball.position"] == (0.0, 0.5, 0.25)
+
+
+def test_a_scene_of_a_file_is_the_same_when_it_is_written_and_read_again(tmp_path: Path) -> None:
+    scene = Scene.from_parameters(BASE)
+    path = tmp_path / "scene.yaml"
+    path.write_text(parameter_file.dump(scene.parameters()))
+    assert Scene.from_file(path) == scene
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"ball.size": [-0.1]}, r"ball.size is -0.1 m; it must be above 0.0 m"),
+        ({"ball.size": [0.1, 0.1]}, "a sphere has 1: radius"),
+        ({"ball.shape": "cone"}, "it must be one of plane, box, sphere"),
+        ({"ball.position": [0.0, 0.0, float("nan")]}, "ball.position is nan; it must be finite"),
+        ({"ball.orientation": [0.0, 0.0, 0.0, 0.0]}, "ball.orientation: .* is no quaternion"),
+        ({"obstacles": ["ball", "ball"]}, "two obstacles are named 'ball'"),
+        ({"obstacles": ["no name"]}, "'no name' is no ROS name"),
+        ({"obstacles": ["air"]}, "named 'air', as parameters are"),
+        ({"obstacles": ["contact"]}, "named 'contact', as parameters are"),
+        ({"obstacles": ["use_sim_time"]}, "named 'use_sim_time', as parameters are"),
+        ({"obstacles": ["other"]}, r"obstacles names 'other', and other.shape is not set"),
+        ({"grippers": ["ball"]}, "'ball' names a gripper and an obstacle"),
+        ({"contact.thickness": 0.06}, "more than half the cloth's shortest edge, 0.1111 m; take 0.054 m or less"),
+        ({"bowl.size": [0.1]}, "If 'bowl' is to be an obstacle, set bowl.shape"),
+        ({"ball.radius": 0.1}, r"unknown parameter 'ball.radius'"),
+    ],
+)
+def test_what_makes_no_obstacle_is_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        Scene.from_parameters({**BASE, **change})
+
+
+def test_raw_springs_have_no_surface_to_keep_out(tmp_path: Path) -> None:
+    (tmp_path / "chain.yaml").write_text("positions: [[0, 0, 1], [0, 0, 2]]\nmass: 1.0\nsprings: [[0, 1, 10.0]]\n")
+    chain = Scene.from_file(Path(__file__).parents[2] / "config" / "chain.yaml")
+    with pytest.raises(ParameterError, match="obstacles need a surface"):
+        Scene.from_parameters({**chain.parameters(), "obstacles": ["floor"], "floor.shape": "plane"}, files=chain.files)
+
+
+def test_while_the_cloth_runs_obstacles_come_and_go_and_keep_their_shape() -> None:
+    scene = Scene.from_parameters({**BASE, "box.shape": "box"})
+    assert scene.changed({"obstacles": ["box", "table"]}).obstacle_names == ["box", "table"]
+    assert scene.changed({"obstacles": [""]}).solids == []
+    added = scene.changed({"obstacles": ["ball", "floor"], "floor.shape": "plane"})
+    assert [solid.shape for solid in added.solids] == ["sphere", "plane"]
+    assert scene.changed({"ball.frame": "tool"}).described["ball"].frame == "tool"
+    assert scene.changed({"box.size": [1.0, 1.0, 1.0]}).described["box"].size == (1.0, 1.0, 1.0)
+    with pytest.raises(ParameterError, match=r"ball.size can't change while 'ball' is there"):
+        scene.changed({"ball.size": [0.3]})
+    with pytest.raises(ParameterError, match=r"table.position can't change .* or move it by ~/table/target"):
+        scene.changed({"table.position": [0.0, 0.0, 1.0]})
+
+
+def test_what_has_no_effect_is_told() -> None:
+    given = {**BASE, "tabel.shape": "plane", "table.shape": "plane", "contact.thickness": 0.002}
+    told = sorted(without_effect(Scene.from_parameters(given), given))
+    assert len(told) == 2
+    assert told[0].startswith("tabel.shape is set and has no effect: obstacles does not name 'tabel'")
+    assert "Did you mean 'table'?" in told[0]
+    assert told[1] == "table.size is set and has no effect: a plane has no size"
+    given["obstacles"] = [""]
+    assert any("there are no obstacles" in sentence for sentence in without_effect(Scene.from_parameters(given), given))
