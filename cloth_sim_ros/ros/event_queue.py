@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import attrs
 
-from cloth_sim_ros.simulation.events import Event, Target
+from cloth_sim_ros.simulation.events import Event, Move, Target
 from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.simulation import Frame
 
@@ -65,7 +65,7 @@ class EventQueue:
         if len(self._entries) < MOST_WAITING:
             return
         for index, entry in enumerate(self._entries):
-            if isinstance(entry.event, Target):
+            if isinstance(entry.event, Target | Move):
                 del self._entries[index]
                 return
         raise QueueFullError(

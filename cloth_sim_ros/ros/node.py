@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import datetime
 import threading
 import time
 from collections.abc import Callable
@@ -20,18 +19,24 @@ from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.broadcast import FrameBroadcaster
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
-from cloth_sim_ros.ros.companions import GripperCompanions
+from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.initial_state import begins_anew
 from cloth_sim_ros.ros.lateness import Lateness
 from cloth_sim_ros.ros.log import ThrottledLog, counted
+from cloth_sim_ros.ros.obstacles import ObstacleTopics
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
-from cloth_sim_ros.ros.recording import RecordingNotInstalledError, RecordingUnavailableError, SessionRecording
+from cloth_sim_ros.ros.recording import (
+    RecordingNotInstalledError,
+    RecordingUnavailableError,
+    SessionRecording,
+    save_state,
+)
 from cloth_sim_ros.ros.relief import Relief
-from cloth_sim_ros.ros.report import Latest, Report
+from cloth_sim_ros.ros.report import Latest, Report, introduction
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.states import States
 from cloth_sim_ros.ros.stepper import Stepper
@@ -104,7 +109,8 @@ class ClothNode:
             log=self._log,
             turn=self._turn,
         )
-        self._companions = GripperCompanions(self._simulation, self._frames, self._commands.heard, self._log)
+        self._companions = Companions(self._simulation, self._frames, self._commands.heard, self._log)
+        self._obstacles = ObstacleTopics(self.node, self._simulation, self._commands, self._recording, self._log)
         self._services = Services(
             self.node,
             grippers=scene.gripper_names,
@@ -129,6 +135,7 @@ class ClothNode:
         self._changed = False
         self._lateness = Lateness(period=scene.period, log=self._log)
         self._latest = Latest()
+        further = (self._relief, self._forecaster, self._accuracy, self._obstacles)
         report = Report(
             self.node,
             self._simulation,
@@ -137,7 +144,7 @@ class ClothNode:
             commands=self._commands,
             outputs=self._outputs,
             recording=self._recording,
-            further=lambda: self._relief.describe() | self._forecaster.describe() | self._accuracy.describe(),
+            further=lambda: {name: value for one in further for name, value in one.describe().items()},
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
         self._overheard = Overheard(self.node, self._recording, self._turn)
@@ -179,6 +186,7 @@ class ClothNode:
         if scene.record.enabled:
             self._record_from_the_start(now)
         self._outputs.start(now)
+        self._obstacles.start(now)
         self._commands.listen()
         self._services.serve()
         if self._serves_parameters:
@@ -207,12 +215,7 @@ class ClothNode:
         self._states.start(now)
         self._pacer.start()
         count = self._simulation.state.particle_count
-        grippers = ", ".join(scene.gripper_names) or "none"
-        self.node.get_logger().info(
-            f"{count} particles at {scene.rate:g} Hz of {'/clock' if self._follows_clock else 'wall time'}, "
-            f"grippers: {grippers}"
-            + ("" if scene.poisson_ratio is None else f"; Poisson's ratio comes out as {scene.poisson_ratio:.3f}")
-        )
+        self.node.get_logger().info(introduction(scene, count, follows_clock=self._follows_clock))
 
     def close(self, *, timeout: float = 1.5) -> bool:
         """End the recording and let no more frames be due; return whether all that was recorded is in its file.
@@ -281,6 +284,7 @@ class ClothNode:
             state, told = self._simulation.state, self._simulation.scene.points.velocity
             self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=state.v if told else None)
             self._states.show(frame, due.stamp)
+            self._obstacles.send(frame, due.stamp)
             self._broadcaster.send(due.stamp)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
@@ -318,6 +322,7 @@ class ClothNode:
 
     def _check_parameters(self, values: dict[str, Any], wanted: Scene) -> None:
         refuse_endless_frames(wanted, self._simulation)
+        self._simulation.check_scene(wanted)
         self._queue.make_room(SetParameters(values))
 
     # Recording and state
@@ -339,6 +344,7 @@ class ClothNode:
                 now = self.node.get_clock().now().nanoseconds
                 self._recording.begin(now)
                 self._outputs.record_topology(now)
+                self._obstacles.record(now)
                 self._states.record(now)
             else:
                 self._recording.end_soon(reason="~/record")
@@ -365,13 +371,7 @@ class ClothNode:
             self.node.get_logger().error(f"the recording did not end well: {status.error}")
 
     def _save_state(self) -> Path:
-        folder = Path(self._simulation.scene.record.folder).expanduser()
-        folder.mkdir(parents=True, exist_ok=True)
-        time_of_day = datetime.datetime.now(datetime.UTC)
-        name = self.node.get_fully_qualified_name().strip("/").replace("/", "_")
-        path = folder / f"{name}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
-        path.write_bytes(self._simulation.state.to_bytes())
-        return path
+        return save_state(self._simulation, self.node.get_fully_qualified_name())
 
     # Once in a while
 

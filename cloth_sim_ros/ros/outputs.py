@@ -52,7 +52,7 @@ class Output:
     def __init__(
         self, node: Node, kind: Any, topic: str, tape: Tape, *, qos: QoSProfile = STREAM, droppable: bool = False
     ) -> None:
-        self._kind = kind
+        self._kind, self._node = kind, node
         self._tape = tape
         self._droppable = droppable
         # A profile of its own: rclpy writes the overrides of a topic into the very object that it is given.
@@ -98,6 +98,10 @@ class Output:
     def flush(self) -> None:
         """Wait until reliable subscribers have what was published, but not for those that have died."""
         self._publisher.wait_for_all_acked(_FLUSH)
+
+    def close(self) -> None:
+        """Let the topic be no more."""
+        self._node.destroy_publisher(self._publisher)
 
     def record(self, data: bytes, stamp: int) -> None:
         """Record bytes, where a recording runs."""

@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.unknown import FOREIGN, suggestion
+from cloth_sim_ros.scene import obstacles
 from cloth_sim_ros.scene.parameters import Parameter, ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.without_effect import without_effect
@@ -62,17 +63,36 @@ class SceneNode(Node):
             if "PARAMETER_NOT_SET" not in str(error):
                 raise
             raise ParameterError(_empty_lists(name, options)) from error
+        #: Whether parameters are only being declared, so that what listens to changes lets them pass.
+        self.declaring = False
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """As rclpy's, whose exception for parameters that are not there lists none.
+        """As rclpy's, whose exception for parameters that are not there lists none; the parameters of an obstacle are
+        there as soon as its shape is set.
 
         Raises:
             UnknownParametersError: naming them, and the nearest that there are.
         """
-        unknown = [entry.name for entry in parameter_list if not self.has_parameter(entry.name)]
+        names = [entry.name for entry in parameter_list]
+        described = [
+            name for name in obstacles.described(names, Scene.groups()) if not self.has_parameter(f"{name}.shape")
+        ]
+        new = [entry for name in described for entry in obstacles.declared(name)]
+        known = {entry.name for entry in new}
+        unknown = [name for name in names if name not in known and not self.has_parameter(name)]
         if unknown:
             raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
-        return super().set_parameters_atomically(parameter_list)
+        self.declaring = True
+        try:
+            for entry in new:
+                declare_one(self, entry, entry.default)
+        finally:
+            self.declaring = False
+        result = super().set_parameters_atomically(parameter_list)
+        if not result.successful:
+            for entry in new:
+                self.undeclare_parameter(entry.name)
+        return result
 
 
 def _empty_lists(name: str, options: dict[str, Any]) -> str:
@@ -103,7 +123,7 @@ def declare(node: Node) -> Scene:
         ParameterError: for a value that makes no scene; the message says which and why.
     """
     values = {}
-    known = Scene.declared()
+    known = Scene.declared(obstacles.described(node.list_parameters([], 0).names, Scene.groups()))
     for entry in known:
         if node.has_parameter(entry.name):
             # Declared by the override, of whatever type that has: checked here, where the message says what to do.
@@ -111,14 +131,17 @@ def declare(node: Node) -> Scene:
             node.undeclare_parameter(entry.name)
     scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
     for entry in known:
-        value = values.get(entry.name, entry.default)
-        node.declare_parameter(
-            entry.name, RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value, describe(entry), True
-        )
+        declare_one(node, entry, values.get(entry.name, entry.default))
     _warn_of_unknown(node, [*(entry.name for entry in known), *FOREIGN, *_profiles(node, scene)])
     for sentence in without_effect(scene, values):
         node.get_logger().warning(sentence)
     return scene
+
+
+def declare_one(node: Node, entry: Parameter, value: Any) -> None:
+    """Declare a parameter of a scene on a node, with a value, whatever override there is."""
+    typed = RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value
+    node.declare_parameter(entry.name, typed, describe(entry), True)
 
 
 def describe(entry: Parameter) -> ParameterDescriptor:
@@ -173,7 +196,6 @@ class LiveParameters:
         self._change = change
         self._check = check
         self._turn = turn
-        self._names = {entry.name for entry in Scene.declared()}
         # With what was set and waits for its frame, so that two changes in one frame are checked together.
         self._accepted = scene
         # What was judged last, and the scene that it makes: not built twice.
@@ -186,16 +208,19 @@ class LiveParameters:
     def return_to(self, scene: Scene) -> None:
         """Show the values of a scene: a change that was accepted could not take effect after all."""
         before, now = self._accepted.parameters(), scene.parameters()
+        gone = self._accepted.described.keys() - scene.described.keys()
         self._accepted = scene
         self._returning = True
         try:
             self._node.set_parameters(
                 [
                     RosParameter(entry.name, _TYPES[entry.kind], _listed(now[entry.name]))
-                    for entry in Scene.declared()
+                    for entry in Scene.declared(scene.described)
                     if before[entry.name] != now[entry.name]
                 ]
             )
+            for entry in (entry for name in gone for entry in obstacles.declared(name)):
+                self._node.undeclare_parameter(entry.name)
         finally:
             self._returning = False
 
@@ -205,7 +230,7 @@ class LiveParameters:
                 reason = f"{_SIM_TIME} can't change while the cloth runs; set it at start"
                 return SetParametersResult(successful=False, reason=reason)
         values = self._values(changes)
-        if not values or self._returning:
+        if not values or self._passes:
             return SetParametersResult(successful=True)
         with self._turn:
             try:
@@ -218,7 +243,7 @@ class LiveParameters:
 
     def _take_over(self, changes: Sequence[RosParameter]) -> None:
         values = self._values(changes)
-        if not values or self._returning:
+        if not values or self._passes:
             return
         with self._turn:
             judged, wanted = self._judged
@@ -229,14 +254,23 @@ class LiveParameters:
             in_force = wanted.parameters()
             self._change({name: in_force[name] for name in values})
 
+    @property
+    def _passes(self) -> bool:
+        """Whether what is set changes nothing of the scene."""
+        return self._returning or (isinstance(self._node, SceneNode) and self._node.declaring)
+
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
-        return {change.name: _plain(change.value) for change in changes if change.name in self._names}
+        new = obstacles.described([change.name for change in changes], Scene.groups())
+        known = {entry.name for entry in Scene.declared({*self._accepted.described, *new})}
+        return {change.name: _plain(change.value) for change in changes if change.name in known}
 
 
 def _profiles(node: Node, scene: Scene) -> list[str]:
     """Return the names of the overrides that the node's publishers look at; those of the topics after remapping."""
     topics = ["~/points", "~/topology", "~/mesh", "~/state", "/diagnostics", "/tf"]
     topics += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
+    if scene.described:
+        topics += ["~/obstacles", *(f"~/{name}/wrench" for name in scene.described)]
     return [
         _PROFILE.format(topic=node.resolve_topic_name(topic), policy=policy) for topic in topics for policy in _POLICIES
     ]

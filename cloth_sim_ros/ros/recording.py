@@ -228,6 +228,16 @@ class SessionRecording:
         )
 
 
+def save_state(simulation: Simulation, node_name: str) -> Path:
+    """Write the state of a node's cloth into its folder for recordings, and return the file."""
+    folder = Path(simulation.scene.record.folder).expanduser()
+    folder.mkdir(parents=True, exist_ok=True)
+    time_of_day = datetime.datetime.now(datetime.UTC)
+    path = folder / f"{node_name.strip('/').replace('/', '_')}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
+    path.write_bytes(simulation.state.to_bytes())
+    return path
+
+
 def _type_name(kind: Any) -> str:
     """Return the full name of a message class, e.g. ``sensor_msgs/msg/PointCloud2``."""
     return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"

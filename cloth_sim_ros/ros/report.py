@@ -17,10 +17,22 @@ from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.ros.strain import StrainGauge
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Level, summary, values.
 Said = tuple[bytes, str, dict[str, str]]
+
+
+def introduction(scene: Scene, count: int, *, follows_clock: bool) -> str:
+    """What a node of so many particles says at its start."""
+    names = f"grippers: {', '.join(scene.gripper_names) or 'none'}"
+    if scene.obstacle_names:
+        names += f"; obstacles: {', '.join(scene.obstacle_names)}"
+    ratio = scene.poisson_ratio
+    return f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, {names}" + (
+        "" if ratio is None else f"; Poisson's ratio comes out as {ratio:.3f}"
+    )
 
 
 @attrs.define

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.aside import at_once
 from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
+from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, SetParameters, Step
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
@@ -66,7 +67,12 @@ class Stepper:
                     entries = [entry for entry in entries if not _lets_time_pass(entry)]
                     entries.append(Entry(event=Pause(True)))
                 else:
-                    raise
+                    # What was accepted when it came may be for an obstacle that is gone since.
+                    late = self._impossible(entries)
+                    if not late:
+                        raise
+                    refused += late
+                    entries = [entry for entry in entries if all(entry is not one for one, _ in late)]
         if frame.moved:
             self.trouble = ""
         _answer(entries, frame)
@@ -74,6 +80,16 @@ class Stepper:
             if entry.answer is not None:
                 entry.answer(Outcome(frame=None, reason=reason))
         return frame
+
+    def _impossible(self, entries: list[Entry]) -> list[tuple[Entry, str]]:
+        """Events that can't take effect any more, and why."""
+        found = []
+        for entry in entries:
+            try:
+                self._simulation.check(entry.event)
+            except EventError as error:
+                found.append((entry, str(error)))
+        return found
 
     def _advance(self, entries: list[Entry]) -> Frame:
         if not entries and self._simulation.sleeps_on:

@@ -162,3 +162,23 @@ def test_without_springs_nothing_bounds_the_step() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [2, 2], "cloth.anchors": anchored}))
     found = step_setters(simulation.plan, simulation.state.x)
     assert in_words(found, simulation.scene.sheet) == ["nothing bounds the step by its stability"]
+
+
+def test_it_says_what_obstacles_there_are_and_how_far(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = {
+        "cloth.resolution": [6, 6],
+        "obstacles": ["pole"],
+        "pole.shape": "cylinder",
+        "pole.size": [0.05, 2.0],
+        "pole.position": [0.5, 0.1, 0.5],
+        "spare.shape": "plane",
+    }
+    assert check(written(tmp_path, values)) == 0
+    said = capsys.readouterr().out
+    assert "obstacle 'pole': cylinder of 0.05 x 2 m; the nearest" in said
+    assert "starts 0.05 m away; it pushes from 0.003 m on" in said
+    assert "warning: spare.shape is set and has no effect: obstacles does not name 'spare'" in said
+    assert check(written(tmp_path, {**values, "pole.position": [0.5, 0.0, 0.5]})) == 1
+    assert "the cloth is inside obstacle 'pole': particle " in capsys.readouterr().err
+    assert check(written(tmp_path, {**values, "pole.size": [0.05]})) == 1
+    assert "a cylinder has 2: radius, length" in capsys.readouterr().err

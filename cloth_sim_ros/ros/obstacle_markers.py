@@ -1,0 +1,105 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles as a visualization_msgs/MarkerArray, for RViz and the replay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose, Vector3
+from numpy.typing import NDArray
+from rclpy.serialization import serialize_message
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.ros.messages import set_stamp
+
+#: A plane is shown as a slab of this width and height, whose upper side it is [m].
+PLANE = (10.0, 0.002)
+_COLOUR, _GROUND = ColorRGBA(r=0.45, g=0.5, b=0.58, a=1.0), ColorRGBA(r=0.24, g=0.26, b=0.3, a=1.0)
+
+
+class ObstacleMarkers:
+    """Markers of some obstacles, in namespaces of the names of node and obstacle: several cloths show in one display.
+
+    Args:
+        solids: the obstacles.
+        frame_id: coordinate frame.
+        node: the node's full name.
+        gone: names of obstacles that were shown before and are no more.
+    """
+
+    def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, gone: Sequence[str] = ()) -> None:
+        self._frame_id = frame_id
+        #: Of each marker: its obstacle, the marker, and where it is in the obstacle's frame [m].
+        self._parts: list[tuple[int, Marker, NDArray[np.float64]]] = []
+        for k, solid in enumerate(solids):
+            for number, (marker, place) in enumerate(_markers(solid)):
+                marker.ns, marker.id, marker.action = f"{node}/{solid.name}", number, Marker.ADD
+                # What stands on a plane is told from it.
+                marker.color = _GROUND if solid.shape == "plane" else _COLOUR
+                marker.header.frame_id = frame_id
+                self._parts.append((k, marker, place))
+        self._gone = [
+            Marker(ns=f"{node}/{name}", id=number, action=Marker.DELETE) for name in gone for number in range(_MOST)
+        ]
+        for marker in self._gone:
+            marker.header.frame_id = frame_id
+
+    def serialized(self, poses: Array, stamp: int) -> bytes:
+        """Return the CDR bytes for poses (obstacle_count, 7) at a ROS time [ns]."""
+        for k, marker, place in self._parts:
+            set_stamp(marker.header.stamp, stamp)
+            marker.pose = _pose(poses[k], place)
+        for marker in self._gone:
+            set_stamp(marker.header.stamp, stamp)
+        return bytes(serialize_message(MarkerArray(markers=[*self._gone, *(marker for _, marker, _ in self._parts)])))
+
+
+#: Markers of one obstacle at most: a capsule has three.
+_MOST = 3
+
+
+def _markers(solid: Obstacle) -> list[tuple[Marker, NDArray[np.float64]]]:
+    """Return the markers of an obstacle, and where they are in its frame."""
+    here = np.zeros(3)
+    match solid.shape:
+        case "plane":
+            width, height = PLANE
+            return [(_marker(Marker.CUBE, width, width, height), np.array([0.0, 0.0, -0.5 * height]))]
+        case "box":
+            return [(_marker(Marker.CUBE, *solid.size), here)]
+        case "sphere":
+            return [(_marker(Marker.SPHERE, *[2.0 * solid.size[0]] * 3), here)]
+        case "cylinder" | "capsule":
+            radius, length = solid.size
+            width = 2.0 * radius
+            found = [(_marker(Marker.CYLINDER, width, width, length), here)]
+            if solid.shape == "capsule":
+                found += [
+                    (_marker(Marker.SPHERE, width, width, width), np.array([0.0, 0.0, side * length]))
+                    for side in (-0.5, 0.5)
+                ]
+            return found
+    assert solid.vertices is not None
+    assert solid.triangles is not None
+    marker = _marker(Marker.TRIANGLE_LIST, 1.0, 1.0, 1.0)
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z in solid.vertices[solid.triangles.ravel()].tolist()]
+    return [(marker, here)]
+
+
+def _marker(kind: int, x: float, y: float, z: float) -> Marker:
+    return Marker(type=kind, scale=Vector3(x=x, y=y, z=z))
+
+
+def _pose(pose: Array, place: NDArray[np.float64]) -> Pose:
+    found = Pose()
+    x, y, z = (pose[:3] + rotation_matrix(pose[3:]) @ place).tolist()
+    found.position = Point(x=x, y=y, z=z)
+    for axis, value in zip("xyzw", pose[3:].tolist(), strict=True):
+        setattr(found.orientation, axis, value)
+    return found

@@ -1,0 +1,114 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles in the graph: their command topics, markers and wrenches, which come and go with them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+
+from cloth_sim_ros.ros.commands import Commands
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.messages import wrench_message
+from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
+
+
+class ObstacleTopics:
+    """Topics of the obstacles of a cloth; none where there are none.
+
+    Args:
+        node: the node.
+        simulation: the cloth.
+        commands: hears their targets.
+        tape: records what is published.
+        log: says what an obstacle can't follow.
+    """
+
+    def __init__(self, node: Node, simulation: Simulation, commands: Commands, tape: Tape, log: ThrottledLog) -> None:
+        self._node, self._simulation, self._commands = node, simulation, commands
+        self._tape, self._log = tape, log
+        self._names: list[str] = []
+        self._markers: ObstacleMarkers | None = None
+        self._output: Output | None = None
+        self._wrenches: dict[str, Output] = {}
+        self._shown: bytes = b""
+        self._poses = np.zeros((0, 7))
+
+    def start(self, stamp: int) -> None:
+        """Publish where they are at a ROS time [ns], and listen."""
+        self._follow(stamp)
+
+    def record(self, stamp: int) -> None:
+        """Record where they are, at the beginning of a recording."""
+        if self._output is not None:
+            self._output.record(self._shown, stamp)
+
+    def send(self, frame: Frame, stamp: int) -> None:
+        """Publish and record what a frame did to them."""
+        obstacles = self._simulation.obstacles
+        if (obstacles.names if obstacles is not None else []) != self._names:
+            self._follow(stamp)
+            return
+        if obstacles is None:
+            return
+        if not np.array_equal(obstacles.poses(), self._poses):
+            self._show(stamp)
+        for name in obstacles.behind:
+            self._log.warn(
+                f"behind {name}",
+                f"'{name}' is not yet where it is commanded to be: an obstacle follows at {obstacles.speed:g} m/s, "
+                "lest it jump through the cloth",
+            )
+        for name, load in zip(obstacles.names, frame.loads, strict=True):
+            output = self._wrenches[name]
+            if output.wanted:
+                output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
+
+    def describe(self) -> dict[str, str]:
+        """Return what diagnostics say of contact; nothing where there are no obstacles."""
+        gaps = self._simulation.gaps()
+        if gaps is None:
+            return {}
+        return {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
+
+    def _follow(self, stamp: int) -> None:
+        """Let topics be those of the obstacles that there are."""
+        obstacles, scene = self._simulation.obstacles, self._simulation.scene
+        names = [] if obstacles is None else obstacles.names
+        if not names and not self._names:
+            return
+        from cloth_sim_ros.ros.obstacle_markers import MarkerArray, ObstacleMarkers
+
+        self._commands.listen_to_obstacles(names)
+        for name in names:
+            if name not in self._wrenches:
+                self._wrenches[name] = Output(self._node, WrenchStamped, f"~/{name}/wrench", self._tape, droppable=True)
+        for name in [name for name in self._wrenches if name not in names]:
+            self._wrenches.pop(name).close()
+        gone = [name for name in self._names if name not in names]
+        self._markers = ObstacleMarkers(
+            [] if obstacles is None else obstacles.solids,
+            frame_id=scene.frame_id,
+            node=self._node.get_fully_qualified_name(),
+            gone=gone,
+        )
+        self._names = names
+        if self._output is None:
+            self._output = Output(self._node, MarkerArray, "~/obstacles", self._tape, qos=LATCHED)
+        self._show(stamp)
+
+    def _show(self, stamp: int) -> None:
+        assert self._markers is not None
+        assert self._output is not None
+        obstacles = self._simulation.obstacles
+        self._poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()
+        # Always: whoever comes later hears the last one.
+        self._shown = self._markers.serialized(self._poses, stamp)
+        self._output.send(self._shown, stamp)
