@@ -100,7 +100,8 @@ def _colouring(survey: Survey) -> str:
 def _plots(survey: Survey) -> list[Any]:
     import rerun.blueprint as rrb
 
-    several = {"plots/energy", "plots/accuracy"} | ({"plots/force"} if len(survey.opening.grippers) > 1 else set())
+    felt = len(survey.opening.grippers) + len(survey.opening.obstacles)
+    several = {"plots/energy", "plots/accuracy"} | ({"plots/force"} if felt > 1 else set())
     views = {
         path: rrb.TimeSeriesView(
             origin=path,

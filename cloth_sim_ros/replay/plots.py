@@ -15,7 +15,7 @@ DIAGNOSTICS_TOPIC = "/diagnostics"
 #: Plots by path, with their titles, from the top of the window down.
 PLOTS = {
     "plots/strain": "Largest strain [%]",
-    "plots/force": "Force on a gripper [N]",
+    "plots/force": "Force of the cloth [N]",
     "plots/steps": "Steps a frame",
     "plots/pace": "Real time",
     "plots/late": "Late frames",

@@ -37,6 +37,8 @@ class Opening:
     anchors: tuple[str, ...]
     gripper_radius: float
     grippers: tuple[GripperStart, ...]
+    obstacles: tuple[str, ...]
+    """Names of those that are described, there or not."""
     positions: NDArray[np.float64]
     """Particle positions before the first frame [m], shape (particle_count, 3)."""
 
@@ -74,6 +76,7 @@ def read_opening(scene_yaml: str, state: bytes) -> Opening:
         anchors=tuple(_texts(values.get("cloth.anchors"))),
         gripper_radius=float(values.get("gripper.radius", 0.05)),
         grippers=tuple(_gripper(name, index, arrays) for index, name in enumerate(names)),
+        obstacles=tuple(sorted(name.removesuffix(".shape") for name in values if name.endswith(".shape"))),
         positions=positions,
     )
 

@@ -14,6 +14,7 @@ from cloth_sim_ros.replay import colours
 from cloth_sim_ros.replay.accuracy import Accuracy, draw_curves
 from cloth_sim_ros.replay.gripper_view import GripperView
 from cloth_sim_ros.replay.grippers import GripperTracks
+from cloth_sim_ros.replay.obstacle_view import ObstacleView
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
 from cloth_sim_ros.replay.rows import Moment, Rows
 from cloth_sim_ros.replay.survey import Survey, check_fit
@@ -75,8 +76,9 @@ class Stream:
         self._accuracy = accuracy
         self._recording = recording
         self._survey = survey
-        self._points, self._frame = f"{node}/points", f"{node}/frame"
-        self._wrenches = {f"{node}/{start.name}/wrench": start.name for start in survey.opening.grippers}
+        self._points, self._frame, self._obstacles = f"{node}/points", f"{node}/frame", f"{node}/obstacles"
+        felt = [*(start.name for start in survey.opening.grippers), *survey.opening.obstacles]
+        self._wrenches = {f"{node}/{name}/wrench": name for name in felt}
         self._every, self._only = every, only
         self._anchored = survey.opening.anchored(survey.rows, survey.columns)
         self._grippers = GripperTracks(survey.opening, self._anchored)
@@ -86,6 +88,7 @@ class Stream:
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
         self._view = GripperView(self._grippers, self._table)
+        self._solids = ObstacleView(recording, self._table)
         self._mesh = self._table(CLOTH, rr.Mesh3D)
         self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
         self._kept: _Shown | None = None
@@ -97,7 +100,7 @@ class Stream:
     @property
     def topics(self) -> frozenset[str]:
         """The topics that are shown."""
-        return frozenset({self._points, self._frame, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches})
+        return frozenset({self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches})
 
     @property
     def time(self) -> float:
@@ -115,6 +118,8 @@ class Stream:
             self._add_frame(message)
         elif topic == self._points:
             self._add_cloud(message)
+        elif topic == self._obstacles:
+            self._solids.show(self._moment._replace(ros_time=message.log_time), message.data)
         elif topic in self._wrenches:
             self._add_wrench(message)
         elif topic == DIAGNOSTICS_TOPIC:
@@ -251,9 +256,11 @@ class Stream:
         self._table(LOG, rr.TextLog).add(moment, text=text, level=level)
 
     def _table(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> Rows:
-        found = self._tables.get(path)
+        # One entity may have components of several archetypes, each in rows of its own.
+        key = f"{path} {archetype.__name__}"
+        found = self._tables.get(key)
         if found is None:
-            found = self._tables[path] = Rows(path, archetype, ragged=ragged)
+            found = self._tables[key] = Rows(path, archetype, ragged=ragged)
         return found
 
 

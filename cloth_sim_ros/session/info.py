@@ -15,7 +15,7 @@ from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader, read_frame
 
 _SHOWN_HAPPENINGS = 12
-_QUIET_EVENTS = ("target",)
+_QUIET_EVENTS = ("target", "move")
 
 
 @dataclass(slots=True)

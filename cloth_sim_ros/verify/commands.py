@@ -32,6 +32,7 @@ class CommandCheck:
     Args:
         node: resolved name of the node.
         grippers: their names.
+        obstacles: names of those whose targets are compared: described at the beginning, following no TF frame.
         frame_id: the cloth's coordinate frame; targets in other frames were transformed before they took effect, so
             that a gripper which was sent one is not compared from then on.
         follows_frame: the grippers follow TF frames: their targets come from there.
@@ -40,11 +41,20 @@ class CommandCheck:
     """
 
     def __init__(
-        self, *, node: str, grippers: Iterable[str], frame_id: str, follows_frame: bool, from_start: bool
+        self,
+        *,
+        node: str,
+        grippers: Iterable[str],
+        obstacles: Iterable[str] = (),
+        frame_id: str,
+        follows_frame: bool,
+        from_start: bool,
     ) -> None:
+        self._obstacles = set(obstacles)
         self._follows_frame = follows_frame
         self._frame_id = frame_id
         self._kinds = {f"{node}/{name}/{leaf}": (name, leaf) for name in grippers for leaf in _READERS}
+        self._kinds |= {f"{node}/{name}/target": (name, "target") for name in self._obstacles}
         self._targets: dict[str, deque[_Pose]] = {}
         self._grasps: dict[str, list[bool]] = {}
         self._transformed: set[str] = set()
@@ -79,7 +89,10 @@ class CommandCheck:
                 # Those that were not received came by a service.
                 if received and received[0] == event["closed"]:
                     received.pop(0)
-            elif event.get("kind") == "target" and log_time > self._known_from and not self._is_known(name, event):
+            elif event.get("kind") == "set_parameters":
+                self._obstacles -= {key.removesuffix(".frame") for key in event["values"] if key.endswith(".frame")}
+            elif log_time > self._known_from and not self._is_known(event):
+                name = name or event["obstacle"]
                 found = found or f"{name} moved to {list(event['position'])}, which was not commanded"
         # A clock that went back clears what waits.
         if "clock_jump" not in record.extras:
@@ -89,8 +102,17 @@ class CommandCheck:
                     found = found or f"{name} was commanded to {action}, which did not take effect"
         return found
 
-    def _is_known(self, name: str, event: Any) -> bool:
-        if self._follows_frame or name in self._transformed:
+    def _is_known(self, event: Any) -> bool:
+        """Whether an event is none that moves something, or the target was received."""
+        if event.get("kind") == "move":
+            name = event["obstacle"]
+            if name not in self._obstacles:
+                return True
+        elif event.get("kind") != "target" or self._follows_frame:
+            return True
+        else:
+            name = event["gripper"]
+        if name in self._transformed:
             return True
         wanted = _pose(event["position"], event.get("orientation"))
         return any(_same(wanted, received) for received in reversed(self._targets.get(name, ())))

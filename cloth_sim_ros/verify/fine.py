@@ -68,8 +68,11 @@ class FineSteps:
         # Below what rounding makes of the difference of two combinations no step is better than another.
         least = 4.0 * ROUNDING * float(np.abs(start[0]).max()) * (amplification(FINE) + amplification(FINE[1:]))
         while done < duration * (1.0 - 1e-12):
-            longest = min(SHARE_OF_LIMIT * leapfrog_limit(*rates), 0.5 * step) * FINE[0] * self._scale
             left = duration - done
+            # What contact may come to, at the most.
+            ahead = plan.ahead(t + done, left, *now)
+            limit = leapfrog_limit(rates[0] + ahead[0], rates[1] + ahead[1])
+            longest = min(SHARE_OF_LIMIT * limit, 0.5 * step) * FINE[0] * self._scale
             length = left / max(1, math.ceil(left / longest * (1.0 - 1e-12)))
             ended, rates, error = self._try(plan, t + done, length, now)
             if length > _LEAST * duration and not error <= max(self.rate * length, least):

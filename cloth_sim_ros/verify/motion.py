@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a frame was under (scene, grips and their paths), and motions that go through it from states of their own."""
+"""What a frame was under (scene, grips, paths), and motions that go through it from states of their own."""
 
 from __future__ import annotations
 
@@ -48,6 +48,8 @@ class RunFrame:
     reset: bool
     #: None where the scene has no grippers.
     grasping: Grasping | None
+    #: Paths of the obstacles, see `Contact`; None where there are none.
+    surrounding: Array | None
     #: Tolerance in force [m]; None where none is set.
     tolerance: float | None
     #: Whether the simulation said that its error may be above the tolerance's share.
@@ -76,6 +78,7 @@ class FrameWatch:
         new, reset = self._new, self._reset
         self._new, self._reset = frozenset(), False
         advance, grips, scene = frame.advance, simulation.plan.grips, simulation.scene
+        contact = simulation.plan.contact
         grasping = None
         if grips is not None:
             grasping = Grasping(
@@ -95,6 +98,7 @@ class FrameWatch:
             after=simulation.state.share(),
             reset=reset,
             grasping=grasping,
+            surrounding=None if contact is None else contact.force.paths.copy(),
             tolerance=frame.tolerance,
             flagged=bool(advance and advance.flagged),
             step=advance.step if advance and advance.steps else float("inf"),
@@ -115,6 +119,8 @@ class Equations:
         held, grips = frame.grasping, self._plan.grips
         if held is not None and grips is not None:
             grips.hold(held.paths, held.starts, held.particles, motion.offsets, held.stiffness, held.damping)
+        if frame.surrounding is not None and self._plan.contact is not None:
+            self._plan.contact.force.move(frame.surrounding)
         return self._plan
 
 

@@ -144,7 +144,8 @@ class _Run:
         for name in sorted(set(scene.files) - set(part.files)):
             verdict.environment.append(f"{name} as found here: the session does not hold it")
         self._frame_topic, self._points = f"{node}/frame", f"{node}/points"
-        self._wrenches = {f"{node}/{name}/wrench": k for k, name in enumerate(scene.gripper_names)}
+        names = [*scene.gripper_names, *scene.described]
+        self._wrenches = {f"{node}/{name}/wrench": name for name in names}
         # Commands wait across the end of a file.
         self._commands: CommandCheck = before._commands if before else _commands(self.simulation, node)
         self._frame: Frame | None = None
@@ -259,7 +260,10 @@ class _Run:
             return
         wrench = decode(message.data, _WRENCH).wrench
         recorded = [getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"]
-        again = self._frame.wrenches[self._wrenches[message.topic]]
+        name, scene = self._wrenches[message.topic], self.simulation.scene
+        bodies = [*zip(scene.gripper_names, self._frame.wrenches, strict=True)]
+        bodies += zip(scene.obstacle_names, self._frame.loads, strict=True)
+        again = dict(bodies).get(name, [])
         if recorded != [float(value) for value in again]:
             self._note_difference(f"the wrench on {message.topic.split('/')[-2]}", rounding=True)
 
@@ -287,6 +291,7 @@ def _commands(simulation: Simulation, node: str) -> CommandCheck:
     return CommandCheck(
         node=node,
         grippers=scene.gripper_names,
+        obstacles=[name for name, obstacle in scene.described.items() if not obstacle.frame],
         frame_id=scene.frame_id,
         follows_frame=bool(scene.gripper.frame),
         from_start=simulation.frame == 0,

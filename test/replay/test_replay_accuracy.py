@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.rrd import rows
 from support.session_maker import SessionMaker, make_grasp
-from test_replay_output import SMALL, _rows
+from test_replay_output import SMALL
 
 from cloth_sim_ros.replay import colours
 from cloth_sim_ros.replay.accuracy import measure
@@ -28,13 +29,13 @@ def test_curves_and_colours_are_those_of_the_certificate(tmp_path: Path) -> None
     out = tmp_path / "out.rrd"
     assert main([str(session), "--accuracy", "--save", str(out)]) == 0
     _, certificate = certify([session])
-    times, errors = _rows(out, "/plots/accuracy/error", "Scalars:scalars")
+    times, errors = rows(out, "/plots/accuracy/error", "Scalars:scalars")
     assert times == pytest.approx([frame.time for frame in certificate.frames], abs=2e-9)
     assert np.ravel(errors) == pytest.approx([math.log10(frame.error) for frame in certificate.frames])
-    _, growth = _rows(out, "/plots/growth/growth", "Scalars:scalars")
+    _, growth = rows(out, "/plots/growth/growth", "Scalars:scalars")
     assert np.ravel(growth) == pytest.approx([math.log10(frame.growth) for frame in certificate.frames])
     measured = measure([session], tmp_path, 72)
-    _, painted = _rows(out, "/world/cloth", "Mesh3D:vertex_colors")
+    _, painted = rows(out, "/world/cloth", "Mesh3D:vertex_colors")
     wanted = np.empty(72, np.uint32)
     for frame, row in zip(certificate.frames, painted, strict=True):
         particles = measured.errors(frame.frame)

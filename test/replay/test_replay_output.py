@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.rrd import rows
 from support.session_maker import NODE, SessionMaker, carried_corner, make_grasp
 
 from cloth_sim_ros.replay import viewer
@@ -29,29 +30,14 @@ SMALL = {"cloth.resolution": [8, 9], "cloth.size": [0.4, 0.45], "material.stretc
          "material.shear_modulus": 10.0, "bending.stiffness": 0.5}  # fmt: skip
 
 
-def _rows(path: Path, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
-    """Simulated times [s] and values of an entity's component in a recording, by time."""
-    from rerun.chunk import RrdReader
-
-    times, values = [], []
-    for chunk in RrdReader(path).stream():
-        if chunk.entity_path == entity and not chunk.is_static:
-            batch = chunk.to_record_batch()
-            if component in batch.schema.names:
-                times += (1e-9 * batch.column("simulated time").cast("int64").to_numpy()).tolist()
-                values += batch.column(component).to_pylist()
-    order = np.argsort(times, kind="stable")
-    return np.array(times)[order], [values[k] for k in order]
-
-
 @pytest.mark.parametrize("velocity", [False, True], ids=["positions", "velocities too"])
 def test_a_recording_holds_every_cloud_as_it_was(tmp_path: Path, velocity: bool) -> None:
     session = make_grasp(tmp_path, seconds=0.5, cloth__resolution=[8, 9], points__velocity=velocity)
     out = tmp_path / "out.rrd"
     assert main([str(session), "--save", str(out)]) == 0
-    times, positions = _rows(out, "/world/cloth", "Mesh3D:vertex_positions")
-    _, normals = _rows(out, "/world/cloth", "Mesh3D:vertex_normals")
-    _, anchors = _rows(out, "/world/anchors", "Points3D:positions")
+    times, positions = rows(out, "/world/cloth", "Mesh3D:vertex_positions")
+    _, normals = rows(out, "/world/cloth", "Mesh3D:vertex_normals")
+    _, anchors = rows(out, "/world/anchors", "Points3D:positions")
     with SessionReader(session) as reader:
         clouds = list(reader.clouds())
         assert len(clouds) == len(positions) == 30
@@ -72,18 +58,18 @@ def test_what_happened_is_shown(tmp_path: Path) -> None:
     maker.add([Reset()])
     out = tmp_path / "out.rrd"
     assert main([str(maker.finish()), "--save", str(out)]) == 0
-    _, said = _rows(out, "/log", "TextLog:text")
-    held = len(_rows(out, "/world/held/gripper", "Points3D:positions")[1][0])
+    _, said = rows(out, "/log", "TextLog:text")
+    held = len(rows(out, "/world/held/gripper", "Points3D:positions")[1][0])
     assert held > 0
     assert [line for lines in said for line in lines] == [
         f"gripper closes, holds {held} particles", "material.density = 0.3", "gripper opens", "reset",
     ]  # fmt: skip
-    assert _rows(out, "/plots/pace/real_time_factor", "Scalars:scalars")[1] == [[0.75]]
-    assert _rows(out, "/plots/late/late_frames", "Scalars:scalars")[1] == [[3.0]]
-    assert _rows(out, "/plots/energy/energy_balance", "Scalars:scalars")[1] == [[1e-5]]
-    assert len(_rows(out, "/plots/force/gripper", "Scalars:scalars")[1]) == 4
+    assert rows(out, "/plots/pace/real_time_factor", "Scalars:scalars")[1] == [[0.75]]
+    assert rows(out, "/plots/late/late_frames", "Scalars:scalars")[1] == [[3.0]]
+    assert rows(out, "/plots/energy/energy_balance", "Scalars:scalars")[1] == [[1e-5]]
+    assert len(rows(out, "/plots/force/gripper", "Scalars:scalars")[1]) == 4
     # After the reset the gripper is nowhere, and is drawn so small that it is not seen.
-    _, spheres = _rows(out, "/world/grippers/gripper/body", "Ellipsoids3D:half_sizes")
+    _, spheres = rows(out, "/world/grippers/gripper/body", "Ellipsoids3D:half_sizes")
     assert spheres[-1] == [[0.0, 0.0, 0.0]]
 
 
@@ -99,8 +85,8 @@ def test_anchors_that_change_are_shown_and_not_grabbed(tmp_path: Path) -> None:
     assert last not in held
     out = tmp_path / "out.rrd"
     assert main([str(maker.finish()), "--save", str(out)]) == 0
-    assert [len(points or []) for points in _rows(out, "/world/anchors", "Points3D:positions")[1]] == [10, 10, 0]
-    assert {len(points) for points in _rows(out, "/world/held/gripper", "Points3D:positions")[1] if points} == {
+    assert [len(points or []) for points in rows(out, "/world/anchors", "Points3D:positions")[1]] == [10, 10, 0]
+    assert {len(points) for points in rows(out, "/world/held/gripper", "Points3D:positions")[1] if points} == {
         len(held)
     }
 
@@ -109,10 +95,10 @@ def test_every_nth_cloud_and_all_of_the_plots(tmp_path: Path) -> None:
     session = make_grasp(tmp_path, seconds=0.5, cloth__resolution=[8, 9])
     out = tmp_path / "out.rrd"
     assert main([str(session), "--save", str(out), "--every", "7"]) == 0
-    times, positions = _rows(out, "/world/cloth", "Mesh3D:vertex_positions")
+    times, positions = rows(out, "/world/cloth", "Mesh3D:vertex_positions")
     np.testing.assert_allclose(times * 60.0, [1, 8, 15, 22, 29], atol=1e-6)
     assert len(positions) == 5
-    assert len(_rows(out, "/plots/steps/steps", "Scalars:scalars")[1]) == 30
+    assert len(rows(out, "/plots/steps/steps", "Scalars:scalars")[1]) == 30
 
 
 def test_a_split_and_a_killed_session_are_shown_to_where_they_end(
@@ -129,7 +115,7 @@ def test_a_split_and_a_killed_session_are_shown_to_where_they_end(
     out = tmp_path / "out.rrd"
     assert main([*(str(path) for path in maker.paths), "--save", str(out)]) == 0
     assert "cut off" in capsys.readouterr().err
-    times, _ = _rows(out, "/world/cloth", "Mesh3D:vertex_positions")
+    times, _ = rows(out, "/world/cloth", "Mesh3D:vertex_positions")
     assert 20 < len(times) < 30
 
 
@@ -154,7 +140,7 @@ def test_following_shows_what_is_still_being_recorded(tmp_path: Path, wait_until
     maker.finish()
     follower.join(30.0)
     assert status == [0]
-    assert len(_rows(out, "/world/cloth", "Mesh3D:vertex_positions")[0]) == 60
+    assert len(rows(out, "/world/cloth", "Mesh3D:vertex_positions")[0]) == 60
 
 
 def test_a_picture_shows_a_lit_cloth_where_the_gripper_holds_it(

@@ -1,0 +1,98 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions with obstacles: run again to the same bits, compared in full, and certified."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.session_maker import SessionMaker
+
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.info import Summarizer
+from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.simulation.events import Event, Move, SetParameters
+from cloth_sim_ros.verify.accuracy import certify
+from cloth_sim_ros.verify.run import verify
+
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+#: A small cloth that falls on a ball, from just above it.
+FALLING: dict[str, Any] = {
+    "cloth.resolution": [7, 7],
+    "cloth.size": [0.3, 0.3],
+    "cloth.orientation": list(UPRIGHT),
+    "cloth.position": [0.01, 0.0, 0.11],
+    "cloth.anchors": [""],
+    "tolerance": 1e-3,
+    "grippers": [""],
+    "obstacles": ["ball"],
+    "ball.shape": "sphere",
+    "ball.size": [0.1],
+    "floor.shape": "plane",
+    "floor.position": [0.0, 0.0, -0.15],
+}
+
+
+def made(folder: Path, *, frames: int = 40, **options: Any) -> Path:
+    """A session in which the ball moves, and a floor comes."""
+    maker = SessionMaker(folder, Scene.from_parameters(FALLING))
+    for k in range(frames):
+        events: list[Event] = [Move("ball", (0.002 * k, 0.0, 0.0), UPRIGHT)] if 10 < k < 25 else []
+        if k == 20:
+            events.append(SetParameters({"obstacles": ["floor", "ball"]}))
+            maker.split()
+        maker.add(events, **options)
+    maker.finish()
+    return folder
+
+
+def parts(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.mcap"))
+
+
+def test_a_session_runs_again_to_the_same_bits_and_wrenches(tmp_path: Path) -> None:
+    paths = parts(made(tmp_path))
+    verdict = verify(paths)
+    assert verdict.same, verdict.first_reason
+    assert (verdict.frames, len(paths)) == (40, 2)
+
+
+@pytest.mark.parametrize(
+    ("topic", "words"),
+    [("/cloth_sim/ball/wrench", "the wrench on ball"), ("/cloth_sim/ball/target", "ball moved to .* not commanded")],
+)
+def test_what_was_recorded_otherwise_is_found(tmp_path: Path, topic: str, words: str) -> None:
+    def spoil(name: str, data: bytes) -> bytes | None:
+        if name != topic:
+            return data
+        return None if topic.endswith("target") else data[:-8] + b"\x00" * 7 + b"\x40"
+
+    verdict = verify(parts(made(tmp_path, change=spoil)))
+    assert not verdict.same
+    assert re.search(words, verdict.first_reason)
+
+
+def test_what_happened_is_told(tmp_path: Path) -> None:
+    with SessionReader(parts(made(tmp_path))) as reader:
+        summarizer = Summarizer(reader.node)
+        for message in reader.messages():
+            summarizer.add(message)
+    summary = summarizer.summary
+    assert summary.events["move"] == 14
+    assert any("set_parameters" in line for line in summary.happenings)
+
+
+def test_the_certificate_covers_contact(tmp_path: Path) -> None:
+    # Of the impact, and of the ball as it moves; every frame by the independent integrator too.
+    verdict, certificate = certify(parts(made(tmp_path, frames=13)), every_sample=True)
+    assert verdict.same
+    assert certificate.kept
+    assert len(certificate.samples) == 13
+    assert max(sample.difference for sample in certificate.samples) < 1e-6
+    errors = [frame.error for frame in certificate.frames]
+    assert 1e-9 < max(errors) < 1e-4
+    # The truth's own error, with which those are told.
+    assert max(frame.own for frame in certificate.frames) < 1e-6
