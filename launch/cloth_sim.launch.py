@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One cloth: `ros2 launch cloth_sim_ros cloth_sim.launch.py params_file:=... namespace:=... name:=...`."""
+"""One cloth: `ros2 launch cloth_sim_ros cloth_sim.launch.py scene:=... params_file:=... namespace:=... name:=...`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ from launch_ros.substitutions import FindPackageShare
 _CONFIG = PathJoinSubstitution([FindPackageShare("cloth_sim_ros"), "config"])
 #: Name, default and meaning of each argument, and what it may be.
 _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
-    ("params_file", PathJoinSubstitution([_CONFIG, "cloth_sim.yaml"]), "ROS parameter file of the cloth", None),
+    (
+        "scene",
+        "cloth_sim",
+        "which of the package's scenes: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
+        "the edge of a box, a towel on a table",
+        ["cloth_sim", "flag", "drape", "edge", "table"],
+    ),
+    ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),
     ("namespace", "", "namespace of the node", None),
     ("name", "cloth_sim", "name of the node", None),
     (
@@ -30,7 +37,7 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
     ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
 ]
 #: Topics of the RViz configuration, which is that of a node /cloth_sim with a gripper `gripper`.
-_SHOWN = ("points", "mesh", "gripper/point")
+_SHOWN = ("points", "mesh", "obstacles", "gripper/point")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -50,7 +57,7 @@ def _actions(context: LaunchContext) -> list[Any]:
         executable="cloth_sim",
         name=given["name"],
         namespace=given["namespace"],
-        parameters=[given["params_file"], *clock],
+        parameters=[given["params_file"] or PathJoinSubstitution([_CONFIG, f"{given['scene']}.yaml"]), *clock],
         ros_arguments=["--log-level", given["log_level"]],
         output="screen",
         emulate_tty=True,

@@ -24,6 +24,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from support.ros_client import Client, pose, positions
 
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH = ROOT / "launch" / "cloth_sim.launch.py"
 
@@ -113,7 +116,7 @@ def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
         if isinstance(entry, dict):
             arguments += [word for name, value in entry.items() for word in ("-p", f"{name}:={str(value).lower()}")]
         else:
-            arguments += ["--params-file", entry]
+            arguments += ["--params-file", text_of(entry, {})]
     return ["-m", "cloth_sim_ros.ros.main", *arguments]
 
 
@@ -163,6 +166,15 @@ def test_the_clock_of_the_parameter_file_stays_unless_another_is_asked_for(
     assert rviz["parameters"] == expected
 
 
+def test_each_scene_of_the_package_is_an_argument_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = Launched(monkeypatch).declared["scene"]["choices"]
+    for scene in scenes:
+        (cloth,) = Launched(monkeypatch, scene=scene).nodes
+        path = Path(text_of(cloth["parameters"][0], {}))
+        assert path == ROOT / "config" / f"{scene}.yaml"
+        Simulation(Scene.from_file(path))
+
+
 def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(Launched(monkeypatch).nodes) == 1
     _, rviz = Launched(monkeypatch, rviz="true", namespace="left_arm", name="towel").nodes
@@ -172,14 +184,16 @@ def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) 
     manager = yaml.safe_load(Path(path).read_text())["Visualization Manager"]
     assert manager["Global Options"]["Fixed Frame"] == "world"
     shown = {entry["Class"].rpartition("/")[2]: entry for entry in manager["Displays"]}
-    assert shown.keys() == {"Grid", "TF", "Marker", "PointCloud2"}
-    topics = {kind: shown[kind]["Topic"] for kind in ("Marker", "PointCloud2")}
+    assert shown.keys() == {"Grid", "TF", "Marker", "MarkerArray", "PointCloud2"}
+    topics = {kind: shown[kind]["Topic"] for kind in ("Marker", "MarkerArray", "PointCloud2")}
+    assert topics["MarkerArray"]["Durability Policy"] == "Transient Local"
     assert {topic["Reliability Policy"] for topic in topics.values()} == {"Reliable"}
     (tool,) = (entry["Topic"]["Value"] for entry in manager["Tools"] if entry["Class"].endswith("PublishPoint"))
     # Those of the configuration, led to those of the node.
     assert dict(rviz["remappings"]) == {
         topics["PointCloud2"]["Value"]: "/left_arm/towel/points",
         topics["Marker"]["Value"]: "/left_arm/towel/mesh",
+        topics["MarkerArray"]["Value"]: "/left_arm/towel/obstacles",
         tool: "/left_arm/towel/gripper/point",
     }
     _, plain = Launched(monkeypatch, rviz="true").nodes
