@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 5
+ABI = 6
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 #: Runs of one frame at most; see frame.hpp.
@@ -29,6 +29,8 @@ PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4}
 TOUCHED_NUMBERS = 3
+#: Numbers of an anchor of friction; see contact_friction.hpp.
+ANCHOR_NUMBERS = 4
 #: Kinds of listed elements with the particles and numbers of each; see list.hpp.
 KINDS = {
     "spring": (0, 2, 3),
@@ -70,6 +72,7 @@ class Frame(ctypes.Structure):
         ("told", ctypes.c_void_p),
         ("rates", ctypes.c_int64),
         ("books", ctypes.c_int64),
+        ("anchors", ctypes.c_void_p),
     )
 
 
@@ -85,7 +88,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_callback": (_INT, _P, CALLBACK),
     "cloth_plan_held": (_INT, _P, _I, _P, _I, _P, _P, _P, _P, _P),
     "cloth_plan_paths": (_INT, _P, _P),
-    "cloth_plan_contact": (_INT, _P, _I, _P, _P, _P, _P, _D, _D),
+    "cloth_plan_contact": (_INT, _P, _I, _P, _P, _P, _P, _P, _D, _D, _D),
     "cloth_plan_contact_paths": (_INT, _P, _P),
     "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
@@ -96,6 +99,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_gaps": (_INT, _P, _D, _P, _P),
     "cloth_contact_bounds": (_INT, _P, _D, _P, _P, _P),
     "cloth_contact_ahead": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_contact_anchors": (_INT, _P, _P),
+    "cloth_contact_settle": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
     "cloth_contact_crosses": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
     "cloth_rates": (_INT, _P, _P, _P, _P, _P),

@@ -4,6 +4,7 @@
 // Obstacles that move as commanded, and how a block of particles stands to one of them.
 #pragma once
 
+#include "contact_friction.hpp"
 #include "contact_law.hpp"
 #include "contact_shapes.hpp"
 #include "held.hpp"
@@ -17,12 +18,16 @@ struct Obstacle {
     Shape shape;
     Vec3<double> size;
     double radius;  ///< of a sphere about its frame's origin that holds it all; infinite for a plane
+    Roughness rough;
 };
 
 struct Contacts {
     std::vector<Obstacle> obstacles;
     std::vector<double> paths;
     double thickness = 0.0, damping = 0.0;
+    /// Of the anchors' springs [1/s], and the anchors at the start of runs, (obstacles, anchor_numbers, particles).
+    double frequency = 0.0;
+    std::vector<double> anchors;
     /// Those that a run may meet, and whether blocks of particles that are far from one may be left alone for a while.
     std::vector<std::int64_t> active;
     bool sleeps = true;
@@ -33,6 +38,11 @@ struct Contacts {
     }
     std::int64_t count() const { return static_cast<std::int64_t>(obstacles.size()); }
     const double* path(std::int64_t obstacle) const { return paths.data() + obstacle * path_numbers; }
+    bool rough() const {
+        for (const Obstacle& obstacle : obstacles)
+            if (obstacle.rough.still > 0.0) return true;
+        return false;
+    }
     template <class V>
     ContactLaw<V> law() const {
         return ContactLaw<V>(thickness, damping);
@@ -65,6 +75,19 @@ struct Placed {
         for (int j = 0; j < 3; ++j) rotation[j] = narrowed(pose.rotation[j]);
         speed = narrowed(pose.speed);
         spin = narrowed(pose.spin);
+    }
+    /// A vector of the world in the obstacle's frame, and back.
+    template <class V>
+    CLOTH_INLINE Vec3<V> inward(const Vec3<V>& a) const {
+        return {dot(axis<V>(0), a), dot(axis<V>(1), a), dot(axis<V>(2), a)};
+    }
+    template <class V>
+    CLOTH_INLINE Vec3<V> outward(const Vec3<V>& a) const {
+        return a.x * axis<V>(0) + a.y * axis<V>(1) + a.z * axis<V>(2);
+    }
+    template <class V>
+    CLOTH_INLINE Vec3<V> axis(int k) const {
+        return {splat<V>(rotation[k].x), splat<V>(rotation[k].y), splat<V>(rotation[k].z)};
     }
     bool turns() const { return norm2(spin) > T(0); }
 };

@@ -14,8 +14,9 @@ namespace cloth {
 struct NearOne {
     std::int64_t obstacle, particle;
     double gap, closing, mass;
-    Vec3<double> normal, arm;
+    Vec3<double> normal, arm, slip;
     const Placed<double>& placed;
+    Stand<double> stands() const { return {arm, gap, normal, slip, closing}; }
 };
 
 /// Call `what` for each free particle of those that `widest(fastest speed)` [m] may hold: it is asked for a few particles at
@@ -47,7 +48,7 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
                     if (!(mass[i] > 0.0)) continue;
                     const auto s = stand<shape.value, true, double>(placed, size, block.place<double>(i),
                                                                     block.velocity<double>(i));
-                    what(NearOne{obstacle, first + i, s.gap, s.closing, mass[i], s.normal, s.arm, placed});
+                    what(NearOne{obstacle, first + i, s.gap, s.closing, mass[i], s.normal, s.arm, s.slip, placed});
                 }
             }
         });
@@ -62,10 +63,67 @@ inline void for_each_contact(const Plan& plan, double t, const double* x, const 
     });
 }
 
+/// What friction does at one contact, with the plan's anchors. Those of the caller's own are handed over in `anchor`.
+template <class V>
+inline auto rubbing(const Plan& plan, std::int64_t obstacle, std::int64_t particle, const Placed<double>& placed,
+                    const Stand<V>& s, V push, const double* anchors) {
+    const std::int64_t n = plan.count;
+    const double* const a = anchors + obstacle * anchor_numbers * n + particle;
+    const FrictionLaw<V> law(plan.contacts.obstacles[obstacle].rough, plan.contacts.frequency);
+    const double bond = a[3 * n];
+    const Vec3<V> here = placed.template inward<V>(s.arm);
+    const Vec3<V> anchor = bond > 0.0 ? splat3<V>(Vec3<double>{a[0], a[n], a[2 * n]}) : here;
+    return law.rub(placed.template outward<V>(here - anchor), s.normal, s.slip, push, bond > double(sticks));
+}
+
+/// Anchors after runs that ended with some of their own, each (obstacles, anchor_numbers, n), at the state x and v that
+/// the runs' weights make: what no run moved stays as it is; the rest is combined too, and dragged back onto the cone.
+inline void settle_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                           const double* weights, const double* ends, double* out) {
+    const Contacts& contacts = plan.contacts;
+    const std::int64_t n = plan.count, size = contacts.count() * anchor_numbers * n;
+    std::fill(out, out + size, 0.0);
+    const auto law = contacts.law<double>();
+    for_each_contact(plan, t, x, v, [&](const NearOne& one) {
+        if (!(contacts.obstacles[one.obstacle].rough.still > 0.0)) return;
+        const std::int64_t place = one.obstacle * anchor_numbers * n + one.particle;
+        double* const to = out + place;
+        const double* const last = ends + (runs - 1) * size + place;
+        bool all = true, same = true;
+        for (std::int64_t run = 0; run < runs; ++run) {
+            const double* const from = ends + run * size + place;
+            all = all && from[3 * n] > 0.0;
+            for (int c = 0; c < anchor_numbers; ++c) same = same && from[c * n] == last[c * n];
+        }
+        for (int c = 0; c < anchor_numbers; ++c) to[c * n] = last[c * n];
+        for (int c = 0; all && !same && c < 3; ++c) {
+            double sum = 0.0;
+            for (std::int64_t run = 0; run < runs; ++run) sum = fma(weights[run], ends[run * size + place + c * n], sum);
+            to[c * n] = sum;
+        }
+        const Stand<double> s = one.stands();
+        const auto rubbed = rubbing<double>(plan, one.obstacle, one.particle, one.placed, s,
+                                            law.push(one.gap, one.closing), out);
+        const Vec3<double> here = one.placed.inward<double>(s.arm);
+        const Vec3<double> dragged = here - one.placed.inward<double>(rubbed.stretch);
+        if (rubbed.slides || !(to[3 * n] > 0.0)) {
+            const Vec3<double> anchor = rubbed.slides ? dragged : here;
+            to[0] = anchor.x, to[n] = anchor.y, to[2 * n] = anchor.z;
+        }
+        to[3 * n] = rubbed.slides ? double(slides) : double(sticks);
+    });
+}
+
 inline double contact_energy(const Plan& plan, double t, const double* x) {
     const auto law = plan.contacts.law<double>();
     double total = 0.0;
-    for_each_contact(plan, t, x, nullptr, [&](const NearOne& one) { total += one.mass * law.energy(one.gap); });
+    for_each_contact(plan, t, x, nullptr, [&](const NearOne& one) {
+        total += one.mass * law.energy(one.gap);
+        if (plan.contacts.obstacles[one.obstacle].rough.still > 0.0)
+            total += one.mass * rubbing<double>(plan, one.obstacle, one.particle, one.placed, one.stands(),
+                                                law.elastic(one.gap), plan.contacts.anchors.data())
+                                    .energy;
+    });
     return total;
 }
 
@@ -74,10 +132,18 @@ inline void contact_rates(const Plan& plan, double t, const double* x, const dou
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const NearOne& one) {
         const auto answer = law.answer(one.gap, one.closing);
-        const Vec3<double> force = (one.mass * answer.push) * one.normal, torque = cross(force, one.arm);
+        Vec3<double> force = (one.mass * answer.push) * one.normal;
+        double lost = one.mass * (answer.push - answer.elastic) * one.closing;
+        if (plan.contacts.obstacles[one.obstacle].rough.still > 0.0) {
+            const auto rubbed = rubbing<double>(plan, one.obstacle, one.particle, one.placed, one.stands(), answer.push,
+                                                plan.contacts.anchors.data());
+            force = force + one.mass * rubbed.push;
+            lost += one.mass * rubbed.lost;
+        }
+        const Vec3<double> torque = cross(force, one.arm);
         const Vec3<double> moving = one.placed.speed + cross(one.placed.spin, one.arm);
         const double now[booked_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z,
-                                            dot(force, moving), one.mass * (answer.push - answer.elastic) * one.closing};
+                                            dot(force, moving), lost};
         for (int k = 0; k < booked_numbers; ++k) rates[one.obstacle * booked_numbers + k] += weight * now[k];
     });
 }
@@ -86,8 +152,15 @@ inline void contact_rates(const Plan& plan, double t, const double* x, const dou
 inline void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, nullptr, [&](const NearOne& one) {
-        if (stiff) add_block(stiff, plan.count, one.particle, outer(one.mass * law.stiffness(one.gap), one.normal, 0.0));
-        if (damp) add_block(damp, plan.count, one.particle, outer(one.mass * law.damping(one.gap), one.normal, 0.0));
+        // Along the surface an anchor's spring.
+        const bool rough = plan.contacts.obstacles[one.obstacle].rough.still > 0.0;
+        const double w = rough ? plan.contacts.frequency : 0.0, along = one.mass * w * w;
+        const double rubs = one.mass * FrictionLaw<double>::damping_share * w;
+        if (stiff)
+            add_block(stiff, plan.count, one.particle,
+                      outer(one.mass * law.stiffness(one.gap) - along, one.normal, along));
+        if (damp)
+            add_block(damp, plan.count, one.particle, outer(one.mass * law.damping(one.gap) - rubs, one.normal, rubs));
     });
 }
 
@@ -100,6 +173,9 @@ struct ContactLimits {
         const double gap = stopping_gap(reached) * contacts.thickness;
         omega2 = law.stiffness(gap);
         damping = law.damping(gap);
+        if (!contacts.rough()) return;
+        omega2 = larger(contacts.frequency * contacts.frequency, omega2);
+        damping = larger(FrictionLaw<double>::damping_share * contacts.frequency, damping);
     }
 };
 
@@ -149,7 +225,12 @@ inline void add_contact_product(const Plan& plan, double t, const double* x, con
         };
         with_shape(obstacle.shape, [&](auto shape) {
             const auto s = stand<shape.value, true, Dual>(one.placed, obstacle.size, at(x, dx), at(v, dv));
-            const Vec3<Dual> force = (Dual{one.mass, 0.0} * law.push(s.gap, s.closing)) * s.normal;
+            const Dual push = law.push(s.gap, s.closing);
+            Vec3<Dual> force = push * s.normal;
+            if (obstacle.rough.still > 0.0)
+                force = force + rubbing<Dual>(plan, one.obstacle, one.particle, one.placed, s, push,
+                                              plan.contacts.anchors.data()).push;
+            force = Dual{one.mass, 0.0} * force;
             out[one.particle] += force.x.slope;
             out[n + one.particle] += force.y.slope;
             out[2 * n + one.particle] += force.z.slope;

@@ -24,6 +24,11 @@ public:
             for (std::int64_t i = 0; i < plan.count; ++i)
                 if (plan.inverse[i] > 0.0) masses_[place_of(i)] = static_cast<T>(plan.masses[i]);
         }
+        if (plan.contacts.rough()) {
+            held_.assign(blocks * contacts_.count() * anchor_numbers * pitch, T(0));
+            for (std::int64_t i = 0; i < plan.count; ++i) where_.push_back(place_of(i));
+            for_each_anchor([&](T& held, std::size_t from) { held = static_cast<T>(contacts_.anchors[from]); });
+        }
         if (run.books) sums_.assign(blocks * contacts_.count() * booked_numbers * ways, T(0));
     }
 
@@ -36,12 +41,15 @@ public:
             Sleep& sleep = mine.sleeps[number * contacts_.count() + obstacle];
             if (step < sleep.until) continue;
             const Placed<T> placed(mine.poses.at(obstacle, step), origin_);
+            T* const held = held_.empty() || !(contacts_.obstacles[obstacle].rough.still > 0.0)
+                                ? nullptr
+                                : held_.data() + (number * contacts_.count() + obstacle) * anchor_numbers * pitch_;
             T* const sums = own && run_.books && step >= 0 ? sums_of(number, obstacle) : nullptr;
             with_shape(contacts_.obstacles[obstacle].shape, [&](auto shape) {
                 if (placed.turns())
-                    one<shape.value, true>(mine, sleep, placed, obstacle, step, block, f, sums);
+                    one<shape.value, true>(mine, sleep, placed, obstacle, step, block, f, sums, held);
                 else
-                    one<shape.value, false>(mine, sleep, placed, obstacle, step, block, f, sums);
+                    one<shape.value, false>(mine, sleep, placed, obstacle, step, block, f, sums, held);
             });
         }
     }
@@ -66,6 +74,8 @@ public:
     }
     /// Sum up what was booked, in order of the blocks, and what was met.
     void finish() {
+        if (run_.anchors)
+            for_each_anchor([&](T& held, std::size_t to) { run_.anchors[to] = static_cast<double>(held); });
         if (!run_.touched) return;
         const std::int64_t k = contacts_.count();
         for (std::int64_t obstacle = 0; run_.books && obstacle < k; ++obstacle)
@@ -109,20 +119,36 @@ private:
               spread(9 * run.pitch_) {}
     };
 
+    /// Call `what` with each number of an anchor as the run holds it, and its place among the plan's.
+    template <class F>
+    void for_each_anchor(F&& what) {
+        const std::int64_t k = contacts_.count(), n = static_cast<std::int64_t>(where_.size());
+        for (std::int64_t obstacle = 0; obstacle < k; ++obstacle)
+            for (int c = 0; c < anchor_numbers; ++c)
+                for (std::int64_t i = 0; i < n; ++i) {
+                    const std::int64_t row = (where_[i] / pitch_ * k + obstacle) * anchor_numbers + c;
+                    what(held_[row * pitch_ + where_[i] % pitch_], (obstacle * anchor_numbers + c) * n + i);
+                }
+    }
     T* sums_of(std::int64_t block, std::int64_t obstacle) {
         return sums_.data() + (block * contacts_.count() + obstacle) * booked_numbers * ways;
     }
     template <Shape S, bool Turns>
     void one(Mine& mine, Sleep& sleep, const Placed<T>& placed, std::int64_t obstacle, std::int64_t step,
-             const Block<T>& block, T* f, T* sums) {
+             const Block<T>& block, T* f, T* sums, T* held) {
         const Vec3<double>& all = contacts_.obstacles[obstacle].size;
         const Vec3<T> size{T(all.x), T(all.y), T(all.z)};
         const T thickness = T(contacts_.thickness), ahead = T(2.0 * run_.step);
         Found<T> found;
         // What touched will mostly touch again: one pass does for it.
         if (!sleep.touches) found = look<S, Turns, T>(placed, size, block, thickness, ahead);
-        if (sleep.touches || found.gap < thickness)
-            found = push<S, Turns>(mine, placed, size, block, Finding<T>(thickness, ahead), f, sums);
+        const Finding<T> finding(thickness, ahead);
+        if (sleep.touches || found.gap < thickness) {
+            if (held)
+                found = push<S, Turns, true>(mine, placed, size, block, finding, f, sums, held, obstacle, step >= 0);
+            else
+                found = push<S, Turns, false>(mine, placed, size, block, finding, f, sums, held, obstacle, false);
+        }
         sleep.touches = found.gap < thickness;
         mine.gap = smaller(found.gap, mine.gap);
         // Whoever comes into contact at a speed has to be followed at it, before it is there.
@@ -138,9 +164,12 @@ private:
         sleep.until = step + std::max<std::int64_t>(1, soon ? static_cast<std::int64_t>(steps) : left);
         sleep.speed = speed;
     }
-    template <Shape S, bool Turns>
+    /// Anchors of the obstacle lie in `held`; they move if `moves`.
+    template <Shape S, bool Turns, bool Rough>
     Found<T> push(Mine& mine, const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, Finding<T> finding,
-                  T* f, T* sums) {
+                  T* f, T* sums, [[maybe_unused]] T* held, [[maybe_unused]] std::int64_t obstacle,
+                  [[maybe_unused]] bool moves) {
+        const FrictionLaw<V> friction(contacts_.obstacles[obstacle].rough, contacts_.frequency);
         const V thickness = splat<V>(T(contacts_.thickness)), per = splat<V>(T(1.0 / ContactLaw<T>::speed));
         V reached{};
         for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>) {
@@ -149,7 +178,32 @@ private:
                 stand<S, Turns, V>(placed, size, block.template place<V>(j), block.template velocity<V>(j));
             const auto inside = finding.take(s, mass) < thickness;
             const auto answer = law_.answer(s.gap, s.closing);
-            const Vec3<V> force = (mass * answer.push) * s.normal;
+            Vec3<V> force = (mass * answer.push) * s.normal;
+            V lost = mass * (answer.push - answer.elastic) * s.closing;
+            if constexpr (Rough) {
+                const V bond = load(held + 3 * pitch_ + j);
+                const auto known = bond > V{};
+                const Vec3<V> here = placed.template inward<V>(s.arm);
+                const auto kept = [&](int c, V otherwise) CLOTH_INLINED {
+                    return select(known, load(held + c * pitch_ + j), otherwise);
+                };
+                const Vec3<V> anchor{kept(0, here.x), kept(1, here.y), kept(2, here.z)};
+                const Vec3<V> way = placed.template outward<V>(here - anchor);
+                const auto rubbed = friction.rub(way, s.normal, s.slip, answer.push, bond > splat<V>(T(sticks)));
+                const Vec3<V> along = mass * rubbed.push;
+                force = force + along;
+                lost = fma(mass, rubbed.lost, lost);
+                if (moves) {
+                    const Vec3<V> dragged = here - placed.template inward<V>(rubbed.stretch);
+                    const auto keep = [&](int c, V a, V b) CLOTH_INLINED {
+                        store<T>(held + c * pitch_ + j, select(inside, select(rubbed.slides, a, b), V{}));
+                    };
+                    keep(0, dragged.x, anchor.x);
+                    keep(1, dragged.y, anchor.y);
+                    keep(2, dragged.z, anchor.z);
+                    keep(3, splat<V>(T(slides)), splat<V>(T(sticks)));
+                }
+            }
             const auto chosen = [&](V a) CLOTH_INLINED { return select(inside, a, V{}); };
             const auto add = [&](T* to, V a) CLOTH_INLINED {
                 const V before = load(to);
@@ -163,7 +217,6 @@ private:
             if (!sums) continue;
             const Vec3<V> torque = cross(force, s.arm);
             const V work = dot(force, splat3<V>(placed.speed) + cross(splat3<V>(placed.spin), s.arm));
-            const V lost = mass * (answer.push - answer.elastic) * s.closing;
             const V booked[booked_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z, work, lost};
             for (int number = 0; number < booked_numbers; ++number) {
                 T* const sum = sums + number * ways + j % ways;
@@ -181,7 +234,8 @@ private:
     std::int64_t blocks_, pitch_;
     Array<T>& masses_;
     std::vector<Mine> threads_;
-    Array<T> sums_;
+    Array<T> sums_, held_;
+    std::vector<std::int64_t> where_;  ///< of each particle among the blocks
 };
 
 }  // namespace cloth

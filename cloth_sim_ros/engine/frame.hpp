@@ -66,6 +66,7 @@ struct Frame {
     double* told;
     std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
     std::int64_t books;     ///< whether what obstacles do is booked
+    double* anchors;        ///< of each run at its end, (runs, obstacles, anchor_numbers, n), or null
 };
 
 inline Done make_runs(Plan& plan, const Frame& frame) {
@@ -87,7 +88,8 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
                       notes,
                       frame.powers ? notes + size : nullptr,
                       touched ? notes + size + 2 : nullptr,
-                      touched && frame.books};
+                      touched && frame.books,
+                      frame.anchors ? frame.anchors + k * obstacles * anchor_numbers * n : nullptr};
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
         if (touched && approach.missed(run.v, run.touched + obstacles * booked_numbers)) {

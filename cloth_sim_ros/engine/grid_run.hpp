@@ -25,7 +25,8 @@ public:
         bands_ = beside_.whole() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
         beside_.hold(bands_);
         beside_.touch_rows(bands_, pitch_);
-        levels_ = more ? 1 : levels();
+        // An anchor moves with its particle, once a step: copies of rows at a border would need copies of theirs.
+        levels_ = more || plan.contacts.rough() ? 1 : levels();
         halo_ = reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
         if (more) {

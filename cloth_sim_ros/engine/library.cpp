@@ -33,7 +33,7 @@ int guarded(F&& work) {
 }  // namespace
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 5; }
+CLOTH_API int cloth_engine_abi() { return 6; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -126,17 +126,22 @@ CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
     return guarded([&] { plan->held.paths.assign(paths, paths + plan->held.grippers * cloth::path_numbers); });
 }
 
-/// Obstacles: shapes, sizes and radii as rows of 3 and of 1, paths as those of grippers; thickness [m], damping [s/m].
+/// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;
+/// thickness [m], damping [s/m], and the frequency of anchors' springs [1/s]. No contact has an anchor then.
 CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
-                                 const double* radii, const double* paths, double thickness, double damping) {
+                                 const double* radii, const double* frictions, const double* paths, double thickness,
+                                 double damping, double frequency) {
     return guarded([&] {
         cloth::Contacts contacts;
         for (std::int64_t k = 0; k < count; ++k)
             contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
-                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]}, radii[k]});
+                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]}, radii[k],
+                                          {frictions[2 * k], frictions[2 * k + 1]}});
         contacts.paths.assign(paths, paths + count * cloth::path_numbers);
         contacts.thickness = thickness;
         contacts.damping = damping;
+        contacts.frequency = frequency;
+        contacts.anchors.assign(count * cloth::anchor_numbers * plan->count, 0.0);
         plan->contacts = std::move(contacts);
     });
 }
@@ -200,6 +205,15 @@ CLOTH_API int cloth_contact_bounds(const Plan* plan, double t, const double* x, 
 CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, const double* x, const double* v,
                                   double* out) {
     return guarded([&] { *out = cloth::contact_ahead(*plan, t, duration, x, v); });
+}
+/// Anchors that runs start with, (obstacles, anchor_numbers, n).
+CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
+    return guarded([&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
+}
+/// Anchors after runs that ended with some of their own, see settle_anchors.
+CLOTH_API int cloth_contact_settle(const Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
+                                   const double* weights, const double* ends, double* out) {
+    return guarded([&] { cloth::settle_anchors(*plan, t, x, v, runs, weights, ends, out); });
 }
 /// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
 CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration, const double* x0, const double* x1,

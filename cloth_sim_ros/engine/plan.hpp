@@ -142,6 +142,7 @@ struct Run {
     double* powers;         ///< time integrals of lost and given power [J], or null
     double* touched = nullptr;  ///< (obstacles, booked_numbers), then what `Touched` has, or null
     bool books = false;         ///< whether what obstacles do is booked
+    double* anchors = nullptr;  ///< those at the end, (obstacles, anchor_numbers, n), or null
 };
 
 enum class Done : int { well, callback_failed };

@@ -88,7 +88,6 @@ class Plan:
         # Not at exit: a daemon's thread may still be at work with it.
         weakref.finalize(self, self._library.cloth_plan_free, self._handle).atexit = False
         parts.hand_over(self._handle)
-        #: Contact with obstacles, where the model has any.
         self.contact: Touching | None = None
         if parts.contact is not None:
             from cloth_sim_ros.physics.touching import Touching
@@ -239,7 +238,11 @@ class Plan:
         frame.narrow, frame.powers, frame.books, frame.bands = narrow, powers, touches, self._threads(threads)
         frame.x0, frame.v0 = doubles("x", x0, self._shape), doubles("v", v0, self._shape)
         frame.out, frame.notes = address(out), address(notes)
-        frame.result = frame.told = None
+        frame.result = frame.told = frame.anchors = None
+        anchors = None
+        if self.contact is not None and self.contact.force.rough:
+            anchors = np.empty((count, *self.contact.anchors_shape))
+            frame.anchors = address(anchors)
         result = out[0]
         if weights is not None:
             self._weights[:count] = list(weights)
@@ -252,10 +255,10 @@ class Plan:
         lost, met = notes[:, noted : noted + 2], notes[:, noted + 2 :]
         size = BOOKED_NUMBERS * obstacles
         booked = met[:, :size].reshape(count, obstacles, BOOKED_NUMBERS)
-        runs = [
-            Run(out[k, 0], out[k, 1], grips[k], lost[k], booked[k], *met[k, size : size + 2].tolist())
-            for k in range(count)
-        ]
+        reached, gaps = met[:, size : size + 2].T.tolist() if obstacles else ([0.0] * count, [math.inf] * count)
+        held = [None] * count if anchors is None else anchors
+        notes_of = zip(grips, lost, booked, reached, gaps, held, strict=True)
+        runs = [Run(*out[k], *each) for k, each in enumerate(notes_of)]
         if weights is None:
             return runs, None
         rates = self.rates(result[0]) if self._own else (self._told[1], self._told[2])
@@ -286,10 +289,6 @@ class Plan:
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return what contact may add to `rates` from time t on, within a duration [s]."""
         return (0.0, 0.0) if self.contact is None else self.contact.ahead(t, duration, x, v)
-
-    def contact_limits(self, energy: float) -> tuple[float, float]:
-        """Return what contact adds to `rates` that has taken up an energy per mass, in U^2/2."""
-        return (0.0, 0.0) if self.contact is None else self.contact.limits(energy)
 
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x.
@@ -397,4 +396,5 @@ class Plan:
 
     def narrows(self) -> bool:
         """Whether single precision would make a difference to runs."""
-        return not self._own
+        # An anchor's spring gives by less than single precision tells apart.
+        return not self._own and (self.contact is None or not self.contact.force.rough)

@@ -189,6 +189,8 @@ class Sleep(Remembered):
     used: float = number(0.0, least=0.0)
 
 
+#: Name of friction's anchors, shape (obstacles, 4, particles).
+ANCHORS = "contact.anchors"
 #: Names of what lies beside it, shape (3, particle_count): positions [m] at the start of the watched second, and
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")

@@ -23,6 +23,8 @@ class Run(NamedTuple):
     touches: Array
     reached: float = 0.0
     gap: float = math.inf
+    #: Friction's anchors at its end; None without friction.
+    anchors: Array | None = None
 
 
 class Told(NamedTuple):

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics import npz, state_memory
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import BEFORE
+from cloth_sim_ros.physics.remembered import ANCHORS, BEFORE
 
 _FRAME = "frame"
 _POSITION = "position"
@@ -107,6 +107,13 @@ class State:
         twin.left_out = self.left_out
         twin.memory = dict(self.memory)
         return twin
+
+    def go_back(self, start: State) -> None:
+        """Take back positions, velocities and friction's anchors: what a stretch of time changes itself."""
+        self.x, self.v = start.x, start.v
+        self.memory.pop(ANCHORS, None)
+        if ANCHORS in start.memory:
+            self.memory[ANCHORS] = start.memory[ANCHORS]
 
     def restore(self, other: State) -> None:
         """Take over all of another state."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cloth_sim_ros.physics.remembered import RULES, SLEEP_ARRAYS, SLEEP_VELOCITY, Remembered, Sleep
+from cloth_sim_ros.physics.remembered import ANCHORS, RULES, SLEEP_ARRAYS, SLEEP_VELOCITY, Remembered, Sleep
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
@@ -60,6 +60,9 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             _check_one(name, memory[name], _FLOAT, (3, particle_count))
     if SLEEP_VELOCITY in memory and Sleep.key not in memory:
         raise ValueError(f"memory '{Sleep.key}' is missing; a state that sleeps has it")
+    if ANCHORS in memory:
+        anchors = memory[ANCHORS]
+        _check_one(ANCHORS, anchors, _FLOAT, (len(anchors) if anchors.ndim else 0, 4, particle_count))
     rules: list[type[Remembered]] = [*RULES, Sleep]
     for rule in rules:
         if rule.key in memory:

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from cloth_sim_ros.engine.binding import (
+    ANCHOR_NUMBERS,
     BOOKED_NUMBERS,
     PATH_NUMBERS,
     SHAPES,
@@ -20,6 +22,8 @@ from cloth_sim_ros.engine.binding import (
 )
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.state import State
 
 #: A part is stepped for so many times the energy that contact is expected to take up: neighbours may push, too.
 _EXPECTED = 1.5
@@ -38,6 +42,7 @@ class Touching:
         self._library, self._handle, self.force = library(), handle, contact
         self._shape = (3, particle_count)
         self._seen = self._moved = -1
+        self._taken: Array | None = None
 
     @property
     def count(self) -> int:
@@ -60,12 +65,52 @@ class Touching:
             for row, obstacle in zip(sizes, force.obstacles, strict=True):
                 row[: len(obstacle.size)] = obstacle.size
             radii = np.array([obstacle.reach for obstacle in force.obstacles], dtype=np.float64)
-            arrays = (array.ctypes.data for array in (shapes, sizes, radii, paths))
-            numbers = force.thickness, force.damping
+            frictions = np.array([obstacle.friction for obstacle in force.obstacles], dtype=np.float64)
+            arrays = (array.ctypes.data for array in (shapes, sizes, radii, frictions, paths))
+            numbers = force.thickness, force.damping, force.frequency
+            self._taken = None
             check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *numbers))
         else:
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
         self._seen, self._moved = force.changes, force.moves
+
+    @property
+    def anchors_shape(self) -> tuple[int, int, int]:
+        """Shape of anchors: obstacles; place in the obstacle's frame [m] and bond (none, sticks, slides); particles."""
+        return (self.count, ANCHOR_NUMBERS, self._shape[1])
+
+    def take(self, state: State) -> None:
+        """Let what follows start with the anchors of a state; a state without any, or of other obstacles, has none."""
+        self.sync()
+        if not self.force.rough:
+            return
+        anchors = state.memory.get(ANCHORS)
+        if anchors is None or anchors.shape != self.anchors_shape:
+            anchors = np.zeros(self.anchors_shape)
+        if anchors is not self._taken:
+            check(self._library.cloth_contact_anchors(self._handle, doubles(ANCHORS, anchors, self.anchors_shape)))
+            self._taken = anchors
+
+    def settle(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
+        """Return the anchors of a state that combines runs by weights, from those that each run ended with.
+
+        Args:
+            t: time of the state [s].
+            x: its positions.
+            v: its velocities.
+            ends: anchors of each run, shape (runs, *anchors_shape).
+            weights: of the runs.
+        """
+        out, factors = np.empty(self.anchors_shape), np.array(weights, dtype=np.float64)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        places = factors.ctypes.data, doubles("ends", ends, (len(weights), *self.anchors_shape)), address(out)
+        check(self._library.cloth_contact_settle(self._handle, t, *addresses, len(weights), *places))
+        return out
+
+    def follow(self, t: float, state: State) -> None:
+        """Let the anchors of a state that has moved follow it."""
+        if self.force.rough and self._taken is not None:
+            state.memory[ANCHORS] = self.settle(t, state.x, state.v, self._taken[None], [1.0])
 
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return squared frequency [1/s^2] and damping rate [1/s] that contact may come to within a duration [s]: where

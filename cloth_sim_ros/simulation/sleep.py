@@ -95,6 +95,8 @@ class Sleep:
         model = self._plan.model
         if not self._tolerance or not self._steady() or state.v[:, model.anchors].any():
             return False
+        if self._plan.contact is not None:
+            self._plan.contact.take(state)
         acceleration = np.empty_like(state.x)
         self._plan.accelerations(t, state.x, np.zeros_like(state.v), acceleration)
         coordinate = max(float(state.x.max()), -float(state.x.min()))

@@ -241,6 +241,30 @@ def contact(t, x, v, force, masses):
     return Values(f, energy, float(booked[:, 7].sum())), booked
 
 
+def friction(way, normal, slip, push, rough, frequency, slid):
+    """Acceleration of friction, by how much its spring is stretched then, and whether it slides, for one contact.
+
+    Args:
+        way: from the anchor to the particle.
+        normal: off the obstacle.
+        slip: velocity seen from the obstacle.
+        push: acceleration across the surface.
+        rough: coefficients at rest and in motion.
+        frequency: of the spring; its damping is a tenth of critical.
+        slid: whether it slid.
+    """
+    across = np.eye(3) - np.outer(normal, normal)
+    stretch, speed = across @ way, across @ slip
+    slides = frequency**2 * np.linalg.norm(stretch) > push * rough[1 if slid else 0]
+    if slides:
+        stretch = stretch / np.linalg.norm(stretch) * push * rough[1] / frequency**2
+    spring, damped = frequency**2 * stretch, 0.2 * frequency * speed
+    most = push * rough[1 if slides else 0]
+    # As much damping as leaves the sum within the cone: |spring + part damped|^2 = most^2.
+    part = max(np.roots([damped @ damped, 2.0 * spring @ damped, spring @ spring - most**2]).real)
+    return -spring - min(max(part, 0.0), 1.0) * damped, stretch, slides
+
+
 def values(force, t, x, v, masses):
     """What one of the engine's forces is worth, by the laws above."""
     if isinstance(force, Contact):

@@ -10,8 +10,9 @@ from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control.choice import Options
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
+from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Stability, Touch
+from cloth_sim_ros.physics.remembered import Stability
 from cloth_sim_ros.physics.state import State
 
 
@@ -26,7 +27,7 @@ class Effort:
     stability: Stability
     energy: EnergyRule
     precision: PrecisionRule
-    touch: Touch
+    touch: TouchRule
     #: Length of the advance [s].
     duration: float
     #: Most force evaluations, and what the calls of one part cost, in force evaluations.
@@ -41,8 +42,6 @@ class Effort:
     spent: bool = False
     lost: bool = False
     narrow: bool = False
-    #: Largest energy that contact held, see `Touch`.
-    held: float = 0.0
 
     def affords(self, work: float) -> bool:
         """Whether so many force evaluations more fit the cap."""

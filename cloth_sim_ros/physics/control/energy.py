@@ -17,8 +17,10 @@ import numpy as np
 from cloth_sim_ros.physics.arrays import weighted_dot
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.columns import Columns
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy
+from cloth_sim_ros.physics.state import State
 
 #: Rounding of a sum of energies, relative to it; coordinates of a sheet at rest are off by so many roundings.
 _ROUNDING, _ROUNDINGS = 1e-12, 8.0
@@ -94,3 +96,16 @@ def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
     plan.accelerations(t, x + 0.5 * step * v, still, ahead)
     plan.accelerations(t, x - 0.5 * step * v, still, back)
     return plan.energy(t, x, v) + 0.125 * step * weighted_dot(plan.model.masses, v, ahead - back)
+
+
+def put_in(plan: Plan, state: State, columns: Columns, t: float, count: int) -> tuple[float, int]:
+    """Return the work [J] that grippers, obstacles and moving air did over T_K, K = count, from a state at t [s] on,
+    and the force evaluations that it took to tell.
+    """
+    x, v = columns.combine(count)
+    moved = plan.contact is not None and not plan.contact.force.steady()
+    if not (moved or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+        return columns.work(count), 0
+    # The work of air and of obstacles is noted on demand alone.
+    noted = Columns(plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=columns.narrow)
+    return noted.work(count), noted.evaluations

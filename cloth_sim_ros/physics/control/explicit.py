@@ -18,6 +18,7 @@ from cloth_sim_ros.physics.control.fallback import finish, part_cost, within_rea
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
+from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.columns import RATIOS
 from cloth_sim_ros.physics.plan import Plan
@@ -71,7 +72,7 @@ class ExplicitAdvance:
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state)),
             precision=PrecisionRule(plan, precision, duration, budget),
-            touch=Touch.of(state),
+            touch=TouchRule(options, plan, Touch.of(state), memory),
             duration=duration,
             cap=work_cap(plan, options.work, duration, memory.longest, self._fallen),
             part_cost=part_cost(plan),
@@ -103,19 +104,16 @@ class ExplicitAdvance:
         try:
             error = whole.cover()
         except UnstableError:
-            state.x, state.v = start.x, start.v
+            state.go_back(start)
             raise
         if error is None:
-            state.x, state.v = start.x, start.v
+            state.go_back(start)
             return self._finish()
         if whole.pieces > 1:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
-        if self._plan.contact is not None:
-            if whole.choice.judge or whole.pieces > 1:
-                effort.touch.held = effort.held
-            effort.touch.store(state)
+        effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
         if self._fallen:
             Fallback().store(state)
         flagged = int(options.tolerance is not None and error > whole.rule.budget)

@@ -17,6 +17,7 @@ from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice
 from cloth_sim_ros.physics.control.effort import Effort
+from cloth_sim_ros.physics.control.energy import put_in
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.fallback import within_reach
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
@@ -29,8 +30,6 @@ from cloth_sim_ros.physics.state import State
 
 #: A stretch whose first run takes fewer steps is not halved: half of them would be too few to tell runs apart.
 _FEWEST_HALVED = 2 * UNDAMPED_STEPS
-#: The same where contact makes them many.
-_FEWEST_TOUCHING = 100
 #: Halvings of an advance: a ten thousandth of a microsecond is never what a motion is about.
 _MOST_HALVINGS = 24
 
@@ -67,7 +66,7 @@ class Stretch:
         self._effort, self._t, self._duration = effort, t, duration
         self.choice, self.rule = choice, rule
         self._stability, self._ahead, self._halvings, self._most = stability, ahead, halvings, most
-        self.limit = self._limit_with(effort.plan.ahead(t, duration, effort.state.x, effort.state.v))
+        self.limit = effort.touch.limit_ahead(t, duration, effort.state)
         #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
         self.steps = self.first = 0
         self.finest = math.inf
@@ -80,11 +79,6 @@ class Stretch:
         self._sums = Sums()
         self._counts_first = 0
         self._held = 0.0
-
-    def _limit_with(self, contact: tuple[float, float]) -> float:
-        """The step limit [s] of the sheet as it was last, and of contact with this squared frequency and damping."""
-        known = self._effort.stability
-        return self._effort.options.step_limit(known.omega2 + contact[0], known.damping + contact[1])
 
     @property
     def longest(self) -> float:
@@ -106,7 +100,7 @@ class Stretch:
                 return self._halves()
             effort.spent, self.choice = True, Choice(self.choice.columns, 1.0, True)
             effort.lost = self._duration > self._most * self.longest and within_reach(effort.plan)
-        if self._touches_for_a_moment():
+        if effort.touch.is_brief(self.longest, self._duration) and self._halvings < _MOST_HALVINGS:
             return self._halves(untried=True)
         while not effort.lost:
             error = self._attempt(start)
@@ -114,7 +108,7 @@ class Stretch:
                 error = self._to_the_end(error)
             if error is not None:
                 return error
-            state.x, state.v = start.x, start.v
+            state.go_back(start)
             memory.omega2, memory.damping = begun
             if book is not None and noted is not None:
                 book.go_back(noted)
@@ -123,17 +117,6 @@ class Stretch:
             if self._halve and not effort.lost:
                 return self._halves()
         return None
-
-    def _touches_for_a_moment(self) -> bool:
-        """Whether contact makes steps much shorter than the sheet does, over a stretch of many: rather halved untried,
-        for an impact is soon over.
-        """
-        effort = self._effort
-        if effort.plan.contact is None or effort.options.tolerance is None or self._halvings >= _MOST_HALVINGS:
-            return False
-        bare = min(CONSTANTS.safety * self._limit_with((0.0, 0.0)), self._duration)
-        steps = self._duration / self.longest
-        return bare > CONSTANTS.trust * self.longest and steps > 2.0 * _FEWEST_TOUCHING
 
     def _halves(self, *, untried: bool = False) -> float | None:
         """Cover both halves, each by what it needs."""
@@ -182,7 +165,7 @@ class Stretch:
             rule.judged(self.choice.columns, max(choice.refine, least), self._sums)
         else:
             rule.passed(choice.columns, self._sums)
-        self._effort.held = max(self._effort.held, self._held)
+        self._effort.touch.held = max(self._effort.touch.held, self._held)
         return self._sums.error
 
     def _parts(self, columns: int, steps: int) -> int:
@@ -206,23 +189,22 @@ class Stretch:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
         if not told.finite:
             # Contact that stops nothing any more: by finer steps it would have reached no further.
-            limit = self._limit_with(effort.plan.contact_limits(columns.reached(self.choice.columns)))
+            limit = effort.touch.limit(columns.reached(self.choice.columns))
             finer, self.limit = 2.0 if self.finest <= limit else 1.0, min(self.limit, limit)
             return self._instead(finer, "not finite")
         if not accepted:
             return False
         told = columns.told(self.choice.columns)
-        reached = effort.plan.contact_limits(max(columns.reached(self.choice.columns), told.contact))
-        limit = options.step_limit(told.omega2 + reached[0], told.damping + reached[1])
+        reached = max(columns.reached(self.choice.columns), told.contact)
+        limit = effort.touch.limit(reached, told.omega2, told.damping)
         if not self.finest <= limit:
             # The motion stiffened.
             self.limit = min(self.limit, limit)
             return self._instead(1.0, "not within their stability limit")
         choice = self.choice
         x, v = columns.combine(choice.columns)
-        if self._unknown() and effort.energy.looks(
-            memory.omega2, told.omega2 + reached[0], combined=choice.columns > 1
-        ):
+        after = math.inf if reached else told.omega2
+        if self._unknown() and effort.energy.looks(memory.omega2, after, combined=choice.columns > 1):
             ends = (t, state.x, state.v), (t + length, x, v)
             # A combination's energy does not swing.
             step = self.finest if choice.columns == 1 else 0.0
@@ -232,7 +214,7 @@ class Stretch:
         if effort.book is not None:
             columns.note(choice.columns, effort.book)
         self.steps += sum(columns.counts[: choice.columns])
-        state.x, state.v = x, v
+        columns.pass_on(choice.columns, state)
         return True
 
     def _unknown(self) -> bool:
@@ -240,19 +222,9 @@ class Stretch:
         return self._effort.options.tolerance is None or self._sums.error > self.rule.budget
 
     def _put_in(self, columns: Columns, t: float, count: int) -> float:
-        """Return the work [J] that grippers, obstacles and moving air did over a part that begins at t [s]."""
-        effort = self._effort
-        plan, state = effort.plan, effort.state
-        x, v = columns.combine(count)
-        moved = plan.contact is not None and not plan.contact.force.steady()
-        if not (moved or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
-            return columns.work(count)
-        # The work of air and of obstacles is noted on demand alone.
-        noted = Columns(
-            plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=columns.narrow
-        )
-        work = noted.work(count)
-        effort.evaluations += noted.evaluations
+        """Return the work [J] that was put into a part that begins at t [s]."""
+        work, evaluations = put_in(self._effort.plan, self._effort.state, columns, t, count)
+        self._effort.evaluations += evaluations
         return work
 
     def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
@@ -296,7 +268,7 @@ class Stretch:
         predicted = rule.predicted(choice.columns, difference, activity)
         held = columns.held(choice.columns)
         self._held = max(self._held, held)
-        if held > CONSTANTS.trust * effort.touch.held:
+        if effort.touch.is_harder(held):
             # Harder contact than in any part of what was judged, or the first one.
             predicted = math.inf
         if not choice.judge:
@@ -347,6 +319,8 @@ class Stretch:
         effort, last = self._effort, 0.5 * self.finest
         plan, x, v, t = effort.plan, effort.state.x, effort.state.v, self._t + self._duration
         here, there, sum_ = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+        if plan.contact is not None:
+            plan.contact.take(effort.state)
         plan.accelerations(t, x, v, here)
         sum_[:] = here
         for back, weight in ((0.25 * last, -4.0), (0.5 * last, 6.0), (0.75 * last, -4.0), (last, 1.0)):

@@ -26,6 +26,8 @@ class Contact(EngineForce):
         obstacles: what there is at first; names must differ.
         thickness: d [m], above 0.
         damping: kappa [s/m], at least 0: at speeds from 1 / kappa on much of a bounce is lost.
+        frequency: of the springs that hold sticking particles to their anchors [1/s], above 0. On a slope a particle
+            gives by about mu g / frequency^2.
 
     Raises:
         ValueError: for a thickness or damping out of range, a shape that the engine has no distance for, or two
@@ -36,11 +38,16 @@ class Contact(EngineForce):
     damped = True
     damps_waves = False
 
-    def __init__(self, obstacles: Sequence[Obstacle] = (), *, thickness: float, damping: float = 10.0) -> None:
+    def __init__(
+        self, obstacles: Sequence[Obstacle] = (), *, thickness: float, damping: float = 10.0, frequency: float = 2000.0
+    ) -> None:
         self.thickness = float(finite("contact thickness", thickness, ()))
         if self.thickness <= 0.0:
             raise ValueError(f"contact thickness is {thickness} m; it must be above 0")
         self.damping = float(finite("contact damping", damping, (), least=0.0))
+        self.frequency = float(finite("contact frequency", frequency, ()))
+        if self.frequency <= 0.0:
+            raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
         #: Count obstacles laid anew, and new paths, so that a plan knows when to look.
         self.changes = self.moves = 0
         self.surround(obstacles)
@@ -72,6 +79,11 @@ class Contact(EngineForce):
         """Set new paths, shape (m, PATH_NUMBERS), for the obstacles that there are."""
         self.paths = paths
         self.moves += 1
+
+    @property
+    def rough(self) -> bool:
+        """Whether any obstacle has friction."""
+        return any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         return (Surrounded(contact=self),)

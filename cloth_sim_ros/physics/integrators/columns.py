@@ -14,10 +14,13 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
+import numpy as np
+
 from cloth_sim_ros.physics.arrays import combine, largest_distance
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.state import State
 
@@ -145,6 +148,17 @@ class Columns:
         self._make(columns)
         return contact.held(min(run.gap for run in self._runs[:columns]))
 
+    def pass_on(self, columns: int, state: State) -> None:
+        """Let a state end as T_K, K = columns, does: its positions, velocities and friction's anchors."""
+        state.x, state.v = self.combine(columns)
+        contact = self._plan.contact
+        if contact is None or not contact.force.rough:
+            return
+        self._make(columns)
+        ends = np.array([run.anchors for run in self._runs[:columns]])
+        factors = weights(self.counts[:columns])
+        state.memory[ANCHORS] = contact.settle(self._t + self.duration, state.x, state.v, ends, factors)
+
     def work(self, columns: int) -> float:
         """Return the work [J] that grippers did over T_K, K = columns, and obstacles and air where these are noted."""
         book = Book(self._plan.gripper_count, powers=self._powers, obstacle_count=self._plan.obstacle_count)
@@ -163,6 +177,8 @@ class Columns:
         made = len(self._runs)
         if made >= columns:
             return
+        if self._plan.contact is not None:
+            self._plan.contact.take(self._start)
         steps, whole = self.counts[made:columns], made == 0
         runs, result = self._plan.runs(
             self._t,

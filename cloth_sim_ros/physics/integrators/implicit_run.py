@@ -163,11 +163,13 @@ class ImplicitAdvance:
         h = self._duration / steps
         self._close = _CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._unsolved = math.inf, 0
-        state, total = self._state, 0.0
+        state, total, contact = self._state, 0.0, self._plan.contact
         guess = np.empty_like(state.x)
         self._plan.accelerations(self._t, state.x, state.v, guess)
         for k in range(steps):
             t = self._t + k * h
+            if contact is not None:
+                contact.take(state)
             done = self._step(t, h, guess)
             if self._safe and (done is None or self._makes_energy(t, h, done)):
                 # Better unsolved than unstable.
@@ -179,6 +181,8 @@ class ImplicitAdvance:
                 for moment, weight, x, v in done.stages:
                     note(self._book, self._plan, moment, x, v, weight)
             state.x, state.v, guess = done.x, done.v, done.a
+            if contact is not None:
+                contact.follow(t + h, state)
             total += done.error
         return total if np.isfinite(state.x).all() and np.isfinite(state.v).all() else None
 

@@ -47,11 +47,15 @@ class SymplecticEuler(Integrator):
 
         def run(h: float, steps: int) -> int:
             for k in range(steps):
+                if plan.contact is not None:
+                    plan.contact.take(state)
                 plan.accelerations(t + k * h, state.x, state.v, a)
                 if book is not None:
                     note(book, plan, t + k * h, state.x, state.v, h)
                 state.v += h * a
                 state.x += h * state.v
+                if plan.contact is not None:
+                    plan.contact.follow(t + (k + 1) * h, state)
             return steps
 
         return advance_fixed(self, run, plan, state, t, duration, self.step, book)

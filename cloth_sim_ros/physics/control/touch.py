@@ -1,0 +1,73 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rule of contact: what it adds to the step limit before it touches and after, and when it is judged anew."""
+
+from __future__ import annotations
+
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.choice import Options
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import Stability, Touch
+from cloth_sim_ros.physics.state import State
+
+#: A stretch whose first run takes fewer steps is not halved because contact makes them short.
+_FEWEST = 200
+
+
+class TouchRule:
+    """Of one advance; scenes without obstacles are told that nothing touches.
+
+    Args:
+        options: what is asked for.
+        plan: equations of motion.
+        memory: what was remembered.
+        stability: what is known of the sheet.
+    """
+
+    def __init__(self, options: Options, plan: Plan, memory: Touch, stability: Stability) -> None:
+        self._options, self._plan, self._memory, self._stability = options, plan, memory, stability
+        #: Largest energy that contact held in the advance, see `Touch`.
+        self.held = 0.0
+
+    @property
+    def bare(self) -> float:
+        """Step limit [s] of the sheet as it was last, without contact."""
+        return self._options.step_limit(self._stability.omega2, self._stability.damping)
+
+    def limit_ahead(self, t: float, duration: float, state: State) -> float:
+        """Return the step limit [s] for a duration [s] from a state at time t on."""
+        contact, known = self._plan.contact, self._stability
+        if contact is None:
+            return self.bare
+        omega2, damping = contact.ahead(t, duration, state.x, state.v)
+        return self._options.step_limit(known.omega2 + omega2, known.damping + damping)
+
+    def limit(self, energy: float, omega2: float | None = None, damping: float | None = None) -> float:
+        """Return the step limit [s] of contact that had to take up an energy, and a sheet of these rates."""
+        omega2 = self._stability.omega2 if omega2 is None else omega2
+        damping = self._stability.damping if damping is None else damping
+        if self._plan.contact is not None:
+            stiff, damped = self._plan.contact.limits(energy)
+            omega2, damping = omega2 + stiff, damping + damped
+        return self._options.step_limit(omega2, damping)
+
+    def is_brief(self, longest: float, duration: float) -> bool:
+        """Whether contact makes steps much shorter than the sheet does, over a stretch [s] of many: it is rather halved
+        untried, for an impact is soon over.
+        """
+        if self._plan.contact is None or self._options.tolerance is None:
+            return False
+        bare = min(CONSTANTS.safety * self.bare, duration)
+        return bare > CONSTANTS.trust * longest and duration > _FEWEST * longest
+
+    def is_harder(self, held: float) -> bool:
+        """Whether contact held more energy than in the frame that was judged last: nothing is known of it."""
+        return held > CONSTANTS.trust * self._memory.held
+
+    def store(self, state: State, *, judged: bool) -> None:
+        """Remember a frame, judged or not."""
+        if self._plan.contact is None:
+            return
+        if judged:
+            self._memory.held = self.held
+        self._memory.store(state)

@@ -1,0 +1,229 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Friction: Coulomb's cone, anchors that don't move inside it, and what runs and states make of them."""
+
+import attrs
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support import laws
+from support.alone import alone, force, product
+from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, moving, near, still
+
+from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.state import State
+
+FRAME = 1.0 / 60.0
+COUNT = 40
+every_shape = pytest.mark.parametrize("shape", SHAPES)
+
+
+def about(shape, rough=(0.6, 0.4), frequency=2000.0, seed=0):
+    """One moving obstacle with friction, particles in contact, and anchors near them: none, sticking and sliding."""
+    rng = np.random.default_rng(seed)
+    path = moving(seed)
+    obstacle = attrs.evolve(SHAPES[shape], friction=rough)
+    own = contact(obstacle, paths=[path])
+    own.frequency = frequency
+    x = near(obstacle, path, 0.3, COUNT, rng, deepest=0.6, farthest=0.97)
+    v = 0.3 * rng.normal(size=x.shape)
+    masses = rng.uniform(0.5, 2.0, COUNT)
+    plan = alone(own, masses=masses)
+    place, _, rotation, _ = laws.pose(path, 0.3)
+    anchors = np.zeros((1, 4, COUNT))
+    anchors[0, 3] = rng.integers(0, 3, COUNT)
+    anchors[0, :3] = rotation.T @ (x - place[:, None]) + 10.0 ** rng.uniform(-6, -2, COUNT) * rng.normal(size=x.shape)
+    anchors[0, :3] *= anchors[0, 3] > 0.0
+    state = State(x.T, v.T, memory={ANCHORS: anchors})
+    plan.contact.take(state)
+    return own, plan, masses, x, v, anchors
+
+
+def by_formulas(own, masses, x, v, anchors):
+    """Forces (3, n), anchors that were dragged, and the power lost, by the formulas of friction one by one."""
+    plain, _ = laws.contact(0.3, x, v, own, masses)
+    total, dragged, lost = plain.force.copy(), anchors.copy(), plain.lost
+    place, velocity, rotation, turning = laws.pose(own.paths[0], 0.3)
+    for i in range(x.shape[1]):
+        arm = x[:, i] - place
+        here = rotation.T @ arm
+        _, normals = own.obstacles[0].distance(here[None])
+        normal = rotation @ normals[0]
+        bond = anchors[0, 3, i]
+        way = rotation @ (here - anchors[0, :3, i]) if bond else np.zeros(3)
+        slip = v[:, i] - velocity - turning @ here
+        push = plain.force[:, i] @ normal / masses[i]
+        rubs, stretch, slides = laws.friction(
+            way, normal, slip, push, own.obstacles[0].friction, own.frequency, bond == 2.0
+        )
+        total[:, i] += masses[i] * rubs
+        lost -= masses[i] * (rubs @ slip + (0.0 if slides else own.frequency**2 * stretch @ slip))
+        if slides:
+            dragged[0, :3, i] = here - rotation.T @ stretch
+        elif not bond:
+            dragged[0, :3, i] = here
+        dragged[0, 3, i] = 2.0 if slides else 1.0
+    return total, dragged, lost
+
+
+@every_shape
+def test_forces_and_anchors_are_those_of_the_formulas(shape):
+    own, plan, masses, x, v, anchors = about(shape)
+    expected, dragged, lost = by_formulas(own, masses, x, v, anchors)
+    plain, _ = laws.contact(0.3, x, v, own, masses)
+    assert np.abs(expected - plain.force).max() > 10.0
+    scale = np.abs(expected).max()
+    assert force(plan, x, v, 0.3) == pytest.approx(expected, rel=1e-8, abs=1e-9 * scale)
+    assert plan.contact.rates(0.3, x, v)[0, :3] == pytest.approx(-expected.sum(axis=1), abs=1e-9 * scale * COUNT)
+    assert plan.dissipation(0.3, x, v) == pytest.approx(lost, rel=1e-8)
+    found = plan.contact.settle(0.3, x, v, anchors[None], [1.0])
+    assert found == pytest.approx(dragged, abs=1e-12)
+    # Inside the cone not a bit moves.
+    stays = (dragged[0] == anchors[0]).all(axis=0)
+    assert stays.any()
+    assert np.array_equal(found[0][:, stays], anchors[0][:, stays])
+
+
+@every_shape
+def test_the_derivative_product_has_friction_in_it(shape):
+    _, plan, _, x, v, _ = about(shape, frequency=300.0)
+    rng = np.random.default_rng(2)
+    dx, dv, zero = rng.normal(size=x.shape), rng.normal(size=x.shape), np.zeros_like(x)
+    by_speed = (force(plan, x, v + 1e-6 * dv, 0.3) - force(plan, x, v - 1e-6 * dv, 0.3)) / 2e-6
+    by_place = (force(plan, x + 1e-9 * dx, v, 0.3) - force(plan, x - 1e-9 * dx, v, 0.3)) / 2e-9
+    assert product(plan, x, v, zero, dv, 0.3) == pytest.approx(by_speed, abs=1e-4 * np.abs(by_speed).max())
+    assert product(plan, x, v, dx, zero, 0.3) == pytest.approx(by_place, abs=1e-3 * np.abs(by_place).max())
+
+
+def on_a_slope(rough, degrees, frames, *, count=6, listed=False, tolerance=1e-4, integrator="auto"):
+    """Mean places (frames, 3) along a slope of a sheet that is laid on it at rest, its plan and its state."""
+    turn = Rotation.from_euler("y", degrees, degrees=True)
+    slope = Obstacle(name="slope", shape="plane", friction=rough)
+    own = contact(slope, paths=[still(orientation=turn.as_quat())])
+    model, places = flat_sheet(count, count, own, size=0.3, drag=False, listed=listed)
+    plan, state, steps = drop(
+        model, turn.apply(places + np.array([0.0, 0.0, 0.98 * THICKNESS])), tolerance=tolerance, integrator=integrator
+    )
+    means = []
+    for k in range(frames):
+        steps.advance(plan, state, k * FRAME, FRAME)
+        means.append(turn.inv().apply(state.positions).mean(axis=0))
+    return np.array(means), plan, state
+
+
+@pytest.mark.parametrize("listed", [False, True])
+@pytest.mark.parametrize("mu", [0.1, 0.5, 1.0])
+def test_a_sheet_slips_within_a_tenth_of_a_degree_of_the_angle_of_friction(mu, listed):
+    steep = np.degrees(np.arctan(mu))
+    below, _, state = on_a_slope((mu, mu), steep - 0.1, 60, listed=listed)
+    # It settles first; then nothing moves by a nanometre, and no anchor by a bit.
+    assert np.abs(below[-1] - below[-30]).max() < 1e-9
+    assert (state.memory[ANCHORS][0, 3] == 1.0).all()
+    above, _, state = on_a_slope((mu, mu), steep + 0.1, 60, listed=listed)
+    assert above[-1, 0] - above[0, 0] > 1e-3
+    assert (state.memory[ANCHORS][0, 3] == 2.0).all()
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.5, 1.0])
+def test_a_sheet_that_slides_is_accelerated_by_what_kinetic_friction_leaves(mu):
+    steep = np.degrees(np.arctan(mu)) + 5.0
+    means, _, _ = on_a_slope((mu, 0.8 * mu), steep, 45)
+    angle = np.radians(steep)
+    expected = 9.81 * (np.sin(angle) - 0.8 * mu * np.cos(angle))
+    found = (means[-1, 0] - 2.0 * means[-16, 0] + means[-31, 0]) / (15 * FRAME) ** 2
+    assert found == pytest.approx(expected, rel=1e-2)
+
+
+def test_no_anchor_moves_by_a_bit_while_a_sheet_sticks():
+    # On its way to rest the push swings, and with it the cone: it is a state of rest that is asked about.
+    _, plan, state = on_a_slope((0.5, 0.5), 20.0, 60)
+    kept = state.memory[ANCHORS].copy()
+    _, _, steps = drop(plan.model, state.positions, tolerance=1e-4)
+    for k in range(60):
+        steps.advance(plan, state, 1.0 + k * FRAME, FRAME)
+        assert np.array_equal(state.memory[ANCHORS], kept)
+    assert np.abs(state.v).max() < 1e-9
+
+
+@pytest.mark.parametrize("integrator", ["leapfrog", "implicit", "symplectic_euler"])
+def test_every_integrator_holds_a_sheet_on_a_slope(integrator):
+    tolerance = None if integrator == "symplectic_euler" else 1e-4
+    means, _, state = on_a_slope((0.5, 0.5), 20.0, 40, tolerance=tolerance, integrator=integrator)
+    # Implicit steps are as long as a frame, and anchors follow after each of them: rest is found more slowly.
+    assert np.abs(means[-1] - means[-15]).max() < (1e-5 if integrator == "implicit" else 1e-6)
+    assert (state.memory[ANCHORS][0, 3] == 1.0).all()
+
+
+def test_friction_takes_energy_and_the_balance_closes():
+    table = Obstacle(name="table", shape="plane", friction=(0.5, 0.3))
+    model, places = flat_sheet(10, 10, contact(table), size=0.3, drag=False)
+    places[:, 2] = 0.98 * THICKNESS
+    plan, state, integrator = drop(model, places, (1.0, 0.3, 0.0), tolerance=1e-5)
+    balance = EnergyBalance(plan, state)
+    energy = plan.energy(0.0, state.x, state.v)
+    for k in range(30):
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        residual = balance.close((k + 1) * FRAME, state)
+        now = plan.energy(0.0, state.x, state.v)
+        assert now <= energy * (1.0 + 1e-6)
+        energy = now
+    assert np.abs(state.v).max() < 1e-3
+    # 1.044 m/s come to rest within v^2 / (2 mu g).
+    way = np.linalg.norm(state.x[:2].mean(axis=1))
+    assert way == pytest.approx((1.0 + 0.09) / (2.0 * 0.3 * 9.81), rel=1e-2)
+    assert abs(residual) < 1e-3 * balance.turned_over
+
+
+def test_a_sheet_is_carried_by_a_table_that_speeds_up_gently():
+    table = Obstacle(name="table", shape="plane", friction=(0.5, 0.5))
+    path = still()
+    own = contact(table, paths=[path])
+    model, places = flat_sheet(8, 8, own, size=0.3, drag=False)
+    places[:, 2] = 0.98 * THICKNESS
+    plan, state, integrator = drop(model, places, tolerance=1e-4)
+    for k in range(40):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+    # 2 m/s^2 are less than mu g: x = t^2 from t = 40 frames on.
+    path[0], path[7] = 40 * FRAME, 1.0
+    own.move(path[None])
+    start = state.x.copy()
+    for k in range(40, 70):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+    gone = state.x[0] - start[0]
+    assert gone == pytest.approx(np.full(64, (30 * FRAME) ** 2), abs=1e-5)
+    assert (state.memory[ANCHORS][0, 3] == 1.0).all()
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_no_bit_depends_on_threads(listed):
+    ball = attrs.evolve(SHAPES["sphere"], friction=(0.5, 0.3))
+    path = still((0.05, 0.02, -0.2 - THICKNESS))
+    path[4:7], path[17:20] = [0.1, -0.2, 0.5], [0.3, -0.4, 1.0]
+    model, places = flat_sheet(40, 31, contact(ball, paths=[path]), listed=listed)
+    plan = compile(model)
+    x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
+    v[2] = -1.0
+    runs = [plan.runs(0.0, 0.02, (x, v), [700], touches=True, threads=threads)[0][0] for threads in (1, 2, 3, 8)]
+    assert np.count_nonzero(runs[0].anchors[0, 3]) > 3
+    for run in runs[1:]:
+        for one, other in zip(runs[0], run, strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_a_state_that_goes_on_from_its_bytes_has_the_same_bits():
+    ball = attrs.evolve(SHAPES["sphere"], friction=(0.5, 0.3))
+    own = contact(ball, paths=[still((0.03, 0.02, -0.2 - 1.5 * THICKNESS))])
+    model, places = flat_sheet(9, 9, own, size=0.4)
+    plan, state, integrator = drop(model, places, tolerance=1e-4)
+    for k in range(8):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+    assert state.memory[ANCHORS].any()
+    again = State.from_bytes(state.to_bytes())
+    other = compile(model)
+    for k in range(8, 11):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+        integrator.advance(other, again, k * FRAME, FRAME)
+        assert state.digest() == again.digest()
