@@ -89,6 +89,7 @@ soak: $(DEV) engine
 	@$(BIN)/python test/soak_session_kills.py --count 500
 	@$(BIN)/python test/soak_verify.py --sessions 200
 	@$(BIN)/python test/soak_accuracy.py --sessions 30
+	@$(BIN)/python test/soak_sleep.py --seconds 60
 
 bench: $(DEV) engine
 	@$(BIN)/cloth_bench $(ARGS)

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice
 from cloth_sim_ros.physics.control.effort import Effort
+from cloth_sim_ros.physics.control.ending import EVALUATIONS, missed_velocity
 from cloth_sim_ros.physics.control.energy import put_in
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.fallback import within_reach
@@ -129,7 +127,9 @@ class Stretch:
             budget = max(0.5 * self.rule.budget, (self.rule.budget - spent) * k)
             stability = StabilityRule(effort.plan, effort.stability, effort.state, half)
             rule = self.rule.of_stretch(Error(part=half), budget, effort.state, stability)
-            ahead = self._ahead + (self._work_later(half) if k == 0 else 0.0)
+            # The other half may go on by steps as long as they were.
+            later = half * self.choice.refine / (CONSTANTS.safety * effort.stability.longest)
+            ahead = self._ahead + (max(1.0, later) * sum(RATIOS[: self.choice.columns + 1]) if k == 0 else 0.0)
             t, deeper = self._t + k * half, self._halvings + 1
             child = Stretch(effort, t, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
             # It begins with the steps that were too long for the whole.
@@ -208,7 +208,9 @@ class Stretch:
             ends = (t, state.x, state.v), (t + length, x, v)
             # A combination's energy does not swing.
             step = self.finest if choice.columns == 1 else 0.0
-            if effort.energy.exceeds(*ends, step, self._put_in(columns, t, choice.columns)):
+            work, evaluations = put_in(effort.plan, state, columns, t, choice.columns)
+            effort.evaluations += evaluations
+            if effort.energy.exceeds(*ends, step, work):
                 return self._instead(2.0, "making energy from nowhere")
         memory.omega2, memory.damping = told.omega2, told.damping
         if effort.book is not None:
@@ -220,12 +222,6 @@ class Stretch:
     def _unknown(self) -> bool:
         """Whether the error vouches for nothing: then energy might come from nowhere."""
         return self._effort.options.tolerance is None or self._sums.error > self.rule.budget
-
-    def _put_in(self, columns: Columns, t: float, count: int) -> float:
-        """Return the work [J] that was put into a part that begins at t [s]."""
-        work, evaluations = put_in(self._effort.plan, self._effort.state, columns, t, count)
-        self._effort.evaluations += evaluations
-        return work
 
     def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
         """The runs of a part; those of the first are kept over attempts with the same steps."""
@@ -310,24 +306,11 @@ class Stretch:
         return not self._seek(wanted, refine, smooth=smooth)
 
     def _to_the_end(self, error: float) -> float | None:
-        """Return a stretch's error [m] with what its last step may have missed, None where that is too much.
-
-        Runs see forces at the middle of their steps. A force that changes at once in the last half step is seen by
-        none of them, and halving a stretch where it does leads right there. So accelerations over that half step are
-        compared: what their fourth difference does to the velocity in it. A smooth motion has next to none.
-        """
-        effort, last = self._effort, 0.5 * self.finest
-        plan, x, v, t = effort.plan, effort.state.x, effort.state.v, self._t + self._duration
-        here, there, sum_ = np.empty_like(x), np.empty_like(x), np.empty_like(x)
-        if plan.contact is not None:
-            plan.contact.take(effort.state)
-        plan.accelerations(t, x, v, here)
-        sum_[:] = here
-        for back, weight in ((0.25 * last, -4.0), (0.5 * last, 6.0), (0.75 * last, -4.0), (last, 1.0)):
-            plan.accelerations(t - back, x - back * v + (0.5 * back * back) * here, v - back * here, there)
-            sum_ += weight * there
-        effort.evaluations += 5
-        missed = last * largest_distance(sum_, np.zeros_like(sum_)) / self._slowest
+        """Return a stretch's error [m] with what its last half step may have missed, None where that is too much."""
+        effort = self._effort
+        end = self._t + self._duration
+        missed = missed_velocity(effort.plan, effort.state, end, 0.5 * self.finest) / self._slowest
+        effort.evaluations += EVALUATIONS
         error += missed
         if error <= self.rule.budget or effort.spent or error <= self.rule.floor(self.choice.columns):
             return error
@@ -344,7 +327,7 @@ class Stretch:
             smooth: whether combinations gained on one another, as they do where the motion is smooth.
         """
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
-        affordable = self._affords(columns, finer)
+        affordable = self.affords(columns, finer)
         if (not affordable or (not smooth and self._beyond_order(refine))) and self._can_halve():
             self._halve = True
             return True
@@ -372,7 +355,7 @@ class Stretch:
     def _can_halve(self) -> bool:
         """Whether the stretch has steps enough to be halved, and halves fit the cap as it did."""
         enough = self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
-        return enough and self._affords(self.choice.columns, self.choice.refine)
+        return enough and self.affords(self.choice.columns, self.choice.refine)
 
     def _difference(self, columns: Columns, count: int) -> float:
         """Return the error of a combination [m], the run that it takes counted."""
@@ -381,28 +364,15 @@ class Stretch:
         self._effort.evaluations += columns.evaluations - before
         return error
 
-    def _affords(self, columns: int, refine: float) -> bool:
+    def affords(self, columns: int, refine: float) -> bool:
         """Whether one more attempt fits what is left of the frame's work."""
-        return self._effort.affords(self._ahead + self._work(columns, refine))
+        return self._effort.affords(self._ahead + self.work(columns, refine))
 
-    def _work(self, columns: int, refine: float) -> float:
+    def work(self, columns: int, refine: float) -> float:
         """Force evaluations of an attempt that is judged, the calls that it takes included."""
         steps = self._duration / (CONSTANTS.safety * self.limit) * refine
         parts = self._parts(columns, math.ceil(steps))
         return steps * sum(RATIOS[: columns + 1]) + parts * (columns + 1 + self._effort.part_cost)
-
-    def _work_later(self, duration: float) -> float:
-        """Force evaluations of the present choice over a time [s] in which steps may be as long as they were."""
-        steps = duration * self.choice.refine / (CONSTANTS.safety * self._effort.stability.longest)
-        return max(1.0, steps) * sum(RATIOS[: self.choice.columns + 1])
-
-    def affords_first(self) -> bool:
-        """Whether the first attempt fits the cap."""
-        return self._affords(self.choice.columns, self.choice.refine)
-
-    def least_work(self) -> float:
-        """Force evaluations of an attempt by steps that stability alone sets."""
-        return self._work(self.choice.columns, 1.0)
 
     def _instead(self, finer: float, why: str) -> bool:
         """Try finer steps from the start, or give explicit ones up; return False.
@@ -415,7 +385,7 @@ class Stretch:
         if options.tolerance is not None and finer > 1.0 and self._beyond_order(2.0 * refine) and self._can_halve():
             self._halve = True
             return False
-        if self._affords(choice.columns, refine):
+        if self.affords(choice.columns, refine):
             self.choice = Choice(choice.columns, refine, choice.judge)
             if options.tolerance is None and finer > 1.0:
                 self.rule.refined(refine)

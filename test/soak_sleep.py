@@ -1,0 +1,127 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Slow motions, with sleep and without: `python test/soak_sleep.py [--seconds 60] [--only NAME]`.
+
+What sleep leaves out must stay within the tolerance. Exit status 1 if it does not somewhere.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+
+BASE = {
+    "cloth.resolution": [5, 6],
+    "cloth.size": [1.0, 1.25],
+    "material.stretch_modulus": 100.0,
+    "material.shear_modulus": 20.0,
+    "air.drag": 5.0,
+    "tolerance": 1e-3,
+    "rate": 30.0,
+}
+WEIGHTLESS: dict[str, Any] = {"gravity": [0.0, 0.0, 0.0]}
+Commands = Callable[[Simulation, int], list[Event]]
+
+
+def alone(_simulation: Simulation, _frame: int) -> list[Event]:
+    """Nobody touches it."""
+    return []
+
+
+def creeping(speed: float) -> Commands:
+    """A gripper that holds the last corner and creeps at a speed [m/s]: ten targets a second."""
+
+    def commands(simulation: Simulation, frame: int) -> list[Event]:
+        if frame == 0:
+            creeping.place = simulation.positions[-1].copy()  # type: ignore[attr-defined]
+            return [Target("gripper", tuple(creeping.place)), Grasp("gripper", True)]  # type: ignore[attr-defined]
+        if frame % 3:
+            return []
+        ahead = creeping.place + np.array([0.0, speed * frame / simulation.scene.rate, 0.0])  # type: ignore[attr-defined]
+        return [Target("gripper", tuple(ahead))]
+
+    return commands
+
+
+def pendulum(period: float) -> dict[str, Any]:
+    """A sheet hung by its upper edge, set askew, in a gravity by which it swings slowly [s], almost without air."""
+    return {
+        "gravity": [0.3 * 4.0 * math.pi**2 / period**2, 0.0, -(4.0 * math.pi**2) / period**2],
+        "air.drag": 0.02,
+        "cloth.anchors": ["top"],
+    }
+
+
+def motions() -> dict[str, tuple[dict[str, Any], Commands]]:
+    """All of them, by name."""
+    wind = {f"wind of {speed:g} m/s": {"wind.velocity": [0.0, speed, 0.0]} for speed in (1e-4, 1e-3)}
+    found: dict[str, tuple[dict[str, Any], Commands]] = {}
+    for speed in (1e-6, 1e-5, 1e-4, 1e-3):
+        found[f"gripper at {speed:g} m/s"] = ({}, creeping(speed))
+    found["gripper at 1e-05 m/s, weightless"] = (WEIGHTLESS, creeping(1e-5))
+    for name, values in wind.items():
+        found[name] = (values, alone)
+        found[f"{name}, weightless"] = ({**values, **WEIGHTLESS, "cloth.anchors": [""]}, alone)
+        found[f"{name}, weightless, held"] = ({**values, **WEIGHTLESS}, alone)
+    for drag in (50.0, 200.0, 1000.0):
+        found[f"air of {drag:g} 1/s"] = ({"air.drag": drag}, alone)
+    found["falls in air of 1000 1/s"] = ({"air.drag": 1000.0, "cloth.anchors": [""]}, alone)
+    for period in (10.0, 30.0, 100.0, 300.0):
+        found[f"pendulum of {period:g} s"] = (pendulum(period), alone)
+    found["pendulum of 30 s, 1e-05 m"] = ({**pendulum(30.0), "tolerance": 1e-5}, alone)
+    return found
+
+
+def run(
+    values: dict[str, Any], commands: Commands, seconds: float, *, calm: float
+) -> Iterator[tuple[np.ndarray, bool]]:
+    """Positions and whether it sleeps, frame by frame, where a sheet must have been calm for so long [s]."""
+    simulation = Simulation(Scene.from_parameters({**BASE, **values}))
+    for frame in range(round(seconds * simulation.scene.rate)):
+        known, CONSTANTS.calm = CONSTANTS.calm, calm
+        try:
+            simulation.advance(commands(simulation, frame))
+        finally:
+            CONSTANTS.calm = known
+        yield simulation.positions, simulation.asleep
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; its exit status."""
+    parser = argparse.ArgumentParser(description="What sleep leaves out must stay within the tolerance.")
+    parser.add_argument("--seconds", type=float, default=60.0, help="simulated time of each")
+    parser.add_argument("--only", help="part of a name")
+    options = parser.parse_args(arguments)
+    chosen = {name: each for name, each in motions().items() if (options.only or "") in name}
+    wrong = 0
+    for name, (values, commands) in tqdm(chosen.items(), unit="motion", disable=None):
+        most = slept = moved = 0.0
+        # Calm for ever: it never sleeps.
+        twins = (run(values, commands, options.seconds, calm=calm) for calm in (CONSTANTS.calm, math.inf))
+        first = None
+        for (x, asleep), (awake, _) in zip(*twins, strict=True):
+            first = awake if first is None else first
+            most = max(most, float(np.sqrt(((x - awake) ** 2).sum(axis=1)).max()))
+            moved = max(moved, float(np.abs(awake - first).max()))
+            slept += asleep
+        tolerance = {**BASE, **values}["tolerance"]
+        wrong += not most <= tolerance
+        part = slept / (options.seconds * BASE["rate"])
+        tqdm.write(f"{name}: {most:.2g} m off of {tolerance:g}, {moved:.2g} m moved, {part:.0%} asleep")
+    print(f"{len(chosen)} slow motions of {options.seconds:g} s, {wrong} beyond the tolerance")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
