@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import attrs
@@ -93,6 +95,47 @@ def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit:
     finally:
         for worker in pool:
             worker.end()
+
+
+def run_missing(
+    run: Callable[[C], R],
+    cases: Sequence[C],
+    *,
+    workers: int,
+    limit: float,
+    file: Path | None,
+    read: Callable[[dict[str, Any]], Done[C, R]],
+) -> Iterator[Done[C, R]]:
+    """Yield what became of each case: what a file has of it, else as `run_cases`, kept in the file as it comes.
+
+    Args:
+        run: as for `run_cases`.
+        cases: as for `run_cases`; none twice.
+        workers: number of processes.
+        limit: wall time of one case [s].
+        file: a line of JSON a case; None keeps nothing. A last line that was cut off counts for nothing.
+        read: makes of a line what was written.
+    """
+    known: dict[C, Done[C, R]] = {}
+    for line in file.read_text().splitlines() if file is not None and file.exists() else []:
+        try:
+            entry = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        done = read(entry)
+        known[done.case] = done
+    yield from (known[case] for case in cases if case in known)
+    left = [case for case in cases if case not in known]
+    for done in run_cases(run, left, workers=workers, limit=limit) if left else ():
+        if file is not None:
+            with file.open("a") as out:
+                out.write(json.dumps(attrs.asdict(done), default=_plain) + "\n")
+        yield done
+
+
+def _plain(number: Any) -> Any:
+    """A number of numpy as Python's own."""
+    return number.item()
 
 
 def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import argparse
 import os
+from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.bench.case_pool import Done, run_cases
+from cloth_sim_ros.bench.case_pool import Done, run_missing
 from cloth_sim_ros.bench.promise_judge import CALM, Judgement, Window, judge
 from cloth_sim_ros.bench.promise_scenes import CAP, draw
 from cloth_sim_ros.bench.report import Report, Table
@@ -44,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cap", type=float, default=CAP, metavar="WORK", help=f"see CAP in promise_scenes ({CAP:g})")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one a core)")
+    parser.add_argument(
+        "--resume", type=Path, metavar="FILE", help="keep what is found there as it comes, and run only what is missing"
+    )
     parser.add_argument(
         "--limit", type=float, default=1800.0, metavar="SECONDS", help="a scene that takes longer is ended, and broken"
     )
@@ -114,10 +118,21 @@ def progress(cases: list[_Case], options: argparse.Namespace) -> Any:
     """Yield what became of each scene as it ends; say so, and what is left."""
     from tqdm import tqdm
 
-    found = run_cases(_judge, cases, workers=options.jobs, limit=options.limit)
+    limits = {"workers": options.jobs, "limit": options.limit}
+    found = run_missing(_judge, cases, **limits, file=options.resume, read=_read)
     for done in tqdm(found, total=len(cases), unit="scene", smoothing=0.02, mininterval=1.0):
         tqdm.write(_line(done))
         yield done
+
+
+def _read(entry: dict[str, Any]) -> Done[_Case, Judgement]:
+    seed, index, windows = entry["case"]
+    result = entry["result"]
+    if result is not None:
+        result["windows"] = tuple(Window(**window) for window in result["windows"])
+        result["whole"] = result["whole"] and Window(**result["whole"])
+        result["unknown"] = tuple(result["unknown"])
+    return Done((seed, index, windows), result and Judgement(**result), entry["seconds"], entry["trouble"])
 
 
 def _judge(case: _Case) -> Judgement:

@@ -15,7 +15,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.bench.case_pool import run_cases
+from cloth_sim_ros.bench.case_pool import Done, run_missing
 from cloth_sim_ros.bench.promise_scenes import DENSITIES, log_uniform
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.physics.integrators.base import UnstableError
@@ -190,7 +190,8 @@ def violent(options: argparse.Namespace) -> Report:
     report = Report("Violent scenes", f"cloth_bench promise --violent --seed {options.seed} --count {options.count}")
     cases = [(options.seed, index) for index in range(options.count)]
     found: list[Violence] = []
-    done_cases = run_cases(run_violent, cases, workers=options.jobs, limit=options.limit)
+    limits = {"workers": options.jobs, "limit": options.limit}
+    done_cases = run_missing(run_violent, cases, **limits, file=options.resume, read=_read)
     for done in tqdm(done_cases, total=len(cases), unit="scene", smoothing=0.02, mininterval=1.0):
         if done.result is None:
             report.failures.append(f"scene {done.case[1]}: {done.trouble}")
@@ -227,6 +228,12 @@ def violent(options: argparse.Namespace) -> Report:
     if share > MOST_FLAGGED:
         report.failures.append(f"{share:.2%} of all frames are flagged, more than {MOST_FLAGGED:.0%}")
     return report
+
+
+def _read(entry: dict[str, Any]) -> Done[tuple[int, int], Violence]:
+    seed, index = entry["case"]
+    result = entry["result"]
+    return Done((seed, index), result and Violence(**result), entry["seconds"], entry["trouble"])
 
 
 def _row(each: Violence) -> list[Any]:

@@ -5,16 +5,15 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import attrs
 
-from cloth_sim_ros.bench.case_pool import Done, run_cases
+from cloth_sim_ros.bench.case_pool import Done, run_cases, run_missing
 from cloth_sim_ros.bench.report import Report, Table
-from cloth_sim_ros.bench.stability_cases import Case, Verdict, every_case, run_case
+from cloth_sim_ros.bench.stability_cases import Case, Verdict, every_case, random_cases, run_case
 from cloth_sim_ros.bench.stability_limits import PEER_CASES, PeerCase, limits, run_peer_case
 
 #: Energy that a case may gain over what was put in, relative to the energy turned over.
@@ -28,6 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to run (all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
+    parser.add_argument("--random", type=int, default=0, metavar="N", help="so many random cases in place of it")
+    parser.add_argument("--seed", type=int, default=1, help="of random cases (1)")
     parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument(
@@ -42,7 +43,7 @@ def run(options: argparse.Namespace) -> Report:
     """Run what was asked for."""
     report = Report("Stability", "cloth_bench stability")
     if "scan" in options.parts:
-        every = every_case()
+        every = random_cases(options.seed, options.random) if options.random else every_case()
         cases = every[:: options.every][: options.only]
         _tell(report, _scan(cases, options), len(every))
     if "limits" in options.parts:
@@ -57,30 +58,15 @@ def run(options: argparse.Namespace) -> Report:
 def _scan(cases: list[Case], options: argparse.Namespace) -> list[Done[Case, Verdict]]:
     from tqdm import tqdm
 
-    known = _read(options.resume) if options.resume else {}
-    dones = [known[case] for case in cases if case in known]
-    left = [case for case in cases if case not in known]
-    found = run_cases(run_case, left, workers=options.workers, limit=options.limit)
-    for done in tqdm(found, total=len(left), unit="case", smoothing=0.02, mininterval=1.0):
-        dones.append(done)
-        if options.resume:
-            with options.resume.open("a") as file:
-                file.write(json.dumps(attrs.asdict(done)) + "\n")
-    return dones
+    limits = {"workers": options.workers, "limit": options.limit}
+    found = run_missing(run_case, cases, **limits, file=options.resume, read=_read)
+    return list(tqdm(found, total=len(cases), unit="case", smoothing=0.02, mininterval=1.0))
 
 
-def _read(file: Path) -> dict[Case, Done[Case, Verdict]]:
-    """The verdicts of a file; a last line that was cut off counts for nothing."""
-    known = {}
-    for line in file.read_text().splitlines() if file.exists() else []:
-        try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        case, result = Case(**entry["case"]), entry["result"]
-        verdict = None if result is None else Verdict(**{**result, "integrators": tuple(result["integrators"])})
-        known[case] = Done(case, verdict, entry["seconds"], entry["trouble"])
-    return known
+def _read(entry: dict[str, Any]) -> Done[Case, Verdict]:
+    case, result = Case(**entry["case"]), entry["result"]
+    verdict = None if result is None else Verdict(**{**result, "integrators": tuple(result["integrators"])})
+    return Done(case, verdict, entry["seconds"], entry["trouble"])
 
 
 def _tell(report: Report, dones: list[Done[Case, Verdict]], every: int) -> None:

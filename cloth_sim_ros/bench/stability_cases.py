@@ -86,6 +86,23 @@ def every_case() -> list[Case]:
     return [Case(*combination) for combination in (*grids, *more)]
 
 
+def random_cases(seed: int, count: int) -> list[Case]:
+    """So many cases from the whole range of the scan, between its points too."""
+    rng = np.random.default_rng(seed)
+    cases = []
+    for _ in range(count):
+        sheet = str(rng.choice(["grid", "grid", *MORE_SHEETS]))
+        stiffnesses, dampings, rates = (
+            (STIFFNESSES, DAMPINGS, RATES) if sheet == "grid" else (MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES)
+        )
+        low, high = np.log10(min(stiffnesses)), np.log10(max(stiffnesses))
+        damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(min(dampings), max(dampings)))
+        rate = float(rng.integers(round(min(rates)), round(max(rates)) + 1))
+        attack, stepping = str(rng.choice(list(ATTACKS))), str(rng.choice(STEPPINGS))
+        cases.append(Case(sheet, attack, float(10.0 ** rng.uniform(low, high)), damping, rate, stepping))
+    return cases
+
+
 def scene(case: Case) -> Scene:
     """A sheet of 1 m x 1 m and 0.2 kg hung by its upper edge, stepped as `auto` chooses."""
     values: dict[str, Any] = {

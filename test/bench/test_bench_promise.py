@@ -10,6 +10,8 @@ import pytest
 from support import laws
 from support.plan_scenes import FILES, SCENES, stir
 
+from cloth_sim_ros.bench import promise
+from cloth_sim_ros.bench.case_pool import Done, run_missing
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.bench.promise_judge import judge, judge_window, kicks, own_points
 from cloth_sim_ros.bench.promise_record import record
@@ -221,6 +223,20 @@ def test_scenes_are_judged_and_told(held_scene, tmp_path):
     assert len(windows["rows"]) == 3
     reference = windows["columns"].index("reference m")
     assert all(row[reference] < 0.02 * row[4] for row in windows["rows"])
+
+
+def test_scenes_that_were_judged_are_kept_and_told_again(held_scene, tmp_path, monkeypatch):
+    kept = tmp_path / "judged.jsonl"
+    judgement = judge(2, held_scene, 1)
+    case = (2, held_scene, 1)
+    done = list(run_missing(judge, [], workers=1, limit=60.0, file=kept, read=promise._read))
+    assert not done
+    assert not kept.exists()
+    monkeypatch.setattr("cloth_sim_ros.bench.case_pool.run_cases", lambda *_, **__: [Done(case, judgement, 1.0)])
+    limits = {"workers": 1, "limit": 60.0, "file": kept, "read": promise._read}
+    first = list(run_missing(promise._judge, [case], **limits))
+    monkeypatch.setattr("cloth_sim_ros.bench.case_pool.run_cases", lambda *_, **__: pytest.fail("it runs again"))
+    assert list(run_missing(promise._judge, [case], **limits)) == first == [Done(case, judgement, 1.0)]
 
 
 def test_forces_that_differ_are_told_as_such(held_scene, monkeypatch):

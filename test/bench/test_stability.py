@@ -14,7 +14,7 @@ import pytest
 from cloth_sim_ros.bench import main as bench
 from cloth_sim_ros.bench.case_pool import run_cases
 from cloth_sim_ros.bench.stability import LARGEST_GAIN
-from cloth_sim_ros.bench.stability_cases import Case, every_case, run_case
+from cloth_sim_ros.bench.stability_cases import Case, every_case, random_cases, run_case
 from cloth_sim_ros.bench.stability_limits import LARGEST_EXCESS, limit_found, stretched_sheet
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.implicit import Implicit
@@ -108,6 +108,15 @@ def test_a_case_that_takes_too_long_or_ends_its_process_is_told_and_the_others_g
     assert {case: done.result for case, done in dones.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
     assert dones[3].trouble == "its process ended"
     assert dones[4].trouble == "took longer than 1 s"
+
+
+def test_random_cases_follow_from_their_seed_and_lie_within_the_scan() -> None:
+    cases = random_cases(5, 200)
+    assert cases == random_cases(5, 200) != random_cases(6, 200)
+    assert {case.attack for case in cases} == {case.attack for case in every_case()}
+    assert {case.sheet for case in cases} == {case.sheet for case in every_case()}
+    assert all(1.0 <= case.stiffness <= 1e6 and 0.0 <= case.damping <= 3.0 for case in cases)
+    assert all(30.0 <= case.rate <= 240.0 for case in cases)
 
 
 def test_a_scan_that_was_broken_off_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
