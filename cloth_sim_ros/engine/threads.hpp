@@ -7,7 +7,9 @@
 #include <sched.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -25,15 +27,25 @@ inline void pause_briefly() {
 #endif
 }
 
+using Clock = std::chrono::steady_clock;
+
+/// Time that threads of the present run have waited for each other beyond a moment [ns].
+inline std::atomic<std::int64_t> waited{0};
+
+inline std::int64_t since(Clock::time_point begin) {
+    return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - begin).count();
+}
+
 /// Wait until a condition that another thread makes true: at first without leaving the core.
 template <class F>
 inline void wait_until(F&& done) {
-    for (int tries = 0; !done(); ++tries) {
-        if (tries < 4000)
-            pause_briefly();
-        else
-            sched_yield();
+    for (int tries = 0; tries < 4000; ++tries) {
+        if (done()) return;
+        pause_briefly();
     }
+    const auto begin = Clock::now();
+    while (!done()) sched_yield();
+    waited.fetch_add(since(begin), std::memory_order_relaxed);
 }
 
 /// Threads that wait for each other.
@@ -63,16 +75,19 @@ public:
         return *pool;
     }
     /// Call job(0) to job(workers - 1) at once, each on a thread of its own; where the pool is busy with another call, or
-    /// no thread can be had, `alone` in their place.
+    /// no thread can be had, `alone` in their place. So it is for a while where other processes take the cores: a thread
+    /// that is not running lets the others wait in every step. No bit depends on it, so a clock may decide.
     template <class Job, class Alone>
     void run(int workers, Job&& job, Alone&& alone) {
         // Who works alone keeps nobody from the threads.
         std::unique_lock lock(mutex_, std::defer_lock);
-        if (workers <= 1 || !lock.try_lock() || !grow(workers - 1)) {
+        if (workers <= 1 || !lock.try_lock() || rests() || !grow(workers - 1)) {
             if (lock) lock.unlock();
             alone();
             return;
         }
+        const auto begin = Clock::now();
+        waited.store(0, std::memory_order_relaxed);
         const std::function<void(int)> work = [&](int number) { job(number); };
         for (int k = 0; k < workers - 1; ++k) {
             threads_[k]->work.store(&work, std::memory_order_release);
@@ -81,9 +96,15 @@ public:
         job(0);
         for (int k = 0; k < workers - 1; ++k)
             wait_until([&] { return threads_[k]->work.load(std::memory_order_acquire) == nullptr; });
+        const bool busy = waited.load(std::memory_order_relaxed) > since(begin) / 4;
+        pause_ = busy ? std::min(std::max(2 * pause_, 16), 4096) : pause_ / 2;
+        resting_ = busy ? pause_ : 0;
     }
 
 private:
+    /// Whether a run is to do without threads, after one that mostly waited.
+    bool rests() { return resting_ > 0 && resting_-- > 0; }
+
     struct Worker {
         std::atomic<const std::function<void(int)>*> work{nullptr};
         std::thread thread;
@@ -130,6 +151,8 @@ private:
 
     std::mutex mutex_;
     std::vector<std::unique_ptr<Worker>> threads_;
+    /// Runs that are still to be made alone, and how many after the next that mostly waits.
+    int resting_ = 0, pause_ = 0;
     pid_t process_ = getpid();
 };
 
