@@ -23,6 +23,7 @@ from support.session_maker import NODE, cloud_bytes
 from tqdm import tqdm
 
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -48,8 +49,8 @@ class _Independent:
         #: For each frame that is compared: the difference, and what it may be [m].
         self.found: list[tuple[float, float]] = []
 
-    def frame(self, simulation: Simulation, before: State, frame: Frame, _record: FrameRecord) -> None:
-        ran = self._watch.after(simulation, before, frame)
+    def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, _record: FrameRecord) -> None:
+        ran = self._watch.after(simulation, was, before, frame)
         stated = self._stated.get(frame.index)
         if ran is None or stated is None:
             return

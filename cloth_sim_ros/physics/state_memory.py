@@ -63,6 +63,16 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
     if ANCHORS in memory:
         anchors = memory[ANCHORS]
         _check_one(ANCHORS, anchors, _FLOAT, (len(anchors) if anchors.ndim else 0, 4, particle_count))
+        odd = np.argwhere(~np.isin(anchors[:, 3], (0.0, 1.0, 2.0)))
+        if len(odd):
+            obstacle, particle = odd[0].tolist()
+            raise ValueError(
+                f"memory '{ANCHORS}' has bond {anchors[obstacle, 3, particle]} of obstacle {obstacle} with particle "
+                f"{particle}; it must be 0 (none), 1 (sticks) or 2 (slides)"
+            )
+        known = len(np.atleast_1d(memory.get("obstacle.pose", anchors)))
+        if known != len(anchors):
+            raise ValueError(f"memory '{ANCHORS}' is of {len(anchors)} obstacles, 'obstacle.pose' of {known}")
     rules: list[type[Remembered]] = [*RULES, Sleep]
     for rule in rules:
         if rule.key in memory:

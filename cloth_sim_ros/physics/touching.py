@@ -81,15 +81,20 @@ class Touching:
 
     def take(self, state: State) -> None:
         """Let what follows start with the anchors of a state; a state without any, or of other obstacles, has none."""
+        anchors = state.memory.get(ANCHORS)
+        self.lay(anchors if anchors is not None and anchors.shape == self.anchors_shape else None)
+
+    def lay(self, anchors: Array | None) -> Array | None:
+        """Let what follows start with anchors, none where left out; return them, None where there is no friction."""
         self.sync()
         if not self.force.rough:
-            return
-        anchors = state.memory.get(ANCHORS)
-        if anchors is None or anchors.shape != self.anchors_shape:
+            return None
+        if anchors is None:
             anchors = np.zeros(self.anchors_shape)
         if anchors is not self._taken:
             check(self._library.cloth_contact_anchors(self._handle, doubles(ANCHORS, anchors, self.anchors_shape)))
             self._taken = anchors
+        return anchors
 
     def settle(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
         """Return the anchors of a state that combines runs by weights, from those that each run ended with.

@@ -102,10 +102,11 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
 
 def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
     for solid in obstacles.solids:
+        at_rest, moving = solid.friction
         size = f" of {' x '.join(f'{length:g}' for length in solid.size)} m" if solid.size else ""
         gap, particle = obstacles.nearest(solid.name)
         print(
-            f"obstacle '{solid.name}': {solid.shape}{size}; the "
+            f"obstacle '{solid.name}': {solid.shape}{size}, friction {at_rest:g} at rest and {moving:g} in motion; the "
             f"nearest particle, {particle}, starts {gap:.3g} m away; it pushes from {scene.contact.thickness:g} m on"
         )
 

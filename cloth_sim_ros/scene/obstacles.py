@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: Of an obstacle that is there, the parameters that may change.
-LIVE = ("frame",)
+LIVE = ("friction", "frame")
 #: What describes an obstacle; without it, its other parameters mean nothing.
 _DESCRIBES = "shape"
 
@@ -126,9 +126,15 @@ def solid(name: str, description: sections.Obstacle) -> Obstacle:
         normalised(description.orientation)
     except ValueError as error:
         raise ParameterError(f"{name}.orientation: {error}") from error
+    if len(description.friction) not in (1, 2):
+        raise ParameterError(
+            f"{name}.friction has {len(description.friction)} entries, {list(description.friction)}; give one number, "
+            "or that at rest and that in motion"
+        )
+    friction = (description.friction[0], description.friction[-1])
     size = () if description.shape == "plane" else description.size
     try:
-        return Obstacle(name=name, shape=description.shape, size=size)
+        return Obstacle(name=name, shape=description.shape, size=size, friction=friction)
     except ValueError as error:
         raise ParameterError(str(error)) from error
 

@@ -284,6 +284,15 @@ class Obstacle:
         length=4,
         live=True,
     )
+    friction: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0),
+        "Coefficients of friction between it and the cloth, at rest and in motion, the latter no larger; one number "
+        "counts for both; 0: the cloth slides off freely",
+        least=0.0,
+        most=1e3,
+        live=True,
+    )
     frame: str = parameter(
         "string",
         "",

@@ -43,11 +43,11 @@ class EnergyWatch:
 
     def begin(self, state: State, t: float) -> None:
         """Look at a state before a frame at time t [s]."""
-        self._before = self._plan.energies(t, state.x, state.v)
+        self._before = self._energies(state, t)
 
     def end(self, state: State, t: float, book: Book) -> EnergyReport:
         """Sum up the frame that ended at time t [s], and report."""
-        kinetic, potential = self._plan.energies(t, state.x, state.v)
+        kinetic, potential = self._energies(state, t)
         lost, work, wind = book.lost, book.work, book.given
         sums = self._sums
         self._sums = EnergyReport(
@@ -70,3 +70,8 @@ class EnergyWatch:
         sums = self._sums
         self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
         return self._sums
+
+    def _energies(self, state: State, t: float) -> tuple[float, float]:
+        if self._plan.contact is not None:
+            self._plan.contact.take(state)
+        return self._plan.energies(t, state.x, state.v)

@@ -135,6 +135,8 @@ class Simulation:
 
     def energy(self) -> float:
         """Kinetic plus potential energy [J] at the present state."""
+        if self.plan.contact is not None:
+            self.plan.contact.take(self.state)
         return self.plan.energy(self.time, self.state.x, self.state.v)
 
     def gaps(self) -> Array | None:

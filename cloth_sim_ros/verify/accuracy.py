@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.certificate import (
@@ -89,9 +90,9 @@ class _Accuracy:
         #: start [m].
         self._off = self._off_at_start = 0.0
 
-    def frame(self, simulation: Simulation, before: State, frame: Frame, record: FrameRecord) -> None:
+    def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
         """Take a frame that has just been run again."""
-        self._frame = self._watch.after(simulation, before, frame)
+        self._frame = self._watch.after(simulation, was, before, frame)
         self._again = record.digest == simulation.state.digest()
         self._recorded, self._altered = None, False
 

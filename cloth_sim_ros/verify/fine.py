@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.columns import weights
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.runs import Run, Told
 
 #: Step counts of the runs of a stretch: one run more than the simulation ever combines.
 FINE = (8, 10, 12, 16, 20)
@@ -28,10 +30,20 @@ FINER = (12, 15, 18, 24, 30, 36)
 SHARE_OF_LIMIT = 0.48
 #: A stretch is not cut below this part of a frame: then the check says how large the error is.
 _LEAST = 1.0 / 4096.0
+#: The same where there is friction: what starts to slide is a jump of the force, which no stretch is short enough for.
+_LEAST_ROUGH = 1.0 / 256.0
 #: Relative rounding of a number.
 ROUNDING = 2.0**-53
 
-Moving = tuple[Array, Array]
+
+class Moving(NamedTuple):
+    """A motion at one moment."""
+
+    #: Positions [m] and velocities [m/s], shape (3, n) each.
+    x: Array
+    v: Array
+    #: Anchors of friction, see `Touching.anchors_shape`; None where nothing is held yet.
+    anchors: Array | None = None
 
 
 @lru_cache(maxsize=16)
@@ -58,24 +70,30 @@ class FineSteps:
             plan: equations of motion.
             t: time at its start [s].
             duration: its length [s].
-            start: positions and velocities, shape (3, n) each; they stay as they are.
-            step: steps the simulation took in it [s]; infinite where it took none. Those here are at most half of it.
+            start: the motion at its start; its arrays stay as they are.
+            step: smallest step the simulation took in it [s]; infinite where it took none. Those here are at most half
+                of it, but for friction, whose jumps no step resolves.
 
         Returns:
-            Positions and velocities at its end, and the lengths of the stretches [s].
+            The motion at its end, and the lengths of the stretches [s].
         """
         now, rates, lengths, done = start, plan.rates(start[0]), list[float](), 0.0
         # Below what rounding makes of the difference of two combinations no step is better than another.
         least = 4.0 * ROUNDING * float(np.abs(start[0]).max()) * (amplification(FINE) + amplification(FINE[1:]))
+        shortest, finest = _LEAST * duration, 0.5 * step
+        if plan.contact is not None and plan.contact.force.rough:
+            # Around such a jump the simulation takes steps of no length at all.
+            shortest = _LEAST_ROUGH * duration
+            finest = max(finest, shortest / FINE[0])
         while done < duration * (1.0 - 1e-12):
             left = duration - done
             # What contact may come to, at the most.
-            ahead = plan.ahead(t + done, left, *now)
+            ahead = plan.ahead(t + done, left, now.x, now.v)
             limit = leapfrog_limit(rates[0] + ahead[0], rates[1] + ahead[1])
-            longest = min(SHARE_OF_LIMIT * limit, 0.5 * step) * FINE[0] * self._scale
+            longest = min(SHARE_OF_LIMIT * limit, finest) * FINE[0] * self._scale
             length = left / max(1, math.ceil(left / longest * (1.0 - 1e-12)))
             ended, rates, error = self._try(plan, t + done, length, now)
-            if length > _LEAST * duration and not error <= max(self.rate * length, least):
+            if length > shortest and not error <= max(self.rate * length, least):
                 self._scale *= 0.5
                 rates = plan.rates(now[0])
                 continue
@@ -87,25 +105,36 @@ class FineSteps:
         return now, lengths
 
     def _try(self, plan: Plan, t: float, length: float, start: Moving) -> tuple[Moving, tuple[float, float], float]:
-        runs, result = plan.runs(t, length, start, FINE, weights=weights(FINE))
-        assert result is not None
-        x, v, told = result
+        ended, runs, told = _combined(plan, t, length, start, FINE)
         # The finer four of them, combined: by how much the fifth changes that is the error of these.
         rough = combine([run.x for run in runs[1:]], weights(FINE[1:]))
-        error = distance(x, rough) if told.finite else math.inf
+        error = distance(ended.x, rough) if told.finite else math.inf
         if length / FINE[0] > 2.0 * SHARE_OF_LIMIT * leapfrog_limit(told.omega2, told.damping):
             error = math.inf
-        return (x, v), (told.omega2, told.damping), error
+        return ended, (told.omega2, told.damping), error
 
 
 def follow(plan: Plan, t: float, lengths: Sequence[float], start: Moving, counts: tuple[int, ...] = FINE) -> Moving:
     """Move through the same stretches from another start, or with other step counts in each."""
     now = start
     for length in lengths:
-        _, result = plan.runs(t, length, now, counts, weights=weights(counts))
-        assert result is not None
-        now, t = result[:2], t + length
+        now, t = _combined(plan, t, length, now, counts)[0], t + length
     return now
+
+
+def _combined(
+    plan: Plan, t: float, length: float, start: Moving, counts: tuple[int, ...]
+) -> tuple[Moving, list[Run], Told]:
+    """Run a stretch with each of several step counts; return what they combine to, the runs, and what is told of it."""
+    if plan.contact is not None:
+        plan.contact.lay(start.anchors)
+    runs, result = plan.runs(t, length, (start.x, start.v), counts, weights=weights(counts))
+    assert result is not None
+    x, v, told = result
+    if plan.contact is None or not plan.contact.force.rough:
+        return Moving(x, v), runs, told
+    ends = np.array([run.anchors for run in runs])
+    return Moving(x, v, plan.contact.settle(t + length, x, v, ends, weights(counts))), runs, told
 
 
 def distance(x: Array, y: Array) -> float:

@@ -20,18 +20,19 @@ def frame_by_dop853(equations: Equations, frame: RunFrame, state: State) -> Arra
     """Return positions (3, n) [m] at a frame's end from a state at its beginning."""
     motion = Motion(state)
     motion.take_hold(frame)
-    return dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.now)[0]
+    return dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.now).x
 
 
 def dop853(plan: Plan, t: float, duration: float, start: Moving) -> Moving:
-    """Move from time t [s] through a duration [s]; positions and velocities, shape (3, n) each.
+    """Move from time t [s] through a duration [s]. Anchors of friction are dragged after each of its steps.
 
     Raises:
         ArithmeticError: if it finds no step that is small enough.
     """
     from scipy.integrate import DOP853
 
-    shape, half = start[0].shape, start[0].size
+    shape, half, contact = start.x.shape, start.x.size, plan.contact
+    anchors = contact.lay(start.anchors) if contact is not None else None
 
     def right(time: float, y: Array) -> Array:
         out = np.empty_like(y)
@@ -40,10 +41,14 @@ def dop853(plan: Plan, t: float, duration: float, start: Moving) -> Moving:
         plan.accelerations(time, x, v, out[half:].reshape(shape))
         return out
 
-    y = np.concatenate([start[0].ravel(), start[1].ravel()])
+    y = np.concatenate([start.x.ravel(), start.v.ravel()])
     solver = DOP853(right, t, y, t + duration, rtol=RELATIVE, atol=ABSOLUTE)
     while solver.status == "running":
         trouble = solver.step()
+        if contact is not None and anchors is not None:
+            x, v = solver.y.copy().reshape(2, *shape)
+            anchors = contact.lay(contact.settle(solver.t, x, v, anchors[None], [1.0]))
     if solver.status == "failed":
         raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {trouble}")
-    return solver.y[:half].reshape(shape).copy(), solver.y[half:].reshape(shape).copy()
+    x, v = solver.y.copy().reshape(2, *shape)
+    return Moving(x, v, anchors)

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.simulation.surroundings import change_obstacles, kept_anchors
 from cloth_sim_ros.verify.fine import Moving
 
 
@@ -42,6 +44,7 @@ class RunFrame:
     t: float
     duration: float
     scene: Scene
+    #: State before it, with the obstacles of its scene; state after it.
     before: State
     after: State
     #: Whether the cloth was put back to its initial state at its beginning.
@@ -65,8 +68,8 @@ class FrameWatch:
         self._new: frozenset[int] = frozenset()
         self._reset = False
 
-    def after(self, simulation: Simulation, before: State, frame: Frame) -> RunFrame | None:
-        """Return the frame just advanced, from the state before it; None where no time passed."""
+    def after(self, simulation: Simulation, was: Scene, before: State, frame: Frame) -> RunFrame | None:
+        """Return the frame just advanced, from scene and state before it; None where no time passed."""
         names, memory = simulation.grippers.names, simulation.state.memory
         if any(isinstance(event, Reset) for event in frame.events):
             self._reset, self._new = True, frozenset()
@@ -78,7 +81,8 @@ class FrameWatch:
         new, reset = self._new, self._reset
         self._new, self._reset = frozenset(), False
         advance, grips, scene = frame.advance, simulation.plan.grips, simulation.scene
-        contact = simulation.plan.contact
+        contact, start = simulation.plan.contact, before.share()
+        change_obstacles(was, scene, [start])
         grasping = None
         if grips is not None:
             grasping = Grasping(
@@ -94,7 +98,7 @@ class FrameWatch:
             t=before.frame * scene.period,
             duration=scene.period,
             scene=scene,
-            before=before,
+            before=start,
             after=simulation.state.share(),
             reset=reset,
             grasping=grasping,
@@ -134,7 +138,8 @@ class Motion:
     """
 
     def __init__(self, state: State) -> None:
-        self.now: Moving = (state.x, state.v)
+        self.now = Moving(state.x, state.v, state.memory.get(ANCHORS))
+        self._scene: Scene | None = None
         count = len(state.memory.get("gripper.pose", ()))
         starts = state.memory.get("grip.starts", np.zeros(count + 1, dtype=np.int64))
         offsets = state.memory.get("grip.offsets", np.empty((0, 3)))
@@ -143,7 +148,7 @@ class Motion:
     @property
     def x(self) -> Array:
         """Positions [m], shape (3, n)."""
-        return self.now[0]
+        return self.now.x
 
     @property
     def offsets(self) -> Array:
@@ -151,14 +156,17 @@ class Motion:
         return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
 
     def take_hold(self, frame: RunFrame) -> None:
-        """Grasp and let go as the simulation did at the frame's beginning."""
+        """Grasp and let go as the simulation did at the frame's beginning, and keep what its obstacles hold."""
+        if self.now.anchors is not None and self._scene is not None and self._scene is not frame.scene:
+            self.now = self.now._replace(anchors=kept_anchors(self.now.anchors, self._scene, frame.scene))
+        self._scene = frame.scene
         held = frame.grasping
         if held is not None:
             self._offsets = [self._held(held, g) for g in range(len(held.paths))]
 
     def kick(self, x: Array, v: Array) -> None:
         """Add to positions [m] and velocities [m/s]."""
-        self.now = (self.now[0] + x, self.now[1] + v)
+        self.now = self.now._replace(x=self.now.x + x, v=self.now.v + v)
 
     def _held(self, held: Grasping, gripper: int) -> Array:
         particles = held.particles[held.starts[gripper] : held.starts[gripper + 1]]

@@ -77,8 +77,8 @@ class Verdict:
 class Watch(Protocol):
     """Looks on while a session is run again."""
 
-    def frame(self, simulation: Simulation, before: State, frame: Frame, record: FrameRecord) -> None:
-        """Take a frame that was just run, from the state before it."""
+    def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
+        """Take a frame that was just run, from scene and state before it."""
 
     def cloud(self, recorded: NDArray[np.float32], same: bool) -> None:
         """Take the positions (n, 3) [m] that were recorded of it, and whether they are those that it came to."""
@@ -190,7 +190,7 @@ class _Run:
                 "what follows them cannot be run"
             )
             return False
-        was, before = simulation.time, simulation.state.share()
+        since, scene, before = simulation.time, simulation.scene, simulation.state.share()
         try:
             events: list[Event] = [from_dict(dict(event)) for event in record.events]
             self._frame = simulation.advance(events)
@@ -202,10 +202,10 @@ class _Run:
         # What belongs to a frame has its publish time; a log time may be raised to keep the order of recording.
         self._frame_stamp = message.publish_time
         self._verdict.frames += 1
-        self._verdict.simulated += simulation.time - was
+        self._verdict.simulated += simulation.time - since
         self._compare_frame(record)
         if self._watch is not None:
-            self._watch.frame(simulation, before, self._frame, record)
+            self._watch.frame(simulation, scene, before, self._frame, record)
         uncommanded = self._commands.compare(record, message.log_time)
         if uncommanded:
             self._note_difference(uncommanded, record)

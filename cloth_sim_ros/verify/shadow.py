@@ -68,8 +68,8 @@ def judge(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest:
     frames = []
     try:
         for these in events:
-            before = simulation.state.share()
-            frames.append(watch.after(simulation, before, simulation.advance(these)))
+            was, before = simulation.scene, simulation.state.share()
+            frames.append(watch.after(simulation, was, before, simulation.advance(these)))
     except (ValueError, UnstableError) as error:
         return {"trouble": f"it cannot be run again: {error}"}
     if simulation.state.digest() != digest:

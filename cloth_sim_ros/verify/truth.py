@@ -118,5 +118,5 @@ def frame_truth(equations: Equations, frame: RunFrame, state: State) -> Array:
     motion.take_hold(frame)
     plan = equations.plan(frame, motion)
     steps = FineSteps(fine_rate(frame.tolerance))
-    (x, _), _ = steps.frame(plan, frame.t, frame.duration, motion.now, frame.step)
-    return x
+    now, _ = steps.frame(plan, frame.t, frame.duration, motion.now, frame.step)
+    return now.x

@@ -175,7 +175,7 @@ def test_it_says_what_obstacles_there_are_and_how_far(tmp_path: Path, capsys: py
     }
     assert check(written(tmp_path, values)) == 0
     said = capsys.readouterr().out
-    assert "obstacle 'pole': cylinder of 0.05 x 2 m; the nearest" in said
+    assert "obstacle 'pole': cylinder of 0.05 x 2 m, friction 0 at rest and 0 in motion" in said
     assert "starts 0.05 m away; it pushes from 0.003 m on" in said
     assert "warning: spare.shape is set and has no effect: obstacles does not name 'spare'" in said
     assert check(written(tmp_path, {**values, "pole.position": [0.5, 0.0, 0.5]})) == 1

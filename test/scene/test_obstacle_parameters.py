@@ -19,6 +19,7 @@ BASE: dict[str, Any] = {
     "obstacles": ["table", "ball"],
     "table.shape": "box",
     "table.size": [1.0, 2.0, 0.1],
+    "table.friction": [0.3],
     "ball.shape": "sphere",
     "ball.size": [0.2],
     "ball.position": [0.0, 0.5, 0.25],
@@ -28,8 +29,8 @@ BASE: dict[str, Any] = {
 def test_a_scene_has_the_obstacles_that_it_names() -> None:
     scene = Scene.from_parameters(BASE)
     table, ball = scene.solids
-    assert (table.name, table.shape, table.size) == ("table", "box", (1.0, 2.0, 0.1))
-    assert (ball.name, ball.shape, ball.size) == ("ball", "sphere", (0.2,))
+    assert (table.name, table.shape, table.size, table.friction) == ("table", "box", (1.0, 2.0, 0.1), (0.3, 0.3))
+    assert (ball.name, ball.shape, ball.size, ball.friction) == ("ball", "sphere", (0.2,), (0.0, 0.0))
     assert scene.parameters()["ball.position"] == (0.0, 0.5, 0.25)
 
 
@@ -48,6 +49,8 @@ def test_a_scene_of_a_file_is_the_same_when_it_is_written_and_read_again(tmp_pat
         ({"ball.shape": "cone"}, "it must be one of plane, box, sphere"),
         ({"ball.position": [0.0, 0.0, float("nan")]}, "ball.position is nan; it must be finite"),
         ({"ball.orientation": [0.0, 0.0, 0.0, 0.0]}, "ball.orientation: .* is no quaternion"),
+        ({"ball.friction": [0.1, 0.2]}, "friction 0.1 at rest and 0.2 in motion"),
+        ({"ball.friction": [0.1, 0.1, 0.1]}, "ball.friction has 3 entries"),
         ({"obstacles": ["ball", "ball"]}, "two obstacles are named 'ball'"),
         ({"obstacles": ["no name"]}, "'no name' is no ROS name"),
         ({"obstacles": ["air"]}, "named 'air', as parameters are"),
@@ -78,7 +81,7 @@ def test_while_the_cloth_runs_obstacles_come_and_go_and_keep_their_shape() -> No
     assert scene.changed({"obstacles": [""]}).solids == []
     added = scene.changed({"obstacles": ["ball", "floor"], "floor.shape": "plane"})
     assert [solid.shape for solid in added.solids] == ["sphere", "plane"]
-    assert scene.changed({"ball.frame": "tool"}).described["ball"].frame == "tool"
+    assert scene.changed({"ball.friction": [0.9, 0.1]}).solids[1].friction == (0.9, 0.1)
     assert scene.changed({"box.size": [1.0, 1.0, 1.0]}).described["box"].size == (1.0, 1.0, 1.0)
     with pytest.raises(ParameterError, match=r"ball.size can't change while 'ball' is there"):
         scene.changed({"ball.size": [0.3]})

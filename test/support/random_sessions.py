@@ -50,6 +50,7 @@ def _obstacles(random: np.random.Generator, values: dict[str, Any]) -> dict[str,
         found[f"{shape}_1.position"] = (np.array(values["cloth.position"]) + beside).tolist()
         if shape != "plane":
             found[f"{shape}_1.orientation"] = random.normal(size=4).tolist()
+        found[f"{shape}_1.friction"] = [float(random.uniform(0.0, 1.0))]
     return {**found, "obstacles": _some(random)}
 
 

@@ -21,7 +21,7 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Ta
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.accuracy import _is_sampled, certify
 from cloth_sim_ros.verify.certificate import Certificate, FrameAccuracy, Window
-from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, distance, follow, weights
+from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, Moving, distance, follow, weights
 from cloth_sim_ros.verify.independent import dop853, frame_by_dop853
 from cloth_sim_ros.verify.main import NOT_KEPT, main
 from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, RunFrame, starting_state
@@ -68,8 +68,8 @@ def _moved(scene: Scene, frame: int, metres: float) -> Callable[[int], Change | 
 def _run_frames(simulation: Simulation, script: list[list[Event]]) -> list[RunFrame]:
     watch, frames = FrameWatch(), []
     for events in script:
-        before = simulation.state.share()
-        found = watch.after(simulation, before, simulation.advance(events))
+        was, before = simulation.scene, simulation.state.share()
+        found = watch.after(simulation, was, before, simulation.advance(events))
         if found is not None:
             frames.append(found)
     return frames
@@ -88,13 +88,13 @@ def test_the_fine_motion_meets_its_rate_by_an_integrator_that_is_not_ours(dampin
     scene = Scene.from_parameters(SMALL | {"material.damping": damping, "cloth.anchors": ["top_left"]})
     simulation = Simulation(scene)
     _run_frames(simulation, [[]] * 20)
-    start, t = (simulation.state.x, simulation.state.v), simulation.time
-    exact, _ = dop853(scene.plan(), t, 0.1, start)
+    start, t = Moving(simulation.state.x, simulation.state.v), simulation.time
+    exact = dop853(scene.plan(), t, 0.1, start).x
     errors = []
     for rate in (1e-5, 1e-7, 1e-9):
-        (x, _), lengths = FineSteps(rate).frame(scene.plan(), t, 0.1, start, math.inf)
-        errors.append(distance(x, exact))
-        finer = follow(scene.plan(), t, lengths, start, FINER)[0]
+        now, lengths = FineSteps(rate).frame(scene.plan(), t, 0.1, start, math.inf)
+        errors.append(distance(now.x, exact))
+        finer = follow(scene.plan(), t, lengths, start, FINER).x
         assert errors[-1] <= rate
         # The check is closer, or both are at rounding.
         assert distance(finer, exact) < max(0.5 * errors[-1], 1e-12)
@@ -104,7 +104,7 @@ def test_the_fine_motion_meets_its_rate_by_an_integrator_that_is_not_ours(dampin
 def test_steps_are_at_least_twice_as_fine_as_the_simulation_s() -> None:
     scene = Scene.from_parameters(SMALL)
     simulation = Simulation(scene)
-    start = (simulation.state.x, simulation.state.v)
+    start = Moving(simulation.state.x, simulation.state.v)
     for step in (1e-3, 1e-4):
         _, lengths = FineSteps(1.0).frame(scene.plan(), 0.0, 1.0 / 60.0, start, step)
         assert max(lengths) / FINE[0] <= 0.5 * step * (1.0 + 1e-9)
@@ -115,7 +115,7 @@ def test_what_is_asked_for_below_rounding_does_not_cut_steps_for_ever() -> None:
     scene = Scene.from_parameters(SMALL | {"material.damping": 0.0})
     simulation = Simulation(scene)
     _run_frames(simulation, [[]] * 20)
-    start, counts = (simulation.state.x, simulation.state.v), []
+    start, counts = Moving(simulation.state.x, simulation.state.v), []
     for rate in (1e-9, 1e-14, 1e-20):
         _, lengths = FineSteps(rate).frame(scene.plan(), simulation.time, 1.0 / 60.0, start, math.inf)
         counts.append(len(lengths))

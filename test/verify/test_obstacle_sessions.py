@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 from support.session_maker import SessionMaker
 
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.info import Summarizer
 from cloth_sim_ros.session.reader import SessionReader
@@ -36,9 +38,13 @@ FALLING: dict[str, Any] = {
 }
 
 
-def made(folder: Path, *, frames: int = 40, **options: Any) -> Path:
+#: The same with friction.
+ROUGH: dict[str, Any] = {**FALLING, "ball.friction": [0.5, 0.4], "floor.friction": [0.3]}
+
+
+def made(folder: Path, *, scene: dict[str, Any] = FALLING, frames: int = 40, **options: Any) -> Path:
     """A session in which the ball moves, and a floor comes."""
-    maker = SessionMaker(folder, Scene.from_parameters(FALLING))
+    maker = SessionMaker(folder, Scene.from_parameters(scene))
     for k in range(frames):
         events: list[Event] = [Move("ball", (0.002 * k, 0.0, 0.0), UPRIGHT)] if 10 < k < 25 else []
         if k == 20:
@@ -96,3 +102,40 @@ def test_the_certificate_covers_contact(tmp_path: Path) -> None:
     assert 1e-9 < max(errors) < 1e-4
     # The truth's own error, with which those are told.
     assert max(frame.own for frame in certificate.frames) < 1e-6
+
+
+def test_a_session_with_friction_runs_again_to_the_same_bits_also_from_a_later_part(tmp_path: Path) -> None:
+    paths = parts(made(tmp_path, scene=ROUGH))
+    with SessionReader(paths) as reader:
+        first, later = (State.from_bytes(part.state) for part in reader.parts)
+    assert ANCHORS not in first.memory
+    assert (later.memory[ANCHORS][0, 3] > 0.0).any()
+    for these, frames in ((paths, 40), (paths[1:], 20)):
+        verdict = verify(these)
+        assert verdict.same, verdict.first_reason
+        assert verdict.frames == frames
+
+
+def test_anchors_of_friction_that_a_snapshot_lost_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = parts(made(tmp_path, scene=ROUGH))
+    read = State.from_bytes
+
+    def forgetful(data: bytes) -> State:
+        state = read(data)
+        state.memory.pop(ANCHORS, None)
+        return state
+
+    monkeypatch.setattr(State, "from_bytes", forgetful)
+    assert not verify(paths[1:]).same
+
+
+def test_the_certificate_covers_friction(tmp_path: Path) -> None:
+    # The ball comes up, and a floor is put before it in the list of obstacles: every motion keeps its own anchors.
+    verdict, certificate = certify(parts(made(tmp_path, scene=ROUGH, frames=23)))
+    assert verdict.same
+    assert certificate.kept
+    assert len(certificate.frames) == 23
+    # Sliding makes kicks grow by orders; what is told of each frame alone does not depend on it.
+    alone = [frame.error_of_frame for frame in certificate.frames]
+    assert 1e-6 < max(alone) < 1e-3
+    assert max(alone[20:]) < 1e-5
