@@ -135,6 +135,19 @@ def test_one_that_would_hold_the_cloth_is_refused_at_once(client: Client) -> Non
         assert cloth.simulation.obstacles is None
 
 
+def test_friction_is_described_and_changes_while_the_cloth_runs(client: Client) -> None:
+    with ClockedCloth(client, LYING) as cloth:
+        told = cloth.node.node.describe_parameter("block.friction")
+        assert told.description.startswith("Coefficients of friction between it and the cloth, at rest and in motion")
+        assert not told.read_only
+        assert change(cloth, block__friction=[0.3]).successful
+        assert cloth.node.node.get_parameter("block.friction").value == [0.3]
+        refused = change(cloth, block__friction=[0.1, 0.2])
+        assert not refused.successful
+        assert "friction 0.1 at rest and 0.2 in motion" in refused.reason
+        assert not change(cloth, block__friction=[-0.1]).successful
+
+
 def test_a_block_bears_the_cloth_and_tells_by_how_much(client: Client) -> None:
     wrenches: list[WrenchStamped] = []
     client.node.create_subscription(WrenchStamped, "/cloth_sim/block/wrench", wrenches.append, 10)
@@ -152,7 +165,7 @@ def test_a_block_bears_the_cloth_and_tells_by_how_much(client: Client) -> None:
 
 def test_a_session_with_obstacles_runs_again_to_the_same_bits(client: Client, tmp_path: Path) -> None:
     record = {"record.enabled": True, "record.folder": str(tmp_path)}
-    with ClockedCloth(client, {**LYING, **record, **BALL}) as cloth:
+    with ClockedCloth(client, {**LYING, **record, **BALL, "block.friction": [0.5, 0.4]}) as cloth:
         cloth.tick(5)
         cloth.target("block", (0.01, 0.0, 0.0))
         cloth.tick(5)
@@ -160,6 +173,8 @@ def test_a_session_with_obstacles_runs_again_to_the_same_bits(client: Client, tm
         cloth.tick(3)
         cloth.target("ball", (0.3, 0.4, 0.2))
         cloth.tick(10)
+        assert change(cloth, block__friction=[0.2]).successful
+        cloth.tick(2)
         assert change(cloth, obstacles=["ball"]).successful
         cloth.tick(10)
     (path,) = tmp_path.glob("*.mcap")
@@ -168,4 +183,4 @@ def test_a_session_with_obstacles_runs_again_to_the_same_bits(client: Client, tm
         assert markers >= 4
     verdict = verify([path])
     assert verdict.same, verdict.first_reason
-    assert verdict.frames == 33
+    assert verdict.frames == 35
