@@ -46,8 +46,10 @@ class Violence:
     gain: float
     frames: int
     flagged: int
-    #: Of the frame with the most evaluations, and of the longest one [s].
+    #: Of the frame with the most evaluations; its estimated cost relative to the cap of a frame's work.
     evaluations: int
+    of_cap: float
+    #: Wall time of the longest frame [s].
     seconds: float
     #: Wall time of all frames [s].
     total: float
@@ -103,6 +105,8 @@ def run_violent(case: tuple[int, int]) -> Violence:
     flagged = most = done = 0
     longest = total = 0.0
     names, trouble = dict[str, None](), ""
+    evaluation = 1e-9 * simulation.plan.step_cost * simulation.state.particle_count
+    cap = scene.work_limit * scene.period / evaluation
     for frame in range(frames):
         begin = time.perf_counter()
         try:
@@ -125,6 +129,7 @@ def run_violent(case: tuple[int, int]) -> Violence:
         frames=done,
         flagged=flagged,
         evaluations=most,
+        of_cap=most / cap,
         seconds=longest,
         total=total,
         integrators=", ".join(names),
@@ -198,7 +203,18 @@ def violent(options: argparse.Namespace) -> Report:
         else:
             found.append(done.result)
             tqdm.write(" | ".join(str(cell) for cell in _row(done.result)))
-    columns = ["scene", "what", "gain", "flagged", "most evaluations", "longest s", "all s", "integrators", "trouble"]
+    columns = [
+        "scene",
+        "what",
+        "gain",
+        "flagged",
+        "most evaluations",
+        "of the cap",
+        "longest s",
+        "all s",
+        "integrators",
+        "trouble",
+    ]
     chosen = {
         "Dearest frames": sorted(found, key=lambda each: -each.seconds)[:_DEAREST],
         "Most energy from nowhere": sorted(found, key=lambda each: -each.gain)[:_DEAREST],
@@ -212,7 +228,8 @@ def violent(options: argparse.Namespace) -> Report:
     report.notes += [
         f"{len(found)} scenes, {frames} frames, {share:.2%} of them flagged; {often} scenes with more than a tenth",
         f"longest frame {max((each.seconds for each in found), default=0.0):.3g} s, most evaluations "
-        f"{max((each.evaluations for each in found), default=0)}; frames above a second in "
+        f"{max((each.evaluations for each in found), default=0)}, at most "
+        f"{max((each.of_cap for each in found), default=0.0):.3g} of the cap; frames above a second in "
         f"{sum(each.seconds > 1.0 for each in found)} scenes",
         f"largest gain of energy {max((each.gain for each in found), default=0.0):.3g} of what was turned over",
     ]
@@ -238,5 +255,5 @@ def _read(entry: dict[str, Any]) -> Done[tuple[int, int], Violence]:
 
 def _row(each: Violence) -> list[Any]:
     share = f"{each.flagged}/{each.frames}"
-    costs = [each.evaluations, each.seconds, each.total]
+    costs = [each.evaluations, each.of_cap, each.seconds, each.total]
     return [each.index, each.words, each.gain, share, *costs, each.integrators, each.trouble]
