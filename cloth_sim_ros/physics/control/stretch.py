@@ -328,7 +328,7 @@ class Stretch:
         """
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
         affordable = self.affords(columns, finer)
-        if (not affordable or (not smooth and self._beyond_order(refine))) and self._can_halve():
+        if not smooth and (not affordable or self._beyond_order(refine)) and self._can_halve():
             self._halve = True
             return True
         if affordable:
@@ -348,9 +348,8 @@ class Stretch:
         return slowest if self._halvings else max(self._stability.omega, slowest)
 
     def _beyond_order(self, refine: float) -> bool:
-        """Whether more is wanted than the order of the error promised."""
-        known = self._halvings + self._rejected > 0
-        return refine > (CONSTANTS.trust if known else CONSTANTS.finer) * self.choice.refine
+        """Whether more is wanted than the order of the error promised when steps were made finer the last time."""
+        return self._halvings + self._rejected > 0 and refine > CONSTANTS.trust * self.choice.refine
 
     def _can_halve(self) -> bool:
         """Whether the stretch has steps enough to be halved, and halves fit the cap as it did."""
