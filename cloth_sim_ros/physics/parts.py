@@ -4,14 +4,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TypeAlias
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.physics.forces.contact import Contact
 
 Array = NDArray[np.float64]
 
@@ -70,7 +67,8 @@ class Uniform:
 class Surrounded:
     """Obstacles about all particles: which, and where they are, changes while a cloth moves, so the plan asks."""
 
-    contact: Contact
+    #: A `forces.contact.Contact`, which itself is made of parts.
+    contact: Any
 
 
 Part: TypeAlias = Listed | Gridded | Uniform | Surrounded
