@@ -147,7 +147,7 @@ class _Cliff(Force):
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
-def test_a_force_that_jumps_is_found_and_its_error_is_stated(tolerance: float) -> None:
+def test_a_force_that_jumps_amid_the_steps_is_found_and_its_error_is_stated(tolerance: float) -> None:
     begin = -0.00741
     plan = compile(Model([1.0], [_Cliff()]))
     state = State([[begin, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
