@@ -7,8 +7,8 @@
 # Both make the environment when it is missing, and start at once when it is there.
 #
 # For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), docs-check, engine,
-# sanitize, bits, format, soak, bench, benchmarks, screenshots, colcon, clean.  Variables: PYTHON (which Python), VENV (where the environment is), CXX (which
-# compiler), ARGS (more arguments), as in
+# sanitize, bits, format, soak, bench, benchmarks, screenshots, colcon, clean; CONTRIBUTING.md explains each.
+# Variables: PYTHON (which Python), VENV (where the environment is), CXX (which compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
 #   make sanitize TESTS="test/physics/test_plan.py -x"

@@ -67,7 +67,15 @@ EXTRAS = {
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
     # The site, built as rosdoc2 builds it.
     "docs": ["sphinx>=7.2", "myst-parser>=2.0", "sphinx-rtd-theme>=2.0"],
-    "test": ["pytest>=7.4", "pytest-timeout>=2.2", "pytest-xdist>=3.5", "hypothesis>=6.98", "psutil>=5.9"],
+    # ipctk tells whether a surface passes through itself; it has wheels for x86-64 Linux.
+    "test": [
+        "pytest>=7.4",
+        "pytest-timeout>=2.2",
+        "pytest-xdist>=3.5",
+        "hypothesis>=6.98",
+        "psutil>=5.9",
+        'ipctk>=1.4; platform_machine == "x86_64"',
+    ],
 }
 # What `make run` installs, and what `make test`, `make check` and `make docs` install.
 EXTRAS["demo"] = [*EXTRAS["ros"], *EXTRAS["record"], *EXTRAS["replay"]]

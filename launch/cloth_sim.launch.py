@@ -20,8 +20,8 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         "scene",
         "cloth_sim",
         "which of the package's scenes: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
-        "the edge of a box, a towel on a table",
-        ["cloth_sim", "flag", "drape", "edge", "table"],
+        "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold",
+        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold"],
     ),
     ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),
     ("namespace", "", "namespace of the node", None),

@@ -27,6 +27,7 @@ SECTIONS = {
     "constants": "constants",
     "promise": "promise --seed 1 --count 500",
     "stability": "stability",
+    "contact": "contact",
     "speed": "speed",
     "skip": "skip",
     "engine": "engine",

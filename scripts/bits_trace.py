@@ -1,14 +1,28 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A trace of the engine's calls: what each is given and what it leaves, so that another build can be asked the same.
+"""Writes a trace of the engine's calls: the arguments of each call, its result, and the memory before and after it.
 
-`python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes it; bits_replay.cpp makes
-the calls again. A file is a sequence of calls, numbers in 8 bytes, little-endian: the name's length and the name, the
-kind of what is returned ("i" a status, "n" a number, "h" a plan, "v" nothing) and it, the number of arguments, and
-each by its kind: "h" a plan, "i" a whole number, "d" a double, "0" null, "b" memory by its size and its bytes before
-and after the call, "a" several of these by their number, "f" a frame's request by its bytes and the place, in
-numbers, and content of each array in it, a place of -1 behind the last. Bytes stand by the number of a content, which
-follows where it is new.
+`python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes the trace to FILE.
+bits_replay.cpp reads it, makes the same calls with another build of the engine, and compares what comes out.
+
+A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call is:
+
+    length of the function's name, the name
+    kind of the result ("i" status, "n" number, "h" plan, "v" nothing), the result (0 where there is none)
+    number of arguments, then each argument: its kind and its value
+
+An argument's value, by its kind:
+
+    "h"  a plan's handle
+    "i"  an integer
+    "d"  a double
+    "0"  a null pointer: no value
+    "b"  memory: its size in bytes, its content before the call, its content after the call
+    "a"  an array of pointers: their number, then a "b" for each
+    "f"  a binding.Frame: its size in bytes, its bytes, for each array that it points to the field's index and a "b",
+         then -1
+
+A content is its number in the file, and, where that number occurs for the first time, the bytes.
 """
 
 from __future__ import annotations
@@ -24,7 +38,7 @@ import xxhash
 
 from cloth_sim_ros.engine import binding
 
-#: A call's arguments as plain values, and what is known of its plan, to the number of 8-byte numbers in memory.
+#: Gives the size of a memory argument, in 8-byte numbers, from all arguments of the call and what is known of its plan.
 Size = Callable[[Sequence[Any], dict[str, Any]], int]
 
 
@@ -72,13 +86,12 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         (
             "h",
             "i",
-            _given(binding.PATH_NUMBERS, 1),
             "i",
-            _given(1, 3),
-            _given(1, 3),
-            _given(3, 3),
-            _given(1, 3),
-            _given(1, 3),
+            _given(1, 2),
+            _given(1, 2),
+            _given(3, 2),
+            _given(1, 2),
+            _given(1, 2),
         ),
     ),
     "cloth_plan_paths": ("i", ("h", _PATHS)),
@@ -94,6 +107,11 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_product": ("i", ("h", _X, _X, _X, _X, _X)),
     "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
+    "cloth_paths": (
+        "i",
+        ("i", "d", "d", *(_given(size, 0) for size in (7, 6, 6, 7, binding.PATH_NUMBERS, 6, 6, 1))),
+    ),
+    "cloth_turn": ("i", (_fixed(4), _fixed(4), _fixed(3))),
     "cloth_pose": ("i", (_fixed(binding.PATH_NUMBERS), "d", _fixed(18))),
     "cloth_lengths": ("i", ("i", "i", _given(4, 1), _given(3, 4), "i", _given(1, 1), _given(4, 1))),
     "cloth_combine": ("i", ("i", "a", _given(1, 0), "i", _given(1, 3))),
@@ -174,7 +192,7 @@ class Traced:
             plan["grippers"] = arguments[1]
 
     def _part(self, kind: Any, value: Any, arguments: tuple[Any, ...], plan: dict[str, Any]) -> Callable[[], bytes]:
-        """What is written of an argument, asked for after the call; memory is read now, and then once more."""
+        """Return a function that gives an argument's bytes after the call; memory is read before and after it."""
         if kind in ("h", "i"):
             return lambda: kind.encode() + struct.pack("<q", value)
         if kind == "d":

@@ -71,7 +71,7 @@ def install(folder: Path, extras: str) -> None:
         # setuptools warns of every editable install that it is one.
         subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, "PYTHONWARNINGS": "ignore"})
     finally:
-        # What failed on the way to PyPI has touched nothing; a working environment must not be lost for it.
+        # A failed step that installed nothing (no network, say) leaves a working environment, which must be kept.
         if before == packages(folder):
             unfinished.unlink()
     unfinished.unlink(missing_ok=True)

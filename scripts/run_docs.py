@@ -25,7 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,10 @@ RUNS = ("bash", "python")
 LIMIT = 3600.0
 #: How long what runs in the background may take to be ready, and to end [s].
 READY, PATIENCE = 60.0, 15.0
+#: Variables that are not passed to the blocks: those that point at another Python or ROS environment, and those of
+#: `make docs-check`, which make would hand on to every make that a block starts.
+_NOT_A_USERS = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH"}
+_NOT_A_USERS |= {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES", "ARGS", "TESTS", "VENV"}
 _MARK = re.compile(r"<!--\s*(output|file|background|skip)(?::\s*(.*?))?\s*-->\s*$")
 _NUMBER = re.compile(r"\d+(?:[.,:]\d+)*(?:e[+-]?\d+)?")
 
@@ -106,15 +110,19 @@ def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
     return "\n".join(difflib.unified_diff(wanted, got, "the page", "printed", lineterm=""))
 
 
+def users_environment(own: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of a user's shell: this process's own, less what it has for its own sake."""
+    kept = {name: value for name, value in own.items() if name not in _NOT_A_USERS}
+    return kept | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+
+
 class Clone:
     """A clean clone, in which blocks are run as a user's shell runs them."""
 
     def __init__(self, folder: Path, *, logs: Path) -> None:
         self.folder, self._logs = folder, logs
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
-        hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
-        self._environment = {name: value for name, value in os.environ.items() if name not in hidden}
-        self._environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+        self._environment = users_environment(os.environ)
         self._background: list[tuple[subprocess.Popen[str], Path]] = []
 
     def run(self, block: Block) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the pictures of docs/images: four sessions, each simulated, recorded, and painted by `cloth_replay`.
+"""Makes the pictures of docs/images: five sessions, each simulated, recorded, and painted by `cloth_replay`.
 
 .venv/bin/python scripts/session_pictures.py [name ...]
 """
@@ -22,6 +22,8 @@ sys.path.insert(0, str(ROOT / "test"))
 from support.session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
 
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
+from cloth_sim_ros.ros.gripper_script import GripperScript  # noqa: E402
+from cloth_sim_ros.scene.parameter_file import read as read_parameters  # noqa: E402
 from cloth_sim_ros.scene.scene import Scene  # noqa: E402
 from cloth_sim_ros.simulation.events import Event, Grasp, Target  # noqa: E402
 
@@ -84,6 +86,17 @@ def lift(scene: Scene) -> Iterator[list[Event]]:
         yield events
 
 
+def pinch(scene: Scene) -> Iterator[list[Event]]:
+    """The script of pinch.yaml: a towel is taken where it hangs over a table's edge, and lifted."""
+    script = GripperScript.from_file(ROOT / "config" / "pinch_grasp.yaml")
+    waiting = list(script.grasps)
+    for k in range(round(9.0 * scene.rate)):
+        events: list[Event] = [Target(script.gripper, *script.pose(k / scene.rate))]
+        while waiting and waiting[0].time <= k / scene.rate:
+            events.append(Grasp(script.gripper, waiting.pop(0).closed))
+        yield events
+
+
 PICTURES = {
     "grasp": Picture(values={}, events=carry, at=2.4, strain_limit=3.0),
     "fold": Picture(values={"grippers": ["left", "right"]}, events=fold, at=2.4, strain_limit=3.0),
@@ -105,6 +118,7 @@ PICTURES = {
         at=3.6,
         strain_limit=30.0,
     ),
+    "pinch": Picture(values=read_parameters(ROOT / "config" / "pinch.yaml"), events=pinch, at=8.6, strain_limit=2.0),
 }
 
 

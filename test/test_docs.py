@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -105,6 +106,19 @@ def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -
 def test_a_block_that_is_neither_run_nor_marked_is_refused(run_docs: ModuleType) -> None:
     with pytest.raises(run_docs.PageError, match=r"page:3: a block of 'yaml'"):
         run_docs.blocks_of("words\n\n```yaml\na: 1\n```\n", "page")
+
+
+def test_blocks_do_not_see_what_the_check_itself_was_given(run_docs: ModuleType, tmp_path: Path) -> None:
+    # make hands its variables on in the environment: the pages' own `make run` would take ARGS for its own.
+    makefile = tmp_path / "Makefile"
+    makefile.write_text(f"all:\n\t@{sys.executable} -c 'import json, os; print(json.dumps(dict(os.environ)))'\n")
+    command = ["make", "-s", "-f", makefile, "ARGS=--leave-out x", "VENV=other", "PYTHON=python3.12"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    seen = run_docs.users_environment(json.loads(done.stdout))
+    assert not {"ARGS", "VENV"} & seen.keys()
+    assert not any("--leave-out" in value for value in seen.values())
+    assert seen["PYTHON"] == "python3.12"
+    assert seen["PATH"]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The walls between the rooms (docs/design.md), seen from outside: who loads what, in a fresh interpreter."""
+"""Which subpackages of cloth_sim_ros may import which others, and which libraries each may load.
+
+A subpackage is called a room, and a rule about its imports a wall, as in docs/design.md. Each room is imported in a
+fresh interpreter.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +16,14 @@ from pathlib import Path
 
 import pytest
 
+import cloth_sim_ros
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cloth_sim_ros"
 
 ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
 VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
-# What takes long to load, or is not there on a robot: only loaded where it is first needed.
+# Libraries that take long to load, or that a robot may lack: loaded only where they are first needed.
 LATE = {"matplotlib", "numba", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *VIEWER}
 FILES = {"mcap", "rosbags", "yaml"}
 ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
@@ -32,7 +38,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "session": (set(), ROS | LATE | {"scipy"}),
     "replay": ({"session"}, ROS | {"scipy"}),
     "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
-    # A problem that scipy solves for comparison needs it from the start; the command loads the problem when asked.
+    # Problems that scipy solves for comparison import it at the top; the command imports a problem when asked for it.
     "bench": ({"engine", "physics", "scene", "simulation"}, ROS | LATE - {"scipy.sparse", "scipy.optimize"}),
     "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
 }
@@ -123,10 +129,8 @@ def test_importing_the_package_loads_next_to_nothing() -> None:
     assert not {room for room in ROOMS if f"cloth_sim_ros.{room}" in loaded}
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
-    # What is imported late is not in sys.modules above, and binds the rooms no less.
-    room = room_of(path)
+def imports_of(path: Path) -> set[str]:
+    """Full names of all that a file imports, late imports included."""
     imported = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
@@ -134,6 +138,14 @@ def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports name their module in full"
             imported |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return imported
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
+    # What is imported late is not in sys.modules above, and binds the rooms no less.
+    room = room_of(path)
+    imported = imports_of(path)
     if room != "ros":
         assert not {name for name in imported if name.split(".")[0] in ROS}, "only the room ros imports ROS"
     if room != "replay":
@@ -144,6 +156,16 @@ def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
     if room in WALLS:
         neighbours = {other for other in ROOMS if f"cloth_sim_ros.{other}" in imported} - {room}
         assert neighbours <= WALLS[room][0]
+
+
+def test_rooms_do_not_import_through_the_users_door() -> None:
+    # `from cloth_sim_ros import Simulation` loads a name from whichever room has it, which the tests above don't see.
+    public = {f"cloth_sim_ros.{name}" for name in [*cloth_sim_ros.__all__, "_PLACES"]}
+    # engine_jobs.py also measures older versions of the package, so it uses the public names, which stay the same.
+    measured = PACKAGE / "bench" / "engine_jobs.py"
+    paths = [path for path in PACKAGE.rglob("*.py") if path not in (PACKAGE / "__init__.py", measured)]
+    found = {str(path.relative_to(PACKAGE)): imports_of(path) & public for path in paths}
+    assert not {name: names for name, names in found.items() if names}
 
 
 def test_rooms_named_here_are_the_ones_there_are() -> None:

@@ -21,6 +21,7 @@ COMMANDS = {
         "stability",
         "thousands of attacks: stiffness, step, damping and events; the limits found and predicted",
     ),
+    "contact": ("contact", "obstacles and friction against theory: slopes, weight, a strip over a drum, impacts, cost"),
     "speed": ("speed", "ns per spring against C, simulated seconds per wall second, two threads against one"),
     "peers": ("peers", "other engines on the same sheet, installed on demand into an environment of their own"),
     "scale": ("scale", "time per particle and step, and memory, from 10^3 to 10^6 particles"),

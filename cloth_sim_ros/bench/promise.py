@@ -200,7 +200,8 @@ def _windows(name: str, judged: list[Judgement], *, least: float) -> Table:
         "length s",
         "error m",
         "tolerance m",
-        "g",
+        "g from start",
+        "g from later",
         "ratio",
         "reference m",
         "flagged",
@@ -223,6 +224,7 @@ def _window_row(judgement: Judgement, window: Window) -> list[Any]:
         window.error,
         judgement.tolerance,
         window.growth,
+        window.later or "-",
         window.ratio if window.known else "unknown",
         window.reference_error,
         window.flagged,
@@ -246,11 +248,14 @@ def _count(judged: list[Judgement], report: Report) -> None:
     lost = len(every) - len(known) + sum(len(judgement.unknown) for judgement in judged)
     worst = max((window.ratio for window in known), default=0.0)
     worst_unflagged = max((window.ratio for window in unflagged), default=0.0)
+    from_start = [window.from_start for window in unflagged]
     frames = sum(judgement.frames for judgement in judged)
     flags = sum(judgement.flagged_frames for judgement in judged)
     report.notes += [
         f"{len(known)} windows judged, {lost} that the reference can't follow",
         f"unflagged: {len(unflagged)}, of which {len(broken)} above the promise, the worst {worst_unflagged:.3g} times",
+        f"by kicks at the start of windows alone: {sum(ratio > 1.0 for ratio in from_start)} of these above it, "
+        f"the worst {max(from_start, default=0.0):.3g} times",
         f"flagged: {len(known) - len(unflagged)}; among the {len(calm)} windows with g below {CALM:g}: {len(flagged)}",
         f"worst of all {worst:.3g} times; above {MOST_MISSED:g} times: {len(missed)}, "
         f"with g below {CALM:g}: {sum(window.growth < CALM for window in missed)}",

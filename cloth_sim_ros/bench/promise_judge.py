@@ -22,6 +22,8 @@ REFERENCE_ERROR = 0.02
 LEAST_LOCAL = 1e-13
 #: Growth from which the whole run is followed no further: a kick says nothing any more.
 HORIZON = 1e6
+#: Parts of a window at whose borders particles are kicked too, where kicks at its start do not explain its error.
+_PARTS = 8
 #: Growth of a kick up to which flagged windows count.
 CALM = 1e3
 #: Steps of the reference in a frame beyond which its equations are taken to be singular there: so many, and so many in
@@ -38,7 +40,7 @@ class Window:
     frames: int
     #: Largest distance of a particle from where it should be [m], at the end of any of its frames.
     error: float
-    #: Growth of a kick.
+    #: Growth of a kick at its start.
     growth: float
     #: What is promised [m].
     promised: float
@@ -53,6 +55,13 @@ class Window:
     #: Evaluations of the engine, and of the reference.
     evaluations: int
     reference_evaluations: int
+    #: Growth of kicks made later in it, which may shrink when they are made at its start; 0 where nobody looked.
+    later: float = 0.0
+
+    @property
+    def from_start(self) -> float:
+        """Error relative to what would be promised if kicks grew as those at its start do."""
+        return self.ratio * max(1.0, self.growth, self.later) / max(1.0, self.growth)
 
     @property
     def ratio(self) -> float:
@@ -189,10 +198,23 @@ def judge_window(run: Recording, first: int, frames: int, *, seed: int) -> tuple
         if window.reference_error <= REFERENCE_ERROR * window.promised or local <= least:
             break
         local = max(0.01 * local, least)
+    if window.ratio > 1.0:
+        later = max(_growth_from(run, first, second, part, seed, local) for part in range(1, _PARTS))
+        promised = tolerance * max(1.0, window.growth, later)
+        window = attrs.evolve(window, later=later, promised=promised)
     if frames <= second:
         return window, None
     many = min(len(rough.positions), len(fine.positions))
     return window, window_of(run, first, many, rough, fine, tolerance * max(1.0, many * run.period))
+
+
+def _growth_from(run: Recording, first: int, frames: int, part: int, seed: int, local: float) -> float:
+    """Growth of kicks that are made at the end of so many parts of a window, up to any later frame of it."""
+    passed = part * frames // _PARTS
+    if not 0 < passed < frames:
+        return 0.0
+    both = (follow(run, first + passed, frames - passed, kicks(run, seed, second=k), local) for k in (False, True))
+    return max(float(np.max(each.growths)) for each in both)
 
 
 @attrs.frozen(kw_only=True, eq=False)

@@ -64,7 +64,8 @@ inline void add_single(const Band& a, std::int64_t i, double mass, const double*
     z[1] += yz;
 }
 
-/// Where masses rule, entries decay along a row until they are denormal, which costs a hundred times as much.
+/// Set numbers below 1e-120 to zero. Where masses dominate the matrix, the factor's entries decay along a row until
+/// they are denormal, and arithmetic on denormal numbers takes about a hundred times as long.
 template <class V>
 inline V without_traces(V a) {
     constexpr double tiny = 1e-120;

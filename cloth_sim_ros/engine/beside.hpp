@@ -4,6 +4,8 @@
 // What acts in a run beside a sheet's own springs: listed elements, forces of the caller's own, grippers.
 #pragma once
 
+#include <limits>
+
 #include "contact_run.hpp"
 #include "list_forces.hpp"
 
@@ -24,15 +26,22 @@ struct Beside {
     std::vector<Poses> poses;        ///< of each thread
     std::vector<double> grips;       ///< (grips, booked_numbers)
     std::optional<ContactRun<T>> contact;
+    std::optional<SelfRun> self;
 
     Beside(Plan& plan, const Run& run) : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
+        if constexpr (sizeof(T) == 8)
+            if (plan.self_acts()) self.emplace(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
     }
-    bool needed() const { return !plan.lists.empty() || whole(); }
-    /// Whether something asks for all positions at once, so that one thread works.
+    bool needed() const { return !plan.lists.empty() || alone(); }
+    /// Whether something asks for all positions at once, by component.
     bool whole() const { return plan.callback || run.powers; }
+    /// Whether one thread works.
+    bool alone() const { return whole() || plan.self_acts(); }
+    /// Whether any obstacle is near enough to be met, or pads move.
+    bool near() const { return !plan.contacts.active.empty() || !plan.contacts.pinches.empty(); }
     void hold(int threads) {
         for (int k = 0; plan.held.count() && k < threads; ++k) poses.emplace_back(plan.held.paths, run.t, run.step);
     }
@@ -40,12 +49,12 @@ struct Beside {
     void touch_rows(int threads, std::int64_t pitch) {
         const std::int64_t columns = plan.grid->columns;
         const auto place_of = [&](std::int64_t i) { return i / columns * pitch + i % columns; };
-        if (plan.contacts.count()) contact.emplace(plan, run, origin, threads, plan.grid->rows, pitch, place_of);
+        if (near()) contact.emplace(plan, run, origin, threads, plan.grid->rows, pitch, place_of);
     }
     void touch_ranks(int threads) {
         const std::int64_t blocks = (plan.count + contact_block - 1) / contact_block;
         const auto place_of = [&](std::int64_t i) { return plan.rank[i]; };
-        if (plan.contacts.count()) contact.emplace(plan, run, origin, threads, blocks, contact_block, place_of);
+        if (near()) contact.emplace(plan, run, origin, threads, blocks, contact_block, place_of);
     }
     void make(const std::vector<std::int64_t>& borders) {
         shares = &plan.shares<T>(borders);
@@ -67,6 +76,8 @@ struct Beside {
         Powers seen;
         for (std::size_t k = 0; k < share.lists.size(); ++k)
             add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, booked ? &seen : nullptr);
+        if constexpr (sizeof(T) == 8)
+            if (self) self->add(x.data(), v.data(), f, booked ? seen.lost : nullptr);
         return whole() ? asked(step, f, booked, seen) : Done::well;
     }
     Done asked(std::int64_t step, T* f, bool booked, const Powers& seen) {
@@ -104,6 +115,10 @@ struct Beside {
             const std::int64_t most = std::min<std::int64_t>(lanes<T>, columns - j);
             for (std::int64_t k = 0; k < most; ++k) store4(to + 4 * (j + k), rows[k]);
         }
+    }
+    /// Move pads to a step, once all threads have been at the one before.
+    void follow(int thread, std::int64_t step) {
+        if (contact) contact->follow(thread, step);
     }
     /// Add what obstacles do to a share's particles.
     void add_contact(int thread, std::int64_t step, T* f) {
@@ -156,9 +171,33 @@ struct Beside {
         }
         return {T(force.x), T(force.y), T(force.z)};
     }
+    /// A run in which something may have passed through something has no result.
+    void finish_self() {
+        if (!self->finish(x.data())) {
+            std::fill(run.x, run.x + 3 * plan.count, std::numeric_limits<double>::quiet_NaN());
+            std::fill(run.v, run.v + 3 * plan.count, std::numeric_limits<double>::quiet_NaN());
+        }
+        if (!run.touched) return;
+        double* const touched = run.touched + plan.contacts.count() * booked_numbers;
+        const SelfRates rates = self->rates();
+        touched[1] = smaller(self->gap(), touched[1]);
+        touched[Touched::numbers] = rates.omega2;
+        touched[Touched::numbers + 1] = rates.damping;
+    }
+    /// What a run tells that no obstacle was near.
+    void met_nothing() {
+        const Contacts& contacts = plan.contacts;
+        if (run.touched) Touched().to(run.touched + contacts.count() * booked_numbers);
+        if (run.anchors) std::copy(contacts.anchors.begin(), contacts.anchors.end(), run.anchors);
+    }
     /// Sum up what was booked, in order of the grips and of the blocks.
     void finish() {
-        if (contact) contact->finish();
+        if (contact)
+            contact->finish();
+        else
+            met_nothing();
+        if constexpr (sizeof(T) == 8)
+            if (self && run.steps) finish_self();
         if (!run.booked) return;
         for (std::int64_t grip = 0; grip < plan.held.count(); ++grip)
             for (int k = 0; k < booked_numbers; ++k)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,18 +20,21 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 6
+ABI = 9
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
+NOT_FINITE = 4
 #: Runs of one frame at most; see frame.hpp.
 MOST_RUNS = 8
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4}
-TOUCHED_NUMBERS = 3
+TOUCHED_NUMBERS = 5
 #: Numbers of an anchor of friction; see contact_friction.hpp.
 ANCHOR_NUMBERS = 4
+#: Numbers of where a gripper's pads are, and of what drives them; see contact_pinch.hpp and library.cpp.
+PINCH_NUMBERS, DRIVE_NUMBERS = 2, 7
 #: Kinds of listed elements with the particles and numbers of each; see list.hpp.
 KINDS = {
     "spring": (0, 2, 3),
@@ -73,8 +77,14 @@ class Frame(ctypes.Structure):
         ("rates", ctypes.c_int64),
         ("books", ctypes.c_int64),
         ("anchors", ctypes.c_void_p),
+        ("pinched", ctypes.c_void_p),
     )
 
+
+#: The same, written in one go.
+FRAME = struct.Struct(
+    "@" + "".join({ctypes.c_double: "d", ctypes.c_int64: "q"}.get(kind, "P") for _, kind in Frame._fields_)
+)
 
 _P, _I, _D, _INT = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_int
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
@@ -86,10 +96,13 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_air": (_INT, _P, _P),
     "cloth_plan_order": (_INT, _P, _P),
     "cloth_plan_callback": (_INT, _P, CALLBACK),
-    "cloth_plan_held": (_INT, _P, _I, _P, _I, _P, _P, _P, _P, _P),
+    "cloth_plan_held": (_INT, _P, _I, _I, _P, _P, _P, _P, _P),
     "cloth_plan_paths": (_INT, _P, _P),
     "cloth_plan_contact": (_INT, _P, _I, _P, _P, _P, _P, _P, _D, _D, _D),
     "cloth_plan_contact_paths": (_INT, _P, _P),
+    "cloth_plan_pinches": (_INT, _P, _I, _P, _P),
+    "cloth_contact_pinched": (_INT, _P, _P),
+    "cloth_pinch_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
@@ -103,11 +116,21 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_settle": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
     "cloth_contact_crosses": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
+    "cloth_plan_self": (_INT, _P, _I, _P, _D),
+    "cloth_self_keeps": (_INT, _P, _I),
+    "cloth_self_bounds": (_INT, _P, _P, _P, _P),
+    "cloth_self_gaps": (_INT, _P, _P, _P),
+    "cloth_self_pierced": (_INT, _P, _P, _P),
+    "cloth_self_rests": (_INT, _P, _D, _P, _P, _P),
+    "cloth_self_ahead": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_self_crosses": (_INT, _P, _P, _P, _P),
     "cloth_rates": (_INT, _P, _P, _P, _P, _P),
     "cloth_bounds": (_INT, _P, _P, _P, _P),
     "cloth_eigenvalues": (_INT, _P, _I, _P),
     "cloth_product": (_INT, _P, _D, _P, _P, _P, _P, _P),
     "cloth_pair_blocks": (_INT, _P, _I, _P, _D, _D, _P),
+    "cloth_paths": (_INT, _I, _D, _D, *(_P,) * 8),
+    "cloth_turn": (_INT, _P, _P, _P),
     "cloth_pose": (_INT, _P, _D, _P),
     "cloth_lengths": (_INT, _INT, _I, _P, _P, _I, _P, _P),
     "cloth_combine": (_INT, _I, _P, _P, _I, _P),

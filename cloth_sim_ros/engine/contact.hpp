@@ -6,6 +6,7 @@
 
 #include "contact_friction.hpp"
 #include "contact_law.hpp"
+#include "contact_pinch.hpp"
 #include "contact_shapes.hpp"
 #include "held.hpp"
 
@@ -19,25 +20,55 @@ struct Obstacle {
     Vec3<double> size;
     double radius;  ///< of a sphere about its frame's origin that holds it all; infinite for a plane
     Roughness rough;
+    std::int64_t pinch = -1;  ///< of the pad of a gripper that pinches, which; negative for all else
+    double side = 0.0;        ///< on which side of its closing axis
 };
 
 struct Contacts {
     std::vector<Obstacle> obstacles;
     std::vector<double> paths;
     double thickness = 0.0, damping = 0.0;
-    /// Of the anchors' springs [1/s], and the anchors at the start of runs, (obstacles, anchor_numbers, particles).
+    /// Frequency of the springs to friction's anchors [1/s]. `anchors` holds the anchors at the start of runs,
+    /// (obstacles, anchor_numbers, particles).
     double frequency = 0.0;
     std::vector<double> anchors;
-    /// Those that a run may meet, and whether blocks of particles that are far from one may be left alone for a while.
+    /// Grippers that pinch, and where their pads are at the start of runs, (pinches, pinch_numbers).
+    std::vector<Pinch> pinches;
+    std::vector<double> pinched;
+    /// Indices of the obstacles that a run may meet. `sleeps`: whether a run may skip a block of particles for some
+    /// steps while the block is far from an obstacle.
     std::vector<std::int64_t> active;
     bool sleeps = true;
 
     void wake() {
-        active.resize(obstacles.size());
-        std::iota(active.begin(), active.end(), std::int64_t{0});
+        active.clear();
+        for (std::int64_t k = 0; k < count(); ++k)
+            if (present(k)) active.push_back(k);
     }
     std::int64_t count() const { return static_cast<std::int64_t>(obstacles.size()); }
     const double* path(std::int64_t obstacle) const { return paths.data() + obstacle * path_numbers; }
+    /// The pinch of an obstacle that is a pad, or null.
+    const Pinch* pinch_of(std::int64_t obstacle) const {
+        const std::int64_t pinch = obstacles[obstacle].pinch;
+        return pinch < 0 ? nullptr : &pinches[pinch];
+    }
+    bool present(std::int64_t obstacle) const {
+        const Pinch* const pinch = pinch_of(obstacle);
+        return !pinch || pinch->present;
+    }
+    /// Pose of an obstacle, from `pose` of its path. A pad is shifted along its gripper's closing axis: its face is
+    /// `way` [m] from the gripper and moves outward at `rate` [m/s].
+    Pose shifted(const Pose& pose, std::int64_t obstacle, double way, double rate) const {
+        const Pinch* const pinch = pinch_of(obstacle);
+        return pinch ? pad_pose(pose, obstacles[obstacle].side, way + pinch->thick, rate) : pose;
+    }
+    /// Pose of an obstacle, pads being where they are at the start of runs.
+    Pose pose(std::int64_t obstacle, double t) const {
+        const Pose at = pose_at(path(obstacle), t);
+        if (!pinch_of(obstacle)) return at;
+        const double* const state = pinched.data() + obstacles[obstacle].pinch * pinch_numbers;
+        return shifted(at, obstacle, state[0], state[1]);
+    }
     bool rough() const {
         for (const Obstacle& obstacle : obstacles)
             if (obstacle.rough.still > 0.0) return true;
@@ -49,8 +80,8 @@ struct Contacts {
     }
 };
 
-/// What a run met: energy per mass that contact has to take up, in units of U^2/2, the least gap [m], and whether a block
-/// that was left alone turned out faster than was counted with.
+/// What a run met. `reached`: largest energy per mass that contact has to take up, in units of U^2/2. `gap`: least gap
+/// [m]. `missed`: whether a block that was skipped for some steps moved faster than the skip allowed for.
 struct Touched {
     static constexpr int numbers = 3;
     double reached = 0.0, gap = 1e30;
@@ -68,6 +99,7 @@ inline constexpr std::int64_t contact_block = 64;
 template <class T>
 struct Placed {
     Vec3<T> place, rotation[3], speed, spin;
+    Vec3<T> lever{};  ///< from the point about which torques are booked, a pad's gripper, to its place
 
     Placed(const Pose& pose, const double* origin) {
         const auto narrowed = [](Vec3<double> a) { return Vec3<T>{T(a.x), T(a.y), T(a.z)}; };
@@ -155,19 +187,19 @@ template <class T>
 struct Found {
     T gap, speed, entering;
 };
-/// A gap that is none: of particles that don't count.
+/// Stands for the gap of a particle that doesn't count (anchored, or padding): larger than any real gap.
 template <class T>
 inline constexpr T no_gap = T(1e30);
 
-/// Found, as it is put together from vectors of particles. Who would come nearer than `near` within `ahead` seconds is about
-/// to come into contact.
+/// Collects `Found` from vectors of particles. A particle is about to come into contact if, at its present speed, its
+/// gap falls below `near` [m] within `ahead` [s].
 template <class T>
 class Finding {
     using V = vec<T>;
 
 public:
     Finding(T near, T ahead) : near_(splat<V>(near)), ahead_(splat<V>(-ahead)) {}
-    /// Takes particles with these masses in; returns their gaps, which are none where the mass is.
+    /// Takes a vector of particles in and returns their gaps: `no_gap` where the mass is zero.
     CLOTH_INLINE V take(const Stand<V>& s, V mass) {
         const auto moves = mass > V{};
         const V gap = select(moves, s.gap, splat<V>(no_gap<T>));

@@ -27,31 +27,47 @@ struct Rubbing {
     V lost, energy;
 };
 
-/// A spring of squared frequency `stiffness` [1/s^2] and rate `damping` [1/s] along the surface.
+/// A spring of squared frequency `stiffness` [1/s^2] and rate `damping` [1/s] along the surface. The coefficient depends on
+/// the speed of sliding alone (Stribeck): at rest up to half of `moving`, in motion from there on, smooth between. A jump
+/// at the moment where a contact breaks loose would cost all order of the error.
 template <class V>
 class FrictionLaw {
 public:
     FrictionLaw(const Roughness& rough, double frequency)
-        : still_(of(rough.still)), sliding_(of(rough.sliding)), stiffness_(of(frequency * frequency)),
+        : sliding_(of(rough.sliding)), more_(of(rough.still - rough.sliding)), stiffness_(of(frequency * frequency)),
           damping_(of(damping_share * frequency)) {}
 
     /// Rate of damping over frequency: a tenth of critical damping.
     static constexpr double damping_share = 0.2;
+    /// Speed [m/s] from which on the coefficient is that in motion.
+    static constexpr double moving = 0.02;
+
+    /// The part of a way and of a velocity along the surface, how far the anchor's spring is stretched once it is back within
+    /// the cone, and whether the anchor had to be dragged for it.
+    template <class M>
+    struct Trial {
+        Vec3<V> speed, stretch;
+        V way, most;
+        M slides;
+    };
+    CLOTH_INLINE auto tried(Vec3<V> way, Vec3<V> normal, Vec3<V> slip, V push) const {
+        const Vec3<V> along = way - dot(way, normal) * normal, speed = slip - dot(slip, normal) * normal;
+        const V length = root(norm2(along)), pull = stiffness_ * length, most = coefficient(norm2(speed)) * push;
+        const auto slides = pull > most;
+        const V share = select(slides, most / select(slides, pull, of(1.0)), of(1.0));
+        return Trial<std::remove_const_t<decltype(slides)>>{speed, share * along, length, most, slides};
+    }
 
     /// At a way from the anchor to the particle, a normal, a velocity seen from the obstacle, and a push across the surface.
-    /// While it sticks the cone is that of the coefficient at rest. Beyond it the anchor is dragged along, so that its spring
-    /// stays on the cone of the coefficient in motion, until a trial falls within that cone. Damping takes what the cone has
-    /// room for beside the spring.
-    template <class M>
-    CLOTH_INLINE auto rub(Vec3<V> way, Vec3<V> normal, Vec3<V> slip, V push, M slid) const {
-        const V one = of(1.0);
-        const Vec3<V> along = way - dot(way, normal) * normal, speed = slip - dot(slip, normal) * normal;
-        const V pull = stiffness_ * root(norm2(along)), motion = sliding_ * push, rest = still_ * push;
-        const auto slides = pull > select(slid, motion, rest);
-        const V share = select(slides, motion / select(slides, pull, one), one);
-        const Vec3<V> stretch = share * along, spring = stiffness_ * stretch, damped = damping_ * speed;
+    /// Within the cone it sticks. Beyond it the anchor is dragged along, so that its spring stays on the cone. Damping takes
+    /// what the cone has room for beside the spring.
+    CLOTH_INLINE auto rub(Vec3<V> way, Vec3<V> normal, Vec3<V> slip, V push) const {
+        const V one = of(1.0), none = of(0.0), half = of(0.5);
+        const auto trial = tried(way, normal, slip, push);
+        const auto slides = trial.slides;
+        const V most = trial.most;
+        const Vec3<V> speed = trial.speed, spring = stiffness_ * trial.stretch, damped = damping_ * speed;
         // Of damping as much as the cone has room for: |spring + part damped| = most, solved without cancellation.
-        const V none = of(0.0), most = select(slides, motion, rest);
         const V room = larger(fma(most, most, -norm2(spring)), none), square = norm2(damped), with = dot(spring, damped);
         const V size = root(fma(with, with, square * room));
         const auto against = with < none;
@@ -60,16 +76,22 @@ public:
         const V part = smaller(select(some, over / select(some, under, one), none), one);
         const Vec3<V> push_ = -(spring + part * damped);
         const V held = select(slides, none, dot(spring, speed));
-        const V way_ = root(norm2(along)), half = of(0.5);
-        const V energy = select(slides, motion * (way_ - half * motion / stiffness_), half * pull * way_);
+        const V length = trial.way;
+        const V energy = select(slides, most * (length - half * most / stiffness_), half * stiffness_ * length * length);
         using Mask = std::remove_const_t<decltype(slides)>;
-        return Rubbing<V, Mask>{push_, stretch, slides, -dot(push_, speed) - held, energy};
+        return Rubbing<V, Mask>{push_, trial.stretch, slides, -dot(push_, speed) - held, energy};
     }
 
 private:
     static CLOTH_INLINE V of(double a) { return splat<V>(scalar<V>(a)); }
+    /// Of friction, at a squared speed of sliding.
+    CLOTH_INLINE V coefficient(V square) const {
+        const V none = of(0.0), one = of(1.0), rest = fma(of(-1.0 / (moving * moving)), square, one);
+        const V r = smaller(larger(of(4.0 / 3.0) * rest, none), one);
+        return fma(more_ * (r * r), fma(of(-2.0), r, of(3.0)), sliding_);
+    }
 
-    V still_, sliding_, stiffness_, damping_;
+    V sliding_, more_, stiffness_, damping_;
 };
 
 }  // namespace cloth

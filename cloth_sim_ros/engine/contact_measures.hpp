@@ -19,8 +19,8 @@ struct NearOne {
     Stand<double> stands() const { return {arm, gap, normal, slip, closing}; }
 };
 
-/// Call `what` for each free particle of those that `widest(fastest speed)` [m] may hold: it is asked for a few particles at
-/// a time, with the speed of the fastest.
+/// Call `what` for each free particle of each block that is near an obstacle. A block is near if its least gap is below
+/// `widest(speed)` [m], where `speed` is that of its fastest particle as seen from the obstacle [m/s].
 template <class W, class F>
 inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& what) {
     const std::int64_t n = plan.count;
@@ -29,7 +29,9 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
     Array<double> room(7 * contact_block, 0.0);
     double* const mass = room.data() + 6 * contact_block;
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
-        const Placed<double> placed(pose_at(contacts.path(obstacle), t), origin);
+        if (!contacts.present(obstacle)) continue;
+        Placed<double> placed(contacts.pose(obstacle, t), origin);
+        if (contacts.pinch_of(obstacle)) placed.lever = placed.place - pose_at(contacts.path(obstacle), t).place;
         const Vec3<double>& size = contacts.obstacles[obstacle].size;
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
             for (std::int64_t first = 0; first < n; first += contact_block) {
@@ -73,7 +75,7 @@ inline auto rubbing(const Plan& plan, std::int64_t obstacle, std::int64_t partic
     const double bond = a[3 * n];
     const Vec3<V> here = placed.template inward<V>(s.arm);
     const Vec3<V> anchor = bond > 0.0 ? splat3<V>(Vec3<double>{a[0], a[n], a[2 * n]}) : here;
-    return law.rub(placed.template outward<V>(here - anchor), s.normal, s.slip, push, bond > double(sticks));
+    return law.rub(placed.template outward<V>(here - anchor), s.normal, s.slip, push);
 }
 
 /// Anchors after runs that ended with some of their own, each (obstacles, anchor_numbers, n), at the state x and v that
@@ -140,7 +142,7 @@ inline void contact_rates(const Plan& plan, double t, const double* x, const dou
             force = force + one.mass * rubbed.push;
             lost += one.mass * rubbed.lost;
         }
-        const Vec3<double> torque = cross(force, one.arm);
+        const Vec3<double> torque = cross(force, one.arm + one.placed.lever);
         const Vec3<double> moving = one.placed.speed + cross(one.placed.spin, one.arm);
         const double now[booked_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z,
                                             dot(force, moving), lost};
@@ -168,16 +170,40 @@ inline void add_contact_bounds(const Plan& plan, double t, const double* x, doub
 struct ContactLimits {
     double omega2 = 0.0, damping = 0.0;
     ContactLimits(const Contacts& contacts, double reached) {
+        for (const Pinch& pinch : contacts.pinches)
+            if (pinch.present) damping = larger(2.0 * pinch.force / (pinch.speed * pinch.mass), damping);
         if (!(reached > 0.0)) return;
         const auto law = contacts.law<double>();
         const double gap = stopping_gap(reached) * contacts.thickness;
         omega2 = law.stiffness(gap);
-        damping = law.damping(gap);
+        damping = larger(law.damping(gap), damping);
         if (!contacts.rough()) return;
         omega2 = larger(contacts.frequency * contacts.frequency, omega2);
         damping = larger(FrictionLaw<double>::damping_share * contacts.frequency, damping);
     }
 };
+
+/// Accelerations [m/s^2] of half the ways between pads at time t, by the cloth and their drives.
+inline void pinch_accelerations(const Plan& plan, double t, const double* x, const double* v, double* out) {
+    const Contacts& contacts = plan.contacts;
+    const auto law = contacts.law<double>();
+    std::vector<double> felt(contacts.pinches.size(), 0.0);
+    for_each_contact(plan, t, x, v, [&](const NearOne& one) {
+        const Obstacle& obstacle = contacts.obstacles[one.obstacle];
+        if (obstacle.pinch < 0) return;
+        const double push = law.push(one.gap, one.closing);
+        Vec3<double> force = push * one.normal;
+        if (obstacle.rough.still > 0.0)
+            force = force + rubbing<double>(plan, one.obstacle, one.particle, one.placed, one.stands(), push,
+                                            contacts.anchors.data()).push;
+        felt[obstacle.pinch] -= one.mass * obstacle.side * dot(one.placed.rotation[1], force);
+    });
+    for (std::size_t k = 0; k < contacts.pinches.size(); ++k) {
+        const double* const at = contacts.pinched.data() + k * pinch_numbers;
+        const Pinch& pinch = contacts.pinches[k];
+        out[k] = pinch.present ? pinch.acceleration(law, contacts.thickness, at[0], at[1], felt[k]) : 0.0;
+    }
+}
 
 /// Energy per mass, in U^2/2, that contact may have to take up within `duration`: of particles in contact what it has taken
 /// up already and that of their closing speed; of those that come into contact by then that of the speed that they come
@@ -189,12 +215,19 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
     const double thickness = contacts.thickness, per = 1.0 / ContactLaw<double>::speed;
     const auto reach = [&](double speed) { return thickness + (speed + 0.5 * push * duration) * duration; };
     // An obstacle that speeds up on its path is counted with the greatest speed of its middle and its end.
+    // Pads are driven to the speed that they have without load.
     std::vector<Placed<double>> later;
     const double origin[3] = {};
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle)
-        for (const double share : {0.5, 1.0})
-            later.emplace_back(pose_at(contacts.path(obstacle), t + share * duration), origin);
+        for (const double share : {0.5, 1.0}) {
+            const Pose pose = pose_at(contacts.path(obstacle), t + share * duration);
+            const Pinch* const pinch = contacts.pinch_of(obstacle);
+            const double way = pinch ? contacts.pinched[contacts.obstacles[obstacle].pinch * pinch_numbers] : 0.0;
+            const double rate = !pinch || duration == 0.0 ? 0.0 : pinch->closed ? -pinch->speed : pinch->speed;
+            later.emplace_back(contacts.shifted(pose, obstacle, way, rate), origin);
+        }
     double fastest = 0.0, most = 0.0;
+    std::vector<double> pinched(contacts.pinches.size(), 0.0), masses(contacts.pinches.size(), 0.0);
     for (const Placed<double>& one : later) fastest = larger(root(norm2(one.speed)), fastest);
     for_each_near(plan, t, x, v, [&](double speed) { return reach(speed + fastest); }, [&](const NearOne& one) {
         double speed = one.closing;
@@ -207,8 +240,21 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
         if (!(one.gap < reach(speed))) return;
         const double way = larger(one.gap - thickness, 0.0);
         const double energy = per * per * (speed * speed + 2.0 * push * way) + law.shape(one.gap);
-        most = larger(energy, most);
+        const std::int64_t pinch = contacts.obstacles[one.obstacle].pinch;
+        if (pinch >= 0) masses[pinch] += one.mass;
+        double& of = pinch < 0 ? most : pinched[pinch];
+        of = larger(energy, of);
     });
+    const ContactLaw<double> stop(contacts.thickness, contacts.damping);
+    for (std::size_t k = 0; k < contacts.pinches.size(); ++k) {
+        const Pinch& pinch = contacts.pinches[k];
+        if (!pinch.present) continue;
+        const double way = contacts.pinched[k * pinch_numbers], now = contacts.pinched[k * pinch_numbers + 1];
+        const double driven = duration == 0.0 ? now : (pinch.closed ? smaller(now, -pinch.speed) : larger(now, pinch.speed));
+        const double stopped = pinch.stopped(stop, thickness, way, driven, duration);
+        const double times = 2.0 + masses[k] / pinch.mass + (stopped > 0.0 ? 1.0 : 0.0);
+        most = larger(stiffened(stop, thickness, larger(stopped, pinched[k]), times), most);
+    }
     return most;
 }
 
@@ -252,8 +298,9 @@ inline void contact_gaps(const Plan& plan, double t, const double* x, double* ou
     });
 }
 
-/// Whether any particle meets an obstacle's surface on its straight way from x0 at time t to x1, `duration` later. Each way is
-/// followed by gaps, which no way is shorter than.
+/// Whether any particle meets an obstacle's surface on its straight way from x0 at time t to x1, `duration` [s] later.
+/// Conservative advancement: a particle cannot meet the surface before it has moved, relative to the obstacle, as far
+/// as its gap. So each step along the way is one gap long, and the gap is then measured anew.
 inline bool contact_crosses(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
     const double origin[3] = {}, least = 1e-3 * plan.contacts.thickness;
@@ -270,20 +317,21 @@ inline bool contact_crosses(const Plan& plan, double t, double duration, const d
         const double end = t + duration - path[0];
         double way = 0.0, turn = 0.0;
         for (int order = 0; order < 3; ++order) {
-            // The fastest that a cubic gets until then, times the duration.
+            // An upper bound of how far the path's cubic leads: its largest possible rate times the duration.
             const double power = (order == 0 ? 1.0 : order == 1 ? 2.0 * end : 3.0 * end * end) * duration;
             const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
             way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
             turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
         }
         way += longest;
-        way += turn * (root(norm2(one.arm)) + way);
+        // A pad turns about its gripper.
+        way += turn * (root(norm2(one.arm)) + root(norm2(one.placed.lever)) + way);
         if (crosses || one.gap > way) return;
         const std::int64_t i = one.particle;
         const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
         for (double part = 0.0, gap = one.gap; part < 1.0 && !crosses;) {
             part = smaller(part + larger(gap, least) / way, 1.0);
-            const Placed<double> placed(pose_at(path, t + part * duration), origin);
+            const Placed<double> placed(plan.contacts.pose(one.obstacle, t + part * duration), origin);
             gap = with_shape(obstacle.shape, [&](auto shape) {
                 return stand<shape.value, true, double>(placed, obstacle.size, from + part * (to - from), {}).gap;
             });
@@ -292,94 +340,5 @@ inline bool contact_crosses(const Plan& plan, double t, double duration, const d
     });
     return crosses;
 }
-
-/// What a frame can't meet is left out of its runs: obstacles that are several times as far off as the fastest particle
-/// gets. Where particles turn out to be faster, everything is run again with all of them.
-class Approach {
-public:
-    Approach(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
-        Contacts& contacts = plan.contacts;
-        contacts.active.clear();
-        contacts.sleeps = true;
-        if (!contacts.count()) return;
-        const std::int64_t n = plan.count;
-        Vec3<double> low = particle_at(x0, 0), high = low;
-        for (int c = 0; c < 3; ++c) {
-            double least = x0[c * n], most = least;
-            range(x0 + c * n, n, least, most);
-            (c == 0 ? low.x : c == 1 ? low.y : low.z) = least;
-            (c == 0 ? high.x : c == 1 ? high.y : high.z) = most;
-        }
-        const Vec3<double> middle = 0.5 * (low + high);
-        const double radius = 0.5 * root(norm2(high - low));
-        speed_ = fastest(v0) + slack;
-        for (std::int64_t k = 0; k < contacts.count(); ++k) {
-            const double* const path = contacts.path(k);
-            double way = 0.0, turn = 0.0, power = 1.0;
-            for (int order = 0; order < 3; ++order) {
-                power *= duration;
-                const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
-                way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
-                turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
-            }
-            const Obstacle& obstacle = contacts.obstacles[k];
-            double away;
-            if (obstacle.shape == Shape::plane) {
-                const Pose pose = pose_at(path, path[0]);
-                away = turn > 0.0 ? 0.0 : dot(pose.rotation[2], middle - pose.place) - radius;
-            } else {
-                away = root(norm2(middle - Vec3<double>{path[1], path[2], path[3]})) - radius - obstacle.radius;
-            }
-            if (!(away - way - contacts.thickness > 4.0 * speed_ * duration)) contacts.active.push_back(k);
-        }
-        whole_ = static_cast<std::int64_t>(contacts.active.size()) == contacts.count();
-    }
-    /// Whether a run that ended with velocities v, and met what it says, has to be made again.
-    bool missed(const double* v, const double* touched) const {
-        if (!plan_.contacts.sleeps && whole_) return false;
-        return touched[2] != 0.0 || (!whole_ && !(fastest(v) <= 2.0 * speed_));
-    }
-    void wake() {
-        plan_.contacts.wake();
-        plan_.contacts.sleeps = false;
-        whole_ = true;
-    }
-
-private:
-    /// Speed that anything may gain [m/s].
-    static constexpr double slack = 0.5;
-
-    Vec3<double> particle_at(const double* a, std::int64_t i) const {
-        return {a[i], a[plan_.count + i], a[2 * plan_.count + i]};
-    }
-    static void range(const double* from, std::int64_t n, double& least, double& most) {
-        using V = vec<double>;
-        V low = splat<V>(least), high = splat<V>(most);
-        std::int64_t i = 0;
-        for (; i + lanes<double> <= n; i += lanes<double>) {
-            const V a = load(from + i);
-            low = smaller(a, low);
-            high = larger(a, high);
-        }
-        for (; i < n; ++i) least = smaller(from[i], least), most = larger(from[i], most);
-        for (int k = 0; k < lanes<double>; ++k) least = smaller<double>(low[k], least), most = larger<double>(high[k], most);
-    }
-    double fastest(const double* v) const {
-        using V = vec<double>;
-        const std::int64_t n = plan_.count;
-        V most{};
-        double square = 0.0;
-        std::int64_t i = 0;
-        for (; i + lanes<double> <= n; i += lanes<double>)
-            most = larger(norm2(Vec3<V>{load(v + i), load(v + n + i), load(v + 2 * n + i)}), most);
-        for (; i < n; ++i) square = larger(norm2(particle_at(v, i)), square);
-        for (int k = 0; k < lanes<double>; ++k) square = larger<double>(most[k], square);
-        return root(square);
-    }
-
-    Plan& plan_;
-    double speed_ = 0.0;
-    bool whole_ = true;
-};
 
 }  // namespace cloth

@@ -5,7 +5,7 @@
 // block that is far from an obstacle is left alone for as many steps as it takes to get near.
 #pragma once
 
-#include "plan.hpp"
+#include "contact_pinch_run.hpp"
 
 namespace cloth {
 
@@ -17,7 +17,7 @@ public:
     ContactRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
                F&& place_of)
         : contacts_(plan.contacts), run_(run), origin_(origin), law_(plan.contacts.template law<V>()), blocks_(blocks),
-          pitch_(pitch), masses_(plan.room<T>().contact_masses) {
+          pitch_(pitch), pinches_(plan.contacts, run, threads, blocks), masses_(plan.room<T>().contact_masses) {
         for (int k = 0; k < threads; ++k) threads_.emplace_back(*this);
         if (static_cast<std::int64_t>(masses_.size()) != blocks * pitch) {
             masses_.assign(blocks * pitch, T(0));
@@ -26,12 +26,15 @@ public:
         }
         if (plan.contacts.rough()) {
             held_.assign(blocks * contacts_.count() * anchor_numbers * pitch, T(0));
+            pushes_.assign(blocks * contacts_.count() * pitch, T(0));
             for (std::int64_t i = 0; i < plan.count; ++i) where_.push_back(place_of(i));
             for_each_anchor([&](T& held, std::size_t from) { held = static_cast<T>(contacts_.anchors[from]); });
         }
         if (run.books) sums_.assign(blocks * contacts_.count() * booked_numbers * ways, T(0));
     }
 
+    /// Move pads to a step, before any block is looked at: all blocks have been at the step before.
+    void follow(int thread, std::int64_t step) { pinches_.follow(thread, step); }
     /// Add the forces on a block's particles at positions x and velocities v to f, all by component; `own` books them.
     void add(int thread, std::int64_t number, std::int64_t step, const T* x, const T* v, T* f, std::int64_t count,
              bool own) {
@@ -39,18 +42,22 @@ public:
         Mine& mine = threads_[thread];
         for (const std::int64_t obstacle : contacts_.active) {
             Sleep& sleep = mine.sleeps[number * contacts_.count() + obstacle];
+            const bool pad = contacts_.obstacles[obstacle].pinch >= 0;
+            if (pad) pinches_.feel(obstacle, number, step, {});
             if (step < sleep.until) continue;
-            const Placed<T> placed(mine.poses.at(obstacle, step), origin_);
+            Felt felt;
+            const Placed<T> placed = placed_at(mine, thread, obstacle, step);
             T* const held = held_.empty() || !(contacts_.obstacles[obstacle].rough.still > 0.0)
                                 ? nullptr
                                 : held_.data() + (number * contacts_.count() + obstacle) * anchor_numbers * pitch_;
             T* const sums = own && run_.books && step >= 0 ? sums_of(number, obstacle) : nullptr;
             with_shape(contacts_.obstacles[obstacle].shape, [&](auto shape) {
                 if (placed.turns())
-                    one<shape.value, true>(mine, sleep, placed, obstacle, step, block, f, sums, held);
+                    one<shape.value, true>(mine, sleep, placed, obstacle, step, block, f, sums, held, pad ? &felt : nullptr);
                 else
-                    one<shape.value, false>(mine, sleep, placed, obstacle, step, block, f, sums, held);
+                    one<shape.value, false>(mine, sleep, placed, obstacle, step, block, f, sums, held, pad ? &felt : nullptr);
             });
+            if (pad) pinches_.feel(obstacle, number, step, felt);
         }
     }
     /// The same for particles as quads, a block of them.
@@ -59,6 +66,8 @@ public:
         bool all_far = true;
         for (const std::int64_t obstacle : contacts_.active)
             all_far = all_far && step < mine.sleeps[number * contacts_.count() + obstacle].until;
+        for (const std::int64_t obstacle : contacts_.active)
+            if (contacts_.obstacles[obstacle].pinch >= 0) pinches_.feel(obstacle, number, step, {});
         if (all_far) return;
         T *const places = mine.spread.data(), *const speeds = places + 3 * pitch_, *const forces = speeds + 3 * pitch_;
         const auto spread = [&](const T* from, T* to) {
@@ -76,6 +85,15 @@ public:
     void finish() {
         if (run_.anchors)
             for_each_anchor([&](T& held, std::size_t to) { run_.anchors[to] = static_cast<double>(held); });
+        Touched touched;
+        double pinched = 0.0;
+        for (const Mine& mine : threads_) {
+            touched.reached = larger(static_cast<double>(mine.reached), touched.reached);
+            touched.gap = smaller(static_cast<double>(mine.gap), touched.gap);
+            touched.missed = touched.missed || mine.missed;
+            pinched = larger(static_cast<double>(mine.pinched), pinched);
+        }
+        if (run_.steps) touched.reached = pinches_.finish(touched.reached, pinched);
         if (!run_.touched) return;
         const std::int64_t k = contacts_.count();
         for (std::int64_t obstacle = 0; run_.books && obstacle < k; ++obstacle)
@@ -87,20 +105,16 @@ public:
                 }
                 run_.touched[obstacle * booked_numbers + number] += run_.step * sum;
             }
-        Touched touched;
-        for (const Mine& mine : threads_) {
-            touched.reached = larger(static_cast<double>(mine.reached), touched.reached);
-            touched.gap = smaller(static_cast<double>(mine.gap), touched.gap);
-            touched.missed = touched.missed || mine.missed;
-        }
         touched.to(run_.touched + k * booked_numbers);
     }
 
 private:
     using V = vec<T>;
+    using Felt = PinchRun::Felt;
     /// What is booked is summed in so many sums, whatever the vectors' width.
     static constexpr int ways = 16;
-    /// A block sleeps while the speed that it has, and so much more [m/s], would take it a quarter of the way.
+    /// A block that is far from an obstacle is skipped (sleeps) for the time in which its fastest particle, `slack`
+    /// [m/s] faster than now, would cover the fraction `share` of the distance to contact.
     static constexpr double slack = 0.25, share = 0.25;
 
     struct Sleep {
@@ -112,7 +126,7 @@ private:
         Poses poses;
         std::vector<Sleep> sleeps;
         Array<T> spread;
-        T reached = T(0), gap = no_gap<T>;
+        T reached = T(0), pinched = T(0), gap = no_gap<T>;  ///< pads apart
         bool missed = false;
         explicit Mine(const ContactRun& run)
             : poses(run.contacts_.paths, run.run_.t, run.run_.step), sleeps(run.blocks_ * run.contacts_.count()),
@@ -130,30 +144,41 @@ private:
                     what(held_[row * pitch_ + where_[i] % pitch_], (obstacle * anchor_numbers + c) * n + i);
                 }
     }
+    Placed<T> placed_at(Mine& mine, int thread, std::int64_t obstacle, std::int64_t step) const {
+        const Pose& pose = mine.poses.at(obstacle, step);
+        if (contacts_.obstacles[obstacle].pinch < 0) return Placed<T>(pose, origin_);
+        const Pose pad = pinches_.pose(thread, obstacle, pose);
+        Placed<T> placed(pad, origin_);
+        const Vec3<double> lever = pad.place - pose.place;
+        placed.lever = {T(lever.x), T(lever.y), T(lever.z)};
+        return placed;
+    }
     T* sums_of(std::int64_t block, std::int64_t obstacle) {
         return sums_.data() + (block * contacts_.count() + obstacle) * booked_numbers * ways;
     }
     template <Shape S, bool Turns>
     void one(Mine& mine, Sleep& sleep, const Placed<T>& placed, std::int64_t obstacle, std::int64_t step,
-             const Block<T>& block, T* f, T* sums, T* held) {
+             const Block<T>& block, T* f, T* sums, T* held, Felt* felt) {
         const Vec3<double>& all = contacts_.obstacles[obstacle].size;
         const Vec3<T> size{T(all.x), T(all.y), T(all.z)};
         const T thickness = T(contacts_.thickness), ahead = T(2.0 * run_.step);
         Found<T> found;
-        // What touched will mostly touch again: one pass does for it.
+        // A block in contact at its last look is most likely still in contact: it skips `look`, as `push` finds the
+        // same.
         if (!sleep.touches) found = look<S, Turns, T>(placed, size, block, thickness, ahead);
         const Finding<T> finding(thickness, ahead);
         if (sleep.touches || found.gap < thickness) {
             if (held)
-                found = push<S, Turns, true>(mine, placed, size, block, finding, f, sums, held, obstacle, step >= 0);
+                found = push<S, Turns, true>(mine, placed, size, block, finding, f, sums, held, obstacle, step >= 0, felt);
             else
-                found = push<S, Turns, false>(mine, placed, size, block, finding, f, sums, held, obstacle, false);
+                found = push<S, Turns, false>(mine, placed, size, block, finding, f, sums, held, obstacle, false, felt);
         }
         sleep.touches = found.gap < thickness;
         mine.gap = smaller(found.gap, mine.gap);
-        // Whoever comes into contact at a speed has to be followed at it, before it is there.
+        // The step has to be short enough for the speed of an impact before the particle is in contact.
         const T entering = found.entering / T(ContactLaw<T>::speed);
-        mine.reached = larger(entering * entering, mine.reached);
+        T& reached = felt ? mine.pinched : mine.reached;
+        reached = larger(entering * entering, reached);
         mine.missed = mine.missed || (sleep.speed > T(0) && found.speed > T(2) * sleep.speed);
         sleep.speed = T(0);
         if (sleep.touches || !contacts_.sleeps || !run_.steps) return;
@@ -168,10 +193,13 @@ private:
     template <Shape S, bool Turns, bool Rough>
     Found<T> push(Mine& mine, const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, Finding<T> finding,
                   T* f, T* sums, [[maybe_unused]] T* held, [[maybe_unused]] std::int64_t obstacle,
-                  [[maybe_unused]] bool moves) {
+                  [[maybe_unused]] bool moves, Felt* felt) {
         const FrictionLaw<V> friction(contacts_.obstacles[obstacle].rough, contacts_.frequency);
         const V thickness = splat<V>(T(contacts_.thickness)), per = splat<V>(T(1.0 / ContactLaw<T>::speed));
+        [[maybe_unused]] const V half = splat<V>(T(0.5 * run_.step));
         V reached{};
+        const Vec3<V> axis = splat3<V>(placed.rotation[1]);
+        alignas(64) T opening[ways] = {}, touching[ways] = {};
         for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>) {
             const V mass = load(block.mass + j);
             const Stand<V> s =
@@ -189,14 +217,22 @@ private:
                 };
                 const Vec3<V> anchor{kept(0, here.x), kept(1, here.y), kept(2, here.z)};
                 const Vec3<V> way = placed.template outward<V>(here - anchor);
-                const auto rubbed = friction.rub(way, s.normal, s.slip, answer.push, bond > splat<V>(T(sticks)));
+                const auto rubbed = friction.rub(way, s.normal, s.slip, answer.push);
                 const Vec3<V> along = mass * rubbed.push;
                 force = force + along;
                 lost = fma(mass, rubbed.lost, lost);
                 if (moves) {
-                    const Vec3<V> dragged = here - placed.template inward<V>(rubbed.stretch);
+                    // Forces are met at the middle of a step. Anchors go on to its end, by the slip now and the push
+                    // carried on from the last step's: else they would lag by half a step.
+                    const Vec3<V> rest = half * s.slip;
+                    T* const last = pushes_.data() + (held - held_.data()) / anchor_numbers + j;
+                    const V before = load(last), grown = select(before > V{}, answer.push - before, V{});
+                    store<T>(last, select(inside, answer.push, V{}));
+                    const V then = larger(fma(splat<V>(T(0.5)), grown, answer.push), V{});
+                    const auto end = friction.tried(way + rest, s.normal, s.slip, then);
+                    const Vec3<V> dragged = here + placed.template inward<V>(rest - end.stretch);
                     const auto keep = [&](int c, V a, V b) CLOTH_INLINED {
-                        store<T>(held + c * pitch_ + j, select(inside, select(rubbed.slides, a, b), V{}));
+                        store<T>(held + c * pitch_ + j, select(inside, select(end.slides, a, b), V{}));
                     };
                     keep(0, dragged.x, anchor.x);
                     keep(1, dragged.y, anchor.y);
@@ -214,8 +250,12 @@ private:
             add(f + 2 * pitch_ + j, force.z);
             const V speed = per * larger(s.closing, V{});
             reached = larger(chosen(fma(speed, speed, answer.shape)), reached);
+            if (felt) {
+                add(opening + j % ways, dot(axis, -force));
+                add(touching + j % ways, mass);
+            }
             if (!sums) continue;
-            const Vec3<V> torque = cross(force, s.arm);
+            const Vec3<V> torque = cross(force, felt ? s.arm + splat3<V>(placed.lever) : s.arm);
             const V work = dot(force, splat3<V>(placed.speed) + cross(splat3<V>(placed.spin), s.arm));
             const V booked[booked_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z, work, lost};
             for (int number = 0; number < booked_numbers; ++number) {
@@ -223,7 +263,16 @@ private:
                 store<T>(sum, load(sum) + chosen(booked[number]));
             }
         }
-        for (int k = 0; k < lanes<T>; ++k) mine.reached = larger<T>(reached[k], mine.reached);
+        T& most = felt ? mine.pinched : mine.reached;
+        for (int k = 0; k < lanes<T>; ++k) most = larger<T>(reached[k], most);
+        if (felt) {
+            double sums_[2] = {0.0, 0.0};
+            for (int way = 0; way < ways; ++way) {
+                sums_[0] += static_cast<double>(opening[way]);
+                sums_[1] += static_cast<double>(touching[way]);
+            }
+            *felt = {contacts_.obstacles[obstacle].side * sums_[0], sums_[1]};
+        }
         return finding.found();
     }
 
@@ -232,9 +281,10 @@ private:
     const double* origin_;
     ContactLaw<V> law_;
     std::int64_t blocks_, pitch_;
+    PinchRun pinches_;
     Array<T>& masses_;
     std::vector<Mine> threads_;
-    Array<T> sums_, held_;
+    Array<T> sums_, held_, pushes_;  ///< the pushes of friction's last step
     std::vector<std::int64_t> where_;  ///< of each particle among the blocks
 };
 

@@ -6,6 +6,7 @@
 
 #include <limits>
 
+#include "contact_approach.hpp"
 #include "grid_forces.hpp"
 #include "grid_run.hpp"
 #include "list_run.hpp"
@@ -22,7 +23,7 @@ inline Done one_run(Plan& plan, const Run& run) {
     return run_lists<T>(plan, run);
 }
 inline Done one_run(Plan& plan, const Run& run) {
-    return run.narrow ? one_run<float>(plan, run) : one_run<double>(plan, run);
+    return run.narrow && !plan.self_acts() ? one_run<float>(plan, run) : one_run<double>(plan, run);
 }
 
 inline void combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
@@ -57,22 +58,32 @@ struct Frame {
     const double *x0, *v0;
     double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
     double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
-    /// Of each run what was booked for each gripper, then lost and given power; where there are obstacles, what was booked
-    /// for each of them and what `Touched` has. Null where nothing is wanted and there are none.
+    /// Of each run what was booked for each gripper, then lost and given power; where there is contact, what was booked
+    /// for each obstacle, what `Touched` has, and squared frequency and damping rate that the cloth's contact with itself
+    /// had to be followed at. Null where nothing is wanted and there is none.
     double* notes;
     std::int64_t powers;    ///< whether powers are noted
-    /// Largest change of a velocity [m/s] (infinite where the result is not finite, or beyond an obstacle's surface), then
-    /// rates, then the energy per mass, in U^2/2, that contact has to take up from there.
+    /// Six numbers about the frame's end, or null.
+    /// 0: largest change of a particle's velocity over the frame [m/s]. It is infinite where the result is not finite,
+    /// lies beyond an obstacle's surface, or the cloth may have passed through itself.
+    /// 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s], contact aside.
+    /// 3: energy per mass, in U^2/2, that contact with obstacles has to take up from the frame's end on.
+    /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself.
     double* told;
     std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
     std::int64_t books;     ///< whether what obstacles do is booked
     double* anchors;        ///< of each run at its end, (runs, obstacles, anchor_numbers, n), or null
+    double* pinched;        ///< of each run at its end, (runs, pinches, pinch_numbers), or null
 };
 
 inline Done make_runs(Plan& plan, const Frame& frame) {
     const std::int64_t n = plan.count, obstacles = plan.contacts.count(), size = plan.held.grippers * booked_numbers;
-    const std::int64_t touched = obstacles ? obstacles * booked_numbers + Touched::numbers : 0, whole = size + 2 + touched;
+    // What obstacles did, what contact met, and the rates of the cloth's contact with itself.
+    const std::int64_t touched = plan.touches() ? obstacles * booked_numbers + Touched::numbers + 2 : 0;
+    const std::int64_t whole = size + 2 + touched;
+    const auto pinches = static_cast<std::int64_t>(plan.contacts.pinches.size());
     Approach approach(plan, frame.duration, frame.x0, frame.v0);
+    SelfRest rest(plan, frame.duration, frame.x0, frame.v0);
     for (std::int64_t k = 0; k < frame.runs; ++k) {
         double* const notes = frame.notes ? frame.notes + k * whole : nullptr;
         double* const out = frame.out + k * 6 * n;
@@ -89,11 +100,14 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
                       frame.powers ? notes + size : nullptr,
                       touched ? notes + size + 2 : nullptr,
                       touched && frame.books,
-                      frame.anchors ? frame.anchors + k * obstacles * anchor_numbers * n : nullptr};
+                      frame.anchors ? frame.anchors + k * obstacles * anchor_numbers * n : nullptr,
+                      frame.pinched ? frame.pinched + k * pinches * pinch_numbers : nullptr};
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
-        if (touched && approach.missed(run.v, run.touched + obstacles * booked_numbers)) {
-            approach.wake();
+        const bool missed = touched && approach.missed(run.v, run.touched + obstacles * booked_numbers);
+        if (missed || rest.missed(run.v)) {
+            if (missed) approach.wake();
+            rest.wake();
             std::fill(frame.notes, frame.notes + frame.runs * whole, 0.0);
             k = -1;
         }
@@ -118,8 +132,27 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
     if (!(moved < std::numeric_limits<double>::infinity())) frame.told[0] = moved;
     if (plan.contacts.count()) {
         // Drifts of half a step and combinations of runs may lead beyond a surface that no run met.
+        const std::vector<double> start = plan.contacts.pinched;
+        const auto size = static_cast<std::int64_t>(start.size());
+        if (frame.pinched && frame.result) {
+            const double* from[max_runs];
+            for (std::int64_t k = 0; k < frame.runs; ++k) from[k] = frame.pinched + k * size;
+            combine(frame.runs, from, frame.weights, size, plan.contacts.pinched.data());
+        } else if (frame.pinched) {
+            plan.contacts.pinched.assign(frame.pinched, frame.pinched + size);
+        }
         frame.told[3] = contact_ahead(plan, frame.t + frame.duration, 0.0, x, x + 3 * n);
+        plan.contacts.pinched = start;
         if (!(frame.told[3] < std::numeric_limits<double>::infinity())) frame.told[0] = frame.told[3];
+    }
+    if (plan.self_acts()) {
+        const SelfRates r = self_ahead(plan, 0.0, 1.0, x, x + 3 * n);
+        frame.told[4] = r.omega2;
+        frame.told[5] = r.damping;
+        const double* const finest = frame.out + (frame.runs - 1) * 6 * n;
+        const bool bad = !(r.omega2 < std::numeric_limits<double>::infinity());
+        if (bad || (x != finest && self_crosses(plan, finest, x)))
+            frame.told[0] = std::numeric_limits<double>::infinity();
     }
     if (frame.rates) {
         const Rates r = rates_of(plan, x, nullptr, nullptr);
@@ -133,6 +166,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
 inline Done accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     plan.contacts.wake();
+    plan.self_rests = false;
     return plan.grid ? GridForces(plan, run).go() : evaluate_lists(plan, run);
 }
 

@@ -22,11 +22,13 @@ public:
           stride_(components<T> * pitch_) {
         const bool more = beside_.needed();
         const std::int64_t most = std::max<std::int64_t>(1, grid_.rows / reach);
-        bands_ = beside_.whole() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
+        bands_ = beside_.alone() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, most));
         beside_.hold(bands_);
         beside_.touch_rows(bands_, pitch_);
-        // An anchor moves with its particle, once a step: copies of rows at a border would need copies of theirs.
-        levels_ = more || plan.contacts.rough() ? 1 : levels();
+        // An anchor moves with its particle, once a step: copies of rows at a border would need copies of theirs. Pads move
+        // once a step by what all rows do to them.
+        meet_ = !plan.contacts.pinches.empty();
+        levels_ = more || meet_ || (beside_.contact && plan.contacts.rough()) ? 1 : levels();
         halo_ = reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
         if (more) {
@@ -50,6 +52,7 @@ public:
     Done go() {
         const std::int64_t turns = 1 + (run_.steps + levels_ - 1) / levels_;
         const Done done = beside_.needed() ? go_together(turns) : go_apart(turns);
+        for (int b = 0; beside_.self && b < bands_; ++b) export_rows(b);
         if (done == Done::well) beside_.finish();
         return done;
     }
@@ -120,8 +123,8 @@ private:
             load_band(b);
             return;
         }
-        for (int side : {b - 1, b + 1})
-            if (side >= 0 && side < bands_)
+        for (int side = meet_ ? 0 : b - 1; side <= (meet_ ? bands_ - 1 : b + 1); ++side)
+            if (side >= 0 && side < bands_ && side != b)
                 wait_until([&] { return done_[side].turns.load(std::memory_order_acquire) >= turn; });
         take_in(b, turn - 1);
     }
@@ -130,6 +133,7 @@ private:
             start(b);
         } else {
             const std::int64_t begin = (turn - 1) * levels_;
+            beside_.follow(b, begin);
             sweep(b, begin, std::min<std::int64_t>(levels_, run_.steps - begin));
         }
         if (turn + 1 < turns)
@@ -261,6 +265,7 @@ private:
     std::vector<Array<T>>&state_, &ring_, &boxes_;
     std::int64_t pitch_, length_, stride_, halo_ = 0;
     int bands_ = 1, levels_ = 1;
+    bool meet_ = false;  ///< whether all bands wait for each other before each step
     std::vector<std::int64_t> border_;
     std::vector<Counter> done_;
     TakeRow<T> take_ = nullptr;

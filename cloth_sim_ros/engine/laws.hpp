@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Every force law of the model, once: force, energy, lost power and the bounds of stiffness and damping. V is a number,
-// a vector of numbers, or a number with its derivative along a direction (dual.hpp), which gives the derivative product.
+// a vector of numbers, or a number with its derivative along a direction (algebra.hpp), for the derivative product.
 //
 // A law of `corners` particles sees them from the first one: d[i] = x[i + 1] - x[0] and u[i] = v[i + 1] - v[0], and gives
 // the forces on corners 1 and up; the first one takes minus their sum, so that no law makes momentum. Air is the

@@ -6,6 +6,7 @@
 
 #include "frame.hpp"
 #include "measures.hpp"
+#include "paths.hpp"
 
 #define CLOTH_API extern "C" __attribute__((visibility("default")))
 
@@ -15,7 +16,7 @@ using cloth::Plan;
 
 namespace {
 
-enum Status : int { well = 0, failed = 1, no_memory = 2, callback_failed = 3 };
+enum Status : int { well = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4 };
 
 template <class F>
 int guarded(F&& work) {
@@ -33,7 +34,7 @@ int guarded(F&& work) {
 }  // namespace
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 6; }
+CLOTH_API int cloth_engine_abi() { return 9; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -100,16 +101,17 @@ CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
 CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
     return guarded([&] { plan->callback = callback; });
 }
-CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, const double* paths, std::int64_t count,
-                              const std::int64_t* particles, const std::int64_t* owners, const double* offsets,
-                              const double* stiffness, const double* damping) {
+/// What grippers hold; cloth_plan_paths tells how they move.
+CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
+                              const std::int64_t* owners, const double* offsets, const double* stiffness,
+                              const double* damping) {
     return guarded([&] {
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});
         std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return particles[a] < particles[b]; });
         cloth::Held held;
         held.grippers = grippers;
-        held.paths.assign(paths, paths + grippers * cloth::path_numbers);
+        held.paths.assign(grippers * cloth::path_numbers, 0.0);
         for (std::int64_t k : order) {
             held.particle.push_back(particles[k]);
             held.gripper.push_back(owners[k]);
@@ -121,9 +123,11 @@ CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, const double* p
     });
 }
 
-/// New paths for the same grips.
+/// Paths of the grippers, if all their numbers are finite.
 CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
-    return guarded([&] { plan->held.paths.assign(paths, paths + plan->held.grippers * cloth::path_numbers); });
+    const double* const end = paths + plan->held.grippers * cloth::path_numbers;
+    if (!std::all_of(paths, end, [](double a) { return std::isfinite(a); })) return not_finite;
+    return guarded([&] { plan->held.paths.assign(paths, end); });
 }
 
 /// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;
@@ -150,6 +154,37 @@ CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
     return guarded([&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
 }
 
+/// Which obstacles are pads of grippers that pinch, two of each, that on the closing axis' positive side first. Numbers of
+/// each: present, closed, mass [kg], force [N], speed [m/s], half the way between the faces of open pads and half a pad's
+/// extent [m]. Pads are open at first.
+CLOTH_API int cloth_plan_pinches(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
+    return guarded([&] {
+        cloth::Contacts& contacts = plan->contacts;
+        contacts.pinches.clear();
+        for (std::int64_t k = 0; k < count; ++k) {
+            const double* const a = numbers + 7 * k;
+            contacts.pinches.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
+            for (int side = 0; side < 2; ++side) {
+                cloth::Obstacle& pad = contacts.obstacles[pads[2 * k + side]];
+                pad.pinch = k;
+                pad.side = side ? -1.0 : 1.0;
+            }
+        }
+        if (contacts.pinched.size() == contacts.pinches.size() * cloth::pinch_numbers) return;
+        contacts.pinched.clear();
+        for (const cloth::Pinch& pinch : contacts.pinches)
+            contacts.pinched.insert(contacts.pinched.end(), {pinch.open, 0.0});
+    });
+}
+/// Where pads are at the start of runs, (pinches, pinch_numbers).
+CLOTH_API int cloth_contact_pinched(Plan* plan, const double* pinched) {
+    return guarded([&] { std::copy_n(pinched, plan->contacts.pinched.size(), plan->contacts.pinched.data()); });
+}
+/// Accelerations of half the ways between pads.
+CLOTH_API int cloth_pinch_accelerations(const Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded([&] { cloth::pinch_accelerations(*plan, t, x, v, out); });
+}
+
 CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
     int status = well;
     const int other = guarded([&] {
@@ -166,7 +201,7 @@ CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const d
 }
 
 /// Kinetic and potential energy [J] into two numbers; v may be null.
-CLOTH_API int cloth_energy(const Plan* plan, double t, const double* x, const double* v, double* out) {
+CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded([&] {
         const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
         out[0] = e.kinetic;
@@ -174,7 +209,7 @@ CLOTH_API int cloth_energy(const Plan* plan, double t, const double* x, const do
     });
 }
 /// Power lost to damping and drag, and given by the wind [W]; the joints of grippers aside.
-CLOTH_API int cloth_powers(const Plan* plan, const double* x, const double* v, double* out) {
+CLOTH_API int cloth_powers(Plan* plan, const double* x, const double* v, double* out) {
     return guarded([&] {
         out[0] = out[1] = 0.0;
         cloth::powers(*plan, x, v, out[0], out[1]);
@@ -241,7 +276,7 @@ CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, dou
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
     return guarded([&] { cloth::eigenvalues(blocks, n, out); });
 }
-CLOTH_API int cloth_product(const Plan* plan, double t, const double* x, const double* v, const double* dx,
+CLOTH_API int cloth_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
                             const double* dv, double* out) {
     return guarded([&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
 }
@@ -249,6 +284,26 @@ CLOTH_API int cloth_product(const Plan* plan, double t, const double* x, const d
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {
     return guarded([&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+}
+/// Paths over a frame, see path_to, of so many poses (count, 7), twists (count, 6), displacements and turns of the frame
+/// before (count, 6), and targets (count, 7): the paths, the twists at their end, the displacements and turns, and by how
+/// much each displacement differs from that of the frame before [m], at most, along an axis.
+CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
+                          const double* before, const double* targets, double* paths, double* last, double* turns,
+                          double* changes) {
+    return guarded([&] {
+        for (std::int64_t k = 0; k < count; ++k) {
+            const double *const was = before + 6 * k, *const now = turns + 6 * k;
+            cloth::path_to(t, duration, poses + 7 * k, twists + 6 * k, was, targets + 7 * k,
+                           paths + k * cloth::path_numbers, last + 6 * k, turns + 6 * k);
+            changes[k] = 0.0;
+            for (int i = 0; i < 3; ++i) changes[k] = std::max(changes[k], std::abs(now[i] - was[i]));
+        }
+    });
+}
+/// Rotation vector [rad] from one unit quaternion x, y, z, w to another.
+CLOTH_API int cloth_turn(const double* start, const double* end, double* out) {
+    return guarded([&] { cloth::rotation_vector(start, end, out); });
 }
 /// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
 CLOTH_API int cloth_pose(const double* path, double t, double* out) {
@@ -306,3 +361,5 @@ CLOTH_API int cloth_lengths(int kind, std::int64_t count, const std::int64_t* co
             all(cloth::Altitude{});
     });
 }
+
+#include "self_library.hpp"

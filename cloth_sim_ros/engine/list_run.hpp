@@ -17,7 +17,7 @@ public:
     ListRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), beside_(plan, run), velocity_(plan.room<T>().more[0]),
           before_(plan.room<T>().more[1]), carry_(plan.room<T>().more[2]) {
-        threads_ = beside_.whole() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
+        threads_ = beside_.alone() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         beside_.make(borders_);
         beside_.hold(threads_);
@@ -66,6 +66,7 @@ public:
 
 private:
     Done force(std::int64_t step, int own) {
+        beside_.follow(own, step);
         const Done done = beside_.forces(step, own);
         if (done != Done::well) return done;
         T* const f = (*beside_.shares)[own].f.data();

@@ -7,6 +7,7 @@
 #include "contact_measures.hpp"
 #include "grid_bounds.hpp"
 #include "plan.hpp"
+#include "self_measures.hpp"
 
 namespace cloth {
 
@@ -15,7 +16,7 @@ inline Vec3<double> particle(const double* a, std::int64_t n, std::int64_t i) { 
 struct Energy {
     double kinetic = 0.0, potential = 0.0;
 };
-inline Energy energy_of(const Plan& plan, double t, const double* x, const double* v) {
+inline Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
     Energy e;
     if (plan.grid) e.potential += grid_energy(*plan.grid, plan.tables, x);
@@ -35,6 +36,7 @@ inline Energy energy_of(const Plan& plan, double t, const double* x, const doubl
         e.potential += Joint::energy(params, &d);
     }
     if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
+    if (plan.self) e.potential += self_energy(plan, x);
     return e;
 }
 
@@ -54,7 +56,8 @@ inline void other_powers(const Plan& plan, const double* x, const double* v, dou
     given += pushed;
 }
 
-inline void powers(const Plan& plan, const double* x, const double* v, double& lost, double& given) {
+inline void powers(Plan& plan, const double* x, const double* v, double& lost, double& given) {
+    if (plan.self) lost += self_lost(plan, x, v);
     for (const List& list : plan.lists) list_power(list, x, v, plan.count, lost, given);
     other_powers(plan, x, v, lost, given);
 }
@@ -108,13 +111,13 @@ inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
 struct Rates {
     double omega2, damping;
 };
-/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside; `stiff` and `damp`, (6, n) or null,
-/// hold what parts of the caller's own add.
+/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside. `stiff` [N/m] and
+/// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces.
 inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const double* damp) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0);
     if (plan.lists.empty() && plan.grid && !stiff) {
-        // Single precision is enough for what a step's safety covers many times over, and takes half the time.
+        // Single precision takes half the time. Its rounding is far below the safety margin of a step.
         const Grid& grid = *plan.grid;
         GridBounds<float> bounds(grid, plan.grid_tables<float>(), x);
         for (std::int64_t row = 0; row < grid.rows; ++row) {
@@ -154,12 +157,13 @@ inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const do
 }
 
 /// Add (df/dx) dx + (df/dv) dv [N] to out.
-inline void add_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
+inline void add_product(Plan& plan, double t, const double* x, const double* v, const double* dx,
                         const double* dv, double* out) {
     const std::int64_t n = plan.count;
     if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
     if (plan.contacts.count()) add_contact_product(plan, t, x, v, dx, dv, out);
+    if (plan.self) add_self_product(plan, x, v, dx, dv, out);
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)
             for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];

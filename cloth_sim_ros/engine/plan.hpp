@@ -10,6 +10,7 @@
 #include "grid.hpp"
 #include "held.hpp"
 #include "list.hpp"
+#include "self_contact.hpp"
 
 namespace cloth {
 
@@ -46,6 +47,10 @@ struct Plan {
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Held held;
     Contacts contacts;
+    /// The cloth's contact with itself, by the thickness and damping of `contacts`.
+    std::optional<SelfContact> self;
+    /// Whether runs may leave it out: nothing gets near enough while they last, see `SelfRest`.
+    bool self_rests = false;
     Callback callback = nullptr;
     /// Where particles stand inside runs without a grid: neighbours close together.
     std::vector<std::int64_t> order, rank;
@@ -120,11 +125,13 @@ struct Plan {
         borders.back() = count;
         return borders;
     }
+    bool touches() const { return contacts.count() || self; }
+    bool self_acts() const { return self && !self_rests; }
     double push(int axis) const { return gravity[axis] + wind[axis]; }
     /// Whether forces depend on velocities, and how.
     Mode mode() const {
         if (grid && grid->damped()) return Mode::damped;
-        bool moving = drag > 0.0 || held.count() || contacts.count() || callback;
+        bool moving = drag > 0.0 || held.count() || contacts.count() || self_acts() || callback;
         for (const List& list : lists) moving = moving || list.damped;
         return moving ? Mode::drag : Mode::still;
     }
@@ -143,6 +150,7 @@ struct Run {
     double* touched = nullptr;  ///< (obstacles, booked_numbers), then what `Touched` has, or null
     bool books = false;         ///< whether what obstacles do is booked
     double* anchors = nullptr;  ///< those at the end, (obstacles, anchor_numbers, n), or null
+    double* pinched = nullptr;  ///< where pads are at the end, (pinches, pinch_numbers), or null
 };
 
 enum class Done : int { well, callback_failed };

@@ -74,12 +74,13 @@ public:
         static Pool* pool = new Pool;  // never destroyed: its threads may outlive static objects
         return *pool;
     }
-    /// Call job(0) to job(workers - 1) at once, each on a thread of its own; where the pool is busy with another call, or
-    /// no thread can be had, `alone` in their place. So it is for a while where other processes take the cores: a thread
-    /// that is not running lets the others wait in every step. No bit depends on it, so a clock may decide.
+    /// Call job(0) to job(workers - 1) at once, each on a thread of its own. Call `alone` instead where the pool is
+    /// busy with another call or no thread can be started. After a run whose threads waited, all together, for more
+    /// than a quarter of its time, the next runs call `alone` too: other processes hold the cores, and all threads wait
+    /// for one that the system has suspended. No bit of the result depends on this choice, so a clock may make it.
     template <class Job, class Alone>
     void run(int workers, Job&& job, Alone&& alone) {
-        // Who works alone keeps nobody from the threads.
+        // A call that works alone releases the lock, so that another call can use the threads.
         std::unique_lock lock(mutex_, std::defer_lock);
         if (workers <= 1 || !lock.try_lock() || rests() || !grow(workers - 1)) {
             if (lock) lock.unlock();
@@ -151,7 +152,8 @@ private:
 
     std::mutex mutex_;
     std::vector<std::unique_ptr<Worker>> threads_;
-    /// Runs that are still to be made alone, and how many after the next that mostly waits.
+    /// `resting_`: how many of the next runs work alone. `pause_`: that number as last set; it doubles, from 16 to at
+    /// most 4096, with each run that waits too long and halves with each that does not.
     int resting_ = 0, pause_ = 0;
     pid_t process_ = getpid();
 };

@@ -11,7 +11,7 @@ import numpy as np
 from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import Run
+from cloth_sim_ros.physics.runs import Run, booked_size
 
 
 class Book:
@@ -25,58 +25,65 @@ class Book:
 
     def __init__(self, gripper_count: int, *, powers: bool = False, obstacle_count: int = 0) -> None:
         self.gripper_count, self.powers, self.obstacle_count = gripper_count, powers, obstacle_count
-        self._grips = np.zeros((gripper_count, BOOKED_NUMBERS))
-        self._touches = np.zeros((obstacle_count, BOOKED_NUMBERS))
-        self._powers = np.zeros(2)
+        # For each gripper, of damping and moving air, for each obstacle: as a run notes them, see `Run.notes`. They are
+        # replaced, never written into.
+        self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count))
+        self._no_loads = np.zeros((0, 6))
         self._duration = 0.0
 
     def restart(self) -> None:
         """Forget what was noted since the advance began: it is attempted anew."""
-        self._grips.fill(0.0)
-        self._touches.fill(0.0)
-        self._powers.fill(0.0)
-        self._duration = 0.0
+        self._sums, self._duration = self._nothing, 0.0
 
-    def noted(self) -> tuple[Array, Array, Array, float]:
+    def noted(self) -> tuple[Array, float]:
         """Return what was noted so far, for `go_back`."""
-        return self._grips.copy(), self._touches.copy(), self._powers.copy(), self._duration
+        return self._sums, self._duration
 
-    def go_back(self, noted: tuple[Array, Array, Array, float]) -> None:
+    def go_back(self, noted: tuple[Array, float]) -> None:
         """Forget what was noted since then: that stretch is attempted anew."""
-        self._grips, self._touches, self._powers = (array.copy() for array in noted[:3])
-        self._duration = noted[3]
+        self._sums, self._duration = noted
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
         """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
+        size = len(self._sums)
         for weight, run in zip(weights, runs, strict=True):
-            self._grips += weight * run.grips
-            if self.obstacle_count:
-                self._touches += weight * run.touches
-            if self.powers:
-                self._powers += weight * run.powers
+            if run.grippers != self.gripper_count:
+                raise ValueError(f"a book of {self.gripper_count} grippers for a run with {run.grippers}")
+            self._sums = self._sums + weight * run.notes[:size]
         self._duration += duration
 
     def add(self, grips: Array, touches: Array, powers: tuple[float, float], duration: float) -> None:
         """Note one point of a quadrature, already multiplied by its weight [s]."""
-        self._grips += grips
-        self._touches += touches
-        self._powers += powers
+        self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel()])
         self._duration += duration
+
+    @property
+    def _grips(self) -> Array:
+        return self._sums[: BOOKED_NUMBERS * self.gripper_count].reshape(-1, BOOKED_NUMBERS)
+
+    @property
+    def _touches(self) -> Array:
+        return self._sums[BOOKED_NUMBERS * self.gripper_count + 2 :].reshape(-1, BOOKED_NUMBERS)
+
+    @property
+    def _powers(self) -> Array:
+        first = BOOKED_NUMBERS * self.gripper_count
+        return self._sums[first : first + 2]
 
     @property
     def wrenches(self) -> Array:
         """Mean force [N] and torque [N m] of the cloth on each gripper about its pose, shape (grippers, 6)."""
-        if self._duration == 0.0:
-            return np.zeros((self.gripper_count, 6))
-        mean: Array = self._grips[:, :6] / self._duration
-        return mean
+        return self._mean(self._grips)
 
     @property
     def loads(self) -> Array:
         """Mean force [N] and torque [N m] of the cloth on each obstacle about its place, shape (obstacles, 6)."""
+        return self._mean(self._touches) if self.obstacle_count else self._no_loads
+
+    def _mean(self, booked: Array) -> Array:
         if self._duration == 0.0:
-            return np.zeros((self.obstacle_count, 6))
-        mean: Array = self._touches[:, :6] / self._duration
+            return np.zeros((len(booked), 6))
+        mean: Array = booked[:, :6] / self._duration
         return mean
 
     @property

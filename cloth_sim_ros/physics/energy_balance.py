@@ -32,7 +32,7 @@ class EnergyBalance:
         self.wind = 0.0
         #: Energy that went from one form into another so far, at least [J].
         self.turned_over = 0.0
-        self._kinetic, potential = plan.energies(t, state.x, state.v)
+        self._kinetic, potential = self._energies(t, state)
         self._start = self._kinetic + potential
 
     def close(self, t: float, state: State) -> float:
@@ -42,7 +42,13 @@ class EnergyBalance:
         self.work += work
         self.wind += wind
         self.book.restart()
-        kinetic, potential = self._plan.energies(t, state.x, state.v)
+        kinetic, potential = self._energies(t, state)
         self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work) + abs(wind)
         self._kinetic = kinetic
         return kinetic + potential - self._start - self.work - self.wind + self.lost
+
+    def _energies(self, t: float, state: State) -> tuple[float, float]:
+        # With the state's own anchors: seen from older ones, what slid would count as stretched.
+        if self._plan.contact is not None:
+            self._plan.contact.take(state)
+        return self._plan.energies(t, state.x, state.v)

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.angles import arctangent, sine_and_cosine
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library
+from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.forces.force import Array
 
 
@@ -44,15 +45,13 @@ def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float
     )
 
 
-def rotation_vector(start: Sequence[float], end: Sequence[float]) -> Sequence[float]:
+def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]:
     """Return the rotation vector [rad], 3 numbers, of the shortest turn from one unit quaternion to another."""
-    x, y, z, w = product(end, (-start[0], -start[1], -start[2], start[3]))
-    if w < 0.0:
-        x, y, z, w = -x, -y, -z, -w
-    sine = math.sqrt(x * x + y * y + z * z)
-    # atan(sine / w) / sine -> 1 as the turn vanishes.
-    scale = 2.0 * arctangent(sine, w) / sine if sine > 1e-12 else 2.0
-    return scale * x, scale * y, scale * z
+    out = np.empty(3)
+    given = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
+    check(library().cloth_turn(*(doubles("orientation", array, (4,)) for array in given), address(out)))
+    found: list[float] = out.tolist()
+    return found
 
 
 def turned_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
@@ -78,47 +77,34 @@ def rotation_matrix(orientation: Array) -> Array:
     )
 
 
-def path_row(
-    t: float,
-    duration: float,
-    pose: Sequence[float],
-    twist: Sequence[float],
-    last_turn: Sequence[float],
-    target: Sequence[float],
-) -> tuple[list[float], list[float], list[float]]:
-    """Return the path over one frame, the twist at its end, and this frame's displacement and turn.
+def planned_paths(
+    t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
+) -> tuple[Array, Array, Array, list[float]]:
+    """Return paths over one frame, shape (count, PATH_NUMBERS), twists at its end and displacements and turns over it,
+    shape (count, 6) each, and by how much each displacement differs from that of the frame before [m], at most, along
+    an axis.
 
     A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the last
     frame had too: a steady stream of targets is followed without ripple, a jump arrives at rest without overshoot. See
-    docs/design.md. Lists go in and out: for so few numbers arrays would take several times as long.
+    docs/design.md.
 
     Args:
         t: time of the frame's start [s].
         duration: length of the frame [s].
-        pose: position [m] and unit quaternion x, y, z, w.
-        twist: velocity [m/s] and angular velocity [rad/s], 6 numbers.
-        last_turn: displacement [m] and rotation vector [rad] over the frame before, 6 numbers.
-        target: pose at the frame's end.
+        poses: positions [m] and unit quaternions x, y, z, w, shape (count, 7).
+        twists: velocities [m/s] and angular velocities [rad/s], shape (count, 6).
+        before: displacements [m] and rotation vectors [rad] over the frame before, shape (count, 6).
+        targets: poses at the frame's end, shape (count, 7).
     """
-    moved = [target[i] - pose[i] for i in range(3)]
-    turned = rotation_vector(pose[3:], target[3:])
-    way, end = _cubic(moved, twist[:3], last_turn[:3], duration)
-    turning, end_spin = _cubic(turned, twist[3:], last_turn[3:], duration)
-    return [t, *pose[:3], *way, *pose[3:], *turning], [*end, *end_spin], [*moved, *turned]
-
-
-def _cubic(
-    way: Sequence[float], start: Sequence[float], before: Sequence[float], duration: float
-) -> tuple[list[float], list[float]]:
-    """Return the coefficients, 9 numbers, of a cubic that goes a way over a duration from a start velocity, and its end
-    velocity. The frame before went another way.
-    """
-    (dx, dy, dz), (bx, by, bz) = way, before
-    square = dx * dx + dy * dy + dz * dz
-    shared = dx * bx + dy * by + dz * bz
-    kept = min(1.0, max(0.0, shared / square)) if square > 0.0 else 0.0
-    mean = [d / duration for d in way]
-    last = [m * kept for m in mean]
-    second = [(3.0 * m - 2.0 * v - e) / duration for m, v, e in zip(mean, start, last, strict=True)]
-    third = [(v + e - 2.0 * m) / (duration * duration) for m, v, e in zip(mean, start, last, strict=True)]
-    return [*start, *second, *third], last
+    count = len(poses)
+    at, rates = (count, 7), (count, 6)
+    given = (
+        doubles("poses", poses, at),
+        doubles("twists", twists, rates),
+        doubles("before", before, rates),
+        doubles("targets", targets, at),
+    )
+    paths, last, turns, changes = np.empty((count, PATH_NUMBERS)), np.empty(rates), np.empty(rates), np.empty(count)
+    places = address(paths), address(last), address(turns), address(changes)
+    check(library().cloth_paths(count, t, duration, *given, *places))
+    return paths, last, turns, changes.tolist()

@@ -10,26 +10,26 @@ from the model alone.
 from __future__ import annotations
 
 import ctypes
-import math
 import os
 import threading
 import weakref
 from collections.abc import Sequence
+from ctypes import addressof
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy import empty, zeros
 
 from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
+    FRAME,
     MOST_RUNS,
-    PATH_NUMBERS,
     TOUCHED_NUMBERS,
     Frame,
     address,
     check,
     doubles,
-    finite,
-    indices,
     library,
     writable,
 )
@@ -37,9 +37,10 @@ from cloth_sim_ros.physics.assembly import Assembly
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.gripping import Gripping
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.own_forces import OwnForces
-from cloth_sim_ros.physics.runs import Run, Told
+from cloth_sim_ros.physics.runs import Run, Told, booked_size
 from cloth_sim_ros.physics.turn import one_at_a_time
 
 if TYPE_CHECKING:
@@ -70,16 +71,21 @@ class Plan:
         self._library = library()
         self._shape = (3, model.particle_count)
         parts = Assembly.of(model)
-        self._own, self._grips, self._drag, self._gridded = parts.own, parts.grips, parts.drag, parts.gridded
+        self._own, self._drag, self._gridded = parts.own, parts.drag, parts.gridded
         #: Estimated time of a step for one particle [ns].
         self.step_cost = parts.step_cost()
         self._pair_counts = parts.pair_counts()
-        self._seen = self._moved = -1
         self.turn = threading.Lock()
         # The engine's request, made once: what a frame asks for is written into it.
         self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
-        self._told = (ctypes.c_double * 4)()
-        self._frame = Frame(steps=ctypes.addressof(self._steps), weights=ctypes.addressof(self._weights))
+        self._told = (ctypes.c_double * 6)()
+        self._steps_at, self._weights_at = addressof(self._steps), addressof(self._weights)
+        self._frame = Frame()
+        #: Steps that are written down in the request.
+        self._asked: tuple[int, ...] | None = None
+        #: The newest combination of runs, which is held so that its address stays true.
+        self._newest: tuple[Array | None, Array | None] = (None, None)
+        self._newest_at = 0
         self._frame_at = ctypes.byref(self._frame)
         count, masses = model.particle_count, (model.masses.ctypes.data, model.inverse_masses.ctypes.data)
         self._handle = self._library.cloth_plan_new(count, *masses)
@@ -88,12 +94,12 @@ class Plan:
         # Not at exit: a daemon's thread may still be at work with it.
         weakref.finalize(self, self._library.cloth_plan_free, self._handle).atexit = False
         parts.hand_over(self._handle)
+        self._gripping = None if parts.grips is None else Gripping(self._handle, parts.grips, count)
         self.contact: Touching | None = None
         if parts.contact is not None:
             from cloth_sim_ros.physics.touching import Touching
 
             self.contact = Touching(self._handle, parts.contact, count)
-        self._frame.rates = not self._own
         self._called = OwnForces(self._own, self._shape) if self._own else None
         if self._called is not None:
             check(self._library.cloth_plan_callback(self._handle, self._called.callback))
@@ -124,48 +130,13 @@ class Plan:
         """Tell the engine what grippers hold, what obstacles there are and how both move, where that changed."""
         if self.contact is not None:
             self.contact.sync()
-        grips = self._grips
-        if grips is None or (grips.changes == self._seen and grips.moves == self._moved):
-            return
-        paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
-        if paths.shape != (grips.gripper_count, PATH_NUMBERS):
-            raise ValueError(f"paths have shape {paths.shape}; they must be {(grips.gripper_count, PATH_NUMBERS)}")
-        # A sum tells nearly always that all are finite, in a fraction of the time.
-        if not (math.isfinite(np.add.reduce(paths, None)) or np.isfinite(paths).all()):
-            raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
-        if grips.changes != self._seen:
-            self._hold(grips, paths)
-        else:
-            check(self._library.cloth_plan_paths(self._handle, doubles("paths", paths, paths.shape)))
-        self._seen, self._moved = grips.changes, grips.moves
-
-    def _hold(self, grips: Grips, paths: Array) -> None:
-        particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self.model.particle_count)
-        count = len(particles)
-        owners = np.ascontiguousarray(grips.owners(), dtype=np.int64)
-        if len(owners) != count:
-            raise ValueError(f"starts {grips.starts.tolist()} say that {len(owners)} particles are held, not {count}")
-        numbers = (
-            finite("offsets of grips", grips.offsets, (count, 3)),
-            finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
-            finite("damping of grips", grips.damping, (count,), least=0.0),
-        )
-        check(
-            self._library.cloth_plan_held(
-                self._handle,
-                grips.gripper_count,
-                paths.ctypes.data,
-                count,
-                particles.ctypes.data,
-                owners.ctypes.data,
-                *(array.ctypes.data for array in numbers),
-            )
-        )
+        if self._gripping is not None:
+            self._gripping.sync()
 
     @property
     def gripper_count(self) -> int:
         """Number of grippers of the model."""
-        return 0 if self._grips is None else self._grips.gripper_count
+        return 0 if self._gripping is None else self._gripping.count
 
     @property
     def obstacle_count(self) -> int:
@@ -175,7 +146,7 @@ class Plan:
     @property
     def grips(self) -> Grips | None:
         """The force by which grippers hold particles, where the model has one."""
-        return self._grips
+        return None if self._gripping is None else self._gripping.force
 
     @property
     def drag(self) -> float:
@@ -216,53 +187,79 @@ class Plan:
             Exception: what a force in numpy raised.
         """
         self._sync()
-        x0, v0 = start
-        count, n = len(steps), self.model.particle_count
+        count, grippers, obstacles = len(steps), self.gripper_count, self.obstacle_count
+        if steps != self._asked:
+            self._ask(steps)
+        if not (isfinite(t) and isfinite(duration)):
+            raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
+        x0, v0 = self._places(*start)
+        out = empty((count, 2, *self._shape))
+        met = TOUCHED_NUMBERS if self.contact is not None and self.contact.force.acts else 0
+        notes = zeros((count, booked_size(grippers, obstacles) + met))
+        out_at = address(out)
+        result, result_at, told_at = out[0], 0, 0
+        ends = (None, None) if self.contact is None else self.contact.ends(count)
+        ends_at = [0 if array is None else address(array) for array in ends]
+        if weights is not None:
+            if len(weights) != count:
+                raise ValueError(f"{len(weights)} weights for {count} runs; give one a run")
+            told_at = addressof(self._told)
+            if count > 1:
+                self._weights[:count] = list(weights)
+                result = empty((2, *self._shape))
+                result_at = address(result)
+        FRAME.pack_into(
+            self._frame,
+            0,
+            t,
+            duration,
+            count,
+            self._steps_at,
+            self._weights_at,
+            narrow,
+            self._threads(threads),
+            x0,
+            v0,
+            out_at,
+            result_at,
+            address(notes),
+            powers,
+            told_at,
+            not self._own,
+            touches,
+            *ends_at,
+        )
+        self._checked(self._library.cloth_frame(self._handle, self._frame_at))
+        anchors, pinched = ([None] * count if array is None else array for array in ends)
+        runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
+        if weights is None:
+            return runs, None
+        activity, omega2, damping, held, *own = self._told
+        x, v = result
+        self._newest, self._newest_at = (x, v), result_at or out_at
+        if self._own:
+            omega2, damping = self.rates(x)
+        return runs, (x, v, Told(activity, omega2, damping, held, (own[0], own[1])))
+
+    def _places(self, x: Array, v: Array) -> tuple[int, int]:
+        """Addresses of positions and velocities; of the newest combination, which mostly comes next, they are known."""
+        if x is self._newest[0] and v is self._newest[1]:
+            return self._newest_at, self._newest_at + x.nbytes
+        return doubles("x", x, self._shape), doubles("v", v, self._shape)
+
+    def _ask(self, steps: Sequence[int]) -> None:
+        """Ask for runs of other numbers of steps."""
+        self._asked = None
+        count = len(steps)
         if not (1 <= count <= MOST_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS):
             raise ValueError(
                 f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of 1 to {MOST_STEPS} steps"
             )
-        if not (math.isfinite(t) and math.isfinite(duration)):
-            raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
-        if weights is not None and len(weights) != count:
-            raise ValueError(f"{len(weights)} weights for {count} runs; give one a run")
         try:
             self._steps[:count] = list(steps)
         except TypeError as error:
             raise ValueError(f"runs of {list(steps)} steps; they must be whole numbers") from error
-        noted, obstacles = BOOKED_NUMBERS * self.gripper_count, self.obstacle_count
-        touched = BOOKED_NUMBERS * obstacles + TOUCHED_NUMBERS if obstacles else 0
-        out, notes = np.empty((count, 2, 3, n)), np.zeros((count, noted + 2 + touched))
-        frame = self._frame
-        frame.t, frame.duration, frame.runs = t, duration, count
-        frame.narrow, frame.powers, frame.books, frame.bands = narrow, powers, touches, self._threads(threads)
-        frame.x0, frame.v0 = doubles("x", x0, self._shape), doubles("v", v0, self._shape)
-        frame.out, frame.notes = address(out), address(notes)
-        frame.result = frame.told = frame.anchors = None
-        anchors = None
-        if self.contact is not None and self.contact.force.rough:
-            anchors = np.empty((count, *self.contact.anchors_shape))
-            frame.anchors = address(anchors)
-        result = out[0]
-        if weights is not None:
-            self._weights[:count] = list(weights)
-            frame.told = ctypes.addressof(self._told)
-            if count > 1:
-                result = np.empty((2, 3, n))
-                frame.result = address(result)
-        self._checked(self._library.cloth_frame(self._handle, self._frame_at))
-        grips = notes[:, :noted].reshape(count, -1, BOOKED_NUMBERS)
-        lost, met = notes[:, noted : noted + 2], notes[:, noted + 2 :]
-        size = BOOKED_NUMBERS * obstacles
-        booked = met[:, :size].reshape(count, obstacles, BOOKED_NUMBERS)
-        reached, gaps = met[:, size : size + 2].T.tolist() if obstacles else ([0.0] * count, [math.inf] * count)
-        held = [None] * count if anchors is None else anchors
-        notes_of = zip(grips, lost, booked, reached, gaps, held, strict=True)
-        runs = [Run(*out[k], *each) for k, each in enumerate(notes_of)]
-        if weights is None:
-            return runs, None
-        rates = self.rates(result[0]) if self._own else (self._told[1], self._told[2])
-        return runs, (result[0], result[1], Told(self._told[0], *rates, self._told[3]))
+        self._asked = tuple(steps)
 
     def _threads(self, wanted: int | None) -> int:
         """Threads of a run: a second one where a step is long enough to be worth meeting it."""
@@ -322,6 +319,7 @@ class Plan:
 
     def powers(self, t: float, x: Array, v: Array) -> tuple[float, float]:
         """Return the powers that damping takes and that moving air gives [W]; the joints of grippers aside."""
+        self._sync()
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_powers(self._handle, *addresses, address(out)))
@@ -332,11 +330,9 @@ class Plan:
         """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
         (grippers, BOOKED_NUMBERS).
         """
-        self._sync()
-        out = np.zeros((self.gripper_count, BOOKED_NUMBERS))
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        check(self._library.cloth_grip_rates(self._handle, t, *addresses, weight, out.ctypes.data))
-        return out
+        if self._gripping is None:
+            return np.zeros((0, BOOKED_NUMBERS))
+        return self._gripping.rates(t, x, v, weight)
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
         """Return the power that damping takes out of the motion [W], that of grips and of contact included."""
@@ -360,11 +356,8 @@ class Plan:
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
         check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
         damped[:3] += self._drag * self.model.masses
-        if self._grips is not None:
-            # Several grippers may hold one particle: plain indexing would not add up.
-            for axis in range(3):
-                np.add.at(stiff[axis], self._grips.particles, self._grips.stiffness)
-                np.add.at(damped[axis], self._grips.particles, self._grips.damping)
+        if self._gripping is not None:
+            self._gripping.add_bounds(stiff, damped)
         if self.contact is not None:
             self.contact.add_bounds(t, x, stiff, damped)
         for force in self._own:
@@ -394,7 +387,6 @@ class Plan:
         """Whether all forces at given positions and velocities stay what they are until the next event."""
         return all(force.steady() for force in self.model.forces)
 
-    def narrows(self) -> bool:
-        """Whether single precision would make a difference to runs."""
-        # An anchor's spring gives by less than single precision tells apart.
-        return not self._own and (self.contact is None or not self.contact.force.rough)
+    def narrows(self, duration: float, x: Array, v: Array) -> bool:
+        """Whether single precision would make a difference to runs over a duration [s] from a state."""
+        return not self._own and (self.contact is None or self.contact.narrows(duration, x, v))

@@ -168,7 +168,8 @@ class Choice(Remembered):
     wait: float = number(0.0)
     #: Cost of an explicit frame at the stability limit when last compared [ns].
     explicit: float = number(0.0, least=0.0)
-    #: Whether explicit steps missed the tolerance too, so that implicit ones that do are let be until then.
+    #: Whether explicit steps missed the tolerance as well: implicit ones that miss it are then accepted until the next
+    #: comparison.
     vain: float = number(0.0, least=0.0)
 
 
@@ -191,6 +192,10 @@ class Sleep(Remembered):
 
 #: Name of friction's anchors, shape (obstacles, 4, particles).
 ANCHORS = "contact.anchors"
+#: Name of where the pads of pinching grippers are, shape (pinches, 2): half the way between their faces [m], its rate.
+PINCHED = "contact.pinched"
+#: Name of whether it was told of each that its pads came to rest, shape (pinches,).
+SETTLED = "contact.settled"
 #: Names of what lies beside it, shape (3, particle_count): positions [m] at the start of the watched second, and
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")

@@ -7,36 +7,100 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
 
 
 class Run(NamedTuple):
     """One run of the leapfrog over a stretch of time."""
 
-    x: Array
-    v: Array
-    #: What was noted for each gripper, shape (grippers, BOOKED_NUMBERS), and powers' integrals [J], shape (2,).
-    grips: Array
-    powers: Array
-    #: What was noted for each obstacle, shape (obstacles, BOOKED_NUMBERS); energy per mass that contact had to take up,
-    #: in U^2/2, and the least gap [m].
-    touches: Array
-    reached: float = 0.0
-    gap: float = math.inf
+    #: Positions and velocities at its end, shape (2, 3, n).
+    ends: Array
+    #: What was noted: for each gripper BOOKED_NUMBERS; integrals of the powers of damping and of moving air [J]; for
+    #: each obstacle BOOKED_NUMBERS; and, where there is contact, the energy per mass that obstacles' had to take up, in
+    #: U^2/2, the least gap [m], a number for the engine, and the rates of the cloth's contact with itself.
+    notes: Array
+    #: Numbers of grippers and obstacles.
+    grippers: int
+    obstacles: int
     #: Friction's anchors at its end; None without friction.
     anchors: Array | None = None
+    #: Where pads are at its end, shape (pinches, PINCH_NUMBERS); None without any.
+    pinched: Array | None = None
+
+    @property
+    def x(self) -> Array:
+        """Positions at its end [m], shape (3, n)."""
+        x: Array = self.ends[0]
+        return x
+
+    @property
+    def v(self) -> Array:
+        """Velocities at its end [m/s], shape (3, n)."""
+        v: Array = self.ends[1]
+        return v
+
+    @property
+    def grips(self) -> Array:
+        """What was noted for each gripper, shape (grippers, BOOKED_NUMBERS)."""
+        return self.notes[: BOOKED_NUMBERS * self.grippers].reshape(-1, BOOKED_NUMBERS)
+
+    @property
+    def powers(self) -> Array:
+        """Integrals of the powers of damping and of moving air [J], shape (2,)."""
+        first = BOOKED_NUMBERS * self.grippers
+        return self.notes[first : first + 2]
+
+    @property
+    def touches(self) -> Array:
+        """What was noted for each obstacle, shape (obstacles, BOOKED_NUMBERS)."""
+        first = BOOKED_NUMBERS * self.grippers + 2
+        return self.notes[first : self._size].reshape(-1, BOOKED_NUMBERS)
+
+    @property
+    def reached(self) -> float:
+        """Energy per mass that obstacles' contact had to take up, in U^2/2."""
+        return float(self.notes[self._size]) if self._touches else 0.0
+
+    @property
+    def gap(self) -> float:
+        """The least gap [m]."""
+        return float(self.notes[self._size + 1]) if self._touches else math.inf
+
+    @property
+    def own(self) -> tuple[float, float]:
+        """Squared frequency [1/s^2] and damping rate [1/s] at which the cloth's contact with itself was followed."""
+        if not self._touches:
+            return 0.0, 0.0
+        return float(self.notes[self._size + 3]), float(self.notes[self._size + 4])
+
+    @property
+    def _touches(self) -> bool:
+        return len(self.notes) > self._size
+
+    @property
+    def _size(self) -> int:
+        return booked_size(self.grippers, self.obstacles)
+
+
+def booked_size(grippers: int, obstacles: int) -> int:
+    """Return how many numbers are booked for so many grippers and obstacles, powers included."""
+    return BOOKED_NUMBERS * (grippers + obstacles) + 2
 
 
 class Told(NamedTuple):
     """What a frame's call tells of the result."""
 
-    #: Largest change of a particle's velocity [m/s]; infinite where a number is none, or a particle within an obstacle.
+    #: Largest change of a particle's velocity [m/s]; infinite where a number is none, a particle within an
+    #: obstacle, or the cloth may have passed through itself.
     activity: float
     #: Bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] there.
     omega2: float
     damping: float
     #: Energy per mass that contact has to take up from there, in U^2/2.
     contact: float
+    #: Squared frequency and damping rate of the cloth's contact with itself from there.
+    own: tuple[float, float] = (0.0, 0.0)
 
     @property
     def finite(self) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics import npz, state_memory
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import ANCHORS, BEFORE
+from cloth_sim_ros.physics.remembered import ANCHORS, BEFORE, PINCHED
 
 _FRAME = "frame"
 _POSITION = "position"
@@ -109,11 +109,12 @@ class State:
         return twin
 
     def go_back(self, start: State) -> None:
-        """Take back positions, velocities and friction's anchors: what a stretch of time changes itself."""
+        """Take back positions, velocities, friction's anchors and pads: what a stretch of time changes itself."""
         self.x, self.v = start.x, start.v
-        self.memory.pop(ANCHORS, None)
-        if ANCHORS in start.memory:
-            self.memory[ANCHORS] = start.memory[ANCHORS]
+        for name in (ANCHORS, PINCHED):
+            self.memory.pop(name, None)
+            if name in start.memory:
+                self.memory[name] = start.memory[name]
 
     def restore(self, other: State) -> None:
         """Take over all of another state."""

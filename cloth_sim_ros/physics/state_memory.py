@@ -8,7 +8,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cloth_sim_ros.physics.remembered import ANCHORS, RULES, SLEEP_ARRAYS, SLEEP_VELOCITY, Remembered, Sleep
+from cloth_sim_ros.physics.remembered import (
+    ANCHORS,
+    PINCHED,
+    RULES,
+    SETTLED,
+    SLEEP_ARRAYS,
+    SLEEP_VELOCITY,
+    Remembered,
+    Sleep,
+)
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
@@ -70,9 +79,16 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
                 f"memory '{ANCHORS}' has bond {anchors[obstacle, 3, particle]} of obstacle {obstacle} with particle "
                 f"{particle}; it must be 0 (none), 1 (sticks) or 2 (slides)"
             )
-        known = len(np.atleast_1d(memory.get("obstacle.pose", anchors)))
-        if known != len(anchors):
-            raise ValueError(f"memory '{ANCHORS}' is of {len(anchors)} obstacles, 'obstacle.pose' of {known}")
+        pads = 2 * len(np.atleast_1d(memory.get(PINCHED, ())))
+        known = len(np.atleast_1d(memory["obstacle.pose"])) if "obstacle.pose" in memory else len(anchors) - pads
+        if known + pads != len(anchors):
+            what = f"obstacles and pads, 'obstacle.pose' of {known} and '{PINCHED}' of {pads}" if pads else ""
+            what = what or f"obstacles, 'obstacle.pose' of {known}"
+            raise ValueError(f"memory '{ANCHORS}' is of {len(anchors)} {what}")
+    pinches = len(np.atleast_1d(memory.get(PINCHED, ())))
+    for name, (dtype, length) in {PINCHED: (_FLOAT, (pinches, 2)), SETTLED: (_BOOL, (pinches,))}.items():
+        if name in memory:
+            _check_one(name, memory[name], dtype, length)
     rules: list[type[Remembered]] = [*RULES, Sleep]
     for rule in rules:
         if rule.key in memory:

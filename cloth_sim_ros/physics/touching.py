@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A plan's contact with obstacles: what the engine is told of them, and what it is asked."""
+"""A plan's contact with obstacles and with itself: what the engine is told of it, and what it is asked."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import numpy as np
 from cloth_sim_ros.engine.binding import (
     ANCHOR_NUMBERS,
     BOOKED_NUMBERS,
+    DRIVE_NUMBERS,
     PATH_NUMBERS,
+    PINCH_NUMBERS,
     SHAPES,
     address,
     check,
@@ -20,13 +22,17 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
+from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
+from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
 
 #: A part is stepped for so many times the energy that contact is expected to take up: neighbours may push, too.
 _EXPECTED = 1.5
+#: Halvings of the range in which an implicit step looks for the rate of pads: down to its last bit.
+_BISECTIONS = 60
 
 
 class Touching:
@@ -41,18 +47,23 @@ class Touching:
     def __init__(self, handle: int, contact: Contact, particle_count: int) -> None:
         self._library, self._handle, self.force = library(), handle, contact
         self._shape = (3, particle_count)
-        self._seen = self._moved = -1
+        self._seen = self._moved = self._heard = -1
         self._taken: Array | None = None
+        surface = contact.surface
+        if surface is not None:
+            triangles = surface.triangles
+            numbers = len(triangles), triangles.ctypes.data, surface.shortest
+            check(self._library.cloth_plan_self(self._handle, *numbers))
 
     @property
     def count(self) -> int:
-        """Number of obstacles."""
+        """Number of obstacles, pads included."""
         return len(self.force.obstacles)
 
     def sync(self) -> None:
         """Tell the engine what obstacles there are and how they move, where that changed."""
         force = self.force
-        if force.changes == self._seen and force.moves == self._moved:
+        if force.changes == self._seen and force.moves == self._moved and force.commands == self._heard:
             return
         paths = np.ascontiguousarray(force.paths, dtype=np.float64)
         if paths.shape != (self.count, PATH_NUMBERS):
@@ -64,7 +75,9 @@ class Touching:
             sizes = np.zeros((self.count, 3))
             for row, obstacle in zip(sizes, force.obstacles, strict=True):
                 row[: len(obstacle.size)] = obstacle.size
-            radii = np.array([obstacle.reach for obstacle in force.obstacles], dtype=np.float64)
+            reaches = [obstacle.reach for obstacle in force.obstacles[: force.solid_count]]
+            reaches += [pads.reach for pads in force.pads for _ in range(2)]
+            radii = np.array(reaches, dtype=np.float64)
             frictions = np.array([obstacle.friction for obstacle in force.obstacles], dtype=np.float64)
             arrays = (array.ctypes.data for array in (shapes, sizes, radii, frictions, paths))
             numbers = force.thickness, force.damping, force.frequency
@@ -72,17 +85,79 @@ class Touching:
             check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *numbers))
         else:
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
-        self._seen, self._moved = force.changes, force.moves
+        if force.pads and (force.changes, force.commands) != (self._seen, self._heard):
+            boxes = np.arange(force.solid_count, self.count, dtype=np.int64)
+            rows = [pads.numbers(*flags) for pads, flags in zip(force.pads, force.driven.tolist(), strict=True)]
+            drives = np.array(rows).reshape(len(rows), DRIVE_NUMBERS)
+            check(self._library.cloth_plan_pinches(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
+        self._seen, self._moved, self._heard = force.changes, force.moves, force.commands
 
     @property
     def anchors_shape(self) -> tuple[int, int, int]:
         """Shape of anchors: obstacles; place in the obstacle's frame [m] and bond (none, sticks, slides); particles."""
         return (self.count, ANCHOR_NUMBERS, self._shape[1])
 
+    @property
+    def pinched_shape(self) -> tuple[int, int]:
+        """Shape of where pads are: pinches; half the way between their faces [m], its rate [m/s]."""
+        return (len(self.force.pads), PINCH_NUMBERS)
+
     def take(self, state: State) -> None:
-        """Let what follows start with the anchors of a state; a state without any, or of other obstacles, has none."""
-        anchors = state.memory.get(ANCHORS)
+        """Let what follows start with the anchors and pads of a state.
+
+        A state without any, or of other obstacles, has no anchors; its pads are open.
+        """
+        anchors, pinched = state.memory.get(ANCHORS), state.memory.get(PINCHED)
         self.lay(anchors if anchors is not None and anchors.shape == self.anchors_shape else None)
+        self.lay_pads(pinched if pinched is not None and pinched.shape == self.pinched_shape else None)
+
+    def lay_pads(self, pinched: Array | None) -> Array | None:
+        """Let what follows start with pads where they are said to be, open where left out; return that, None where no
+        gripper pinches.
+        """
+        self.sync()
+        if not self.force.pads:
+            return None
+        if pinched is None:
+            pinched = np.array([pads.start for pads in self.force.pads])
+        check(self._library.cloth_contact_pinched(self._handle, doubles(PINCHED, pinched, self.pinched_shape)))
+        return pinched
+
+    def narrows(self, duration: float, x: Array, v: Array) -> bool:
+        """Whether runs over a duration [s] from a state may calculate in single precision: an anchor's spring gives by
+        less than it tells apart, and so does a gap within the cloth.
+        """
+        return not (self.force.rough or self.force.pads) and self.rests(duration, x, v)
+
+    def ends(self, runs: int) -> tuple[Array | None, Array | None]:
+        """Return room for the anchors and pads of runs at their ends; None where there are none."""
+        anchors = np.empty((runs, *self.anchors_shape)) if self.force.rough else None
+        return anchors, np.empty((runs, *self.pinched_shape)) if self.force.pads else None
+
+    def combined_pads(self, runs: Sequence[Run], weights: Sequence[float]) -> Array | None:
+        """Return where pads are at the end of runs that are combined by weights; None where no gripper pinches."""
+        ends = [run.pinched for run in runs if run.pinched is not None]
+        return combine(ends, weights) if ends else None
+
+    def pad_accelerations(self, t: float, x: Array, v: Array) -> Array:
+        """Return the accelerations [m/s^2] of half the ways between pads, shape (pinches,)."""
+        out = np.empty(len(self.force.pads))
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_pinch_accelerations(self._handle, t, *addresses))
+        return out
+
+    def ended(
+        self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float]
+    ) -> tuple[Array | None, Array | None]:
+        """Return the anchors and pads of what combines runs by weights and ends at time t [s], with positions x and
+        velocities v; None where there are none.
+        """
+        pinched = self.combined_pads(runs, weights)
+        self.lay_pads(pinched)
+        if not self.force.rough:
+            return None, pinched
+        ends = np.array([run.anchors for run in runs])
+        return self.settle(t, x, v, ends, weights), pinched
 
     def lay(self, anchors: Array | None) -> Array | None:
         """Let what follows start with anchors, none where left out; return them, None where there is no friction."""
@@ -112,19 +187,84 @@ class Touching:
         check(self._library.cloth_contact_settle(self._handle, t, *addresses, len(weights), *places))
         return out
 
-    def follow(self, t: float, state: State) -> None:
-        """Let the anchors of a state that has moved follow it."""
+    def follow(self, t: float, h: float, state: State) -> None:
+        """Let pads and anchors follow a state that has moved by a step h [s] to time t [s], during which pads stood."""
+        if self.force.pads:
+            state.memory[PINCHED] = self._moved_pads(t, h, state)
         if self.force.rough and self._taken is not None:
             state.memory[ANCHORS] = self.settle(t, state.x, state.v, self._taken[None], [1.0])
+
+    def _moved_pads(self, t: float, h: float, state: State) -> Array:
+        """Return where pads are after a step by the implicit Euler method, the cloth where it is then.
+
+        Cloth and stops push the harder the further pads go: of their rates, one is what the rate before and the push
+        make. It is found by bisection between the stops.
+        """
+        force = self.force
+        pinched = state.memory.get(PINCHED)
+        before = np.array([pads.start for pads in force.pads]) if pinched is None else pinched
+        way, rate = before[:, 0], before[:, 1]
+        opening = np.array([0.5 * pads.opening for pads in force.pads])
+        low, high = (-0.5 * force.thickness - way) / h, (opening + force.thickness - way) / h
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            self.lay_pads(np.stack([way + h * middle, middle], axis=1))
+            over = middle - rate - h * self.pad_accelerations(t, state.x, state.v)
+            # Where nothing is finite pads are within the cloth.
+            inward = over > 0.0
+            low, high = np.where(inward, low, middle), np.where(inward, middle, high)
+        middle = np.where(force.driven[:, 0], high, 0.0)
+        return self.lay_pads(np.stack([way + h * middle, middle], axis=1))  # type: ignore[return-value]
 
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return squared frequency [1/s^2] and damping rate [1/s] that contact may come to within a duration [s]: where
         it has taken up the energy of what is in contact, and of what comes into contact by then.
+
+        Raises:
+            ValueError: where a particle is inside an obstacle, naming it.
         """
-        return self.limits(_EXPECTED * self.energy_ahead(t, duration, x, v))
+        energy = self.energy_ahead(t, duration, x, v)
+        if not math.isfinite(energy):
+            for obstacle, (_, gap) in zip(self.force.obstacles, self.gaps(t, x).tolist(), strict=True):
+                if gap <= 0.0:
+                    raise ValueError(
+                        f"the cloth is {-gap:.4g} m deep inside obstacle '{obstacle.name}' at {t:.6g} s, and contact "
+                        "has no force there; move the one or the other"
+                    )
+        omega2, damping = self.limits(_EXPECTED * energy)
+        own = self.own_ahead(duration, x, v)
+        return omega2 + own[0], damping + own[1]
+
+    def own_ahead(self, duration: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return what the cloth's contact with itself may come to within a duration [s], as `ahead` does."""
+        if self.force.surface is None:
+            return 0.0, 0.0
+        self.sync()
+        out = np.empty(2)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        # What contact holds already is known.
+        expected = _EXPECTED if duration > 0.0 else 1.0
+        check(self._library.cloth_self_ahead(self._handle, duration, expected, *addresses))
+        return float(out[0]), float(out[1])
+
+    def rests(self, duration: float, x: Array, v: Array) -> bool:
+        """Return whether nothing of the cloth gets near itself within a duration [s], so that runs leave that out."""
+        if self.force.surface is None:
+            return True
+        self.sync()
+        out = np.empty(1, dtype=np.int64)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_self_rests(self._handle, duration, *addresses))
+        return bool(out[0])
+
+    def keep_pairs(self, keeps: bool) -> None:
+        """Say whether pairs of the cloth that may come near are kept between evaluations; no bit depends on it."""
+        check(self._library.cloth_self_keeps(self._handle, keeps))
 
     def energy_ahead(self, t: float, duration: float, x: Array, v: Array) -> float:
-        """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2."""
+        """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite where a
+        particle is inside an obstacle.
+        """
         self.sync()
         out = np.empty(1)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
@@ -162,17 +302,65 @@ class Touching:
         check(self._library.cloth_contact_gaps(self._handle, t, doubles("x", x, self._shape), out.ctypes.data))
         return out
 
+    def gaps_of(self, state: State, t: float) -> Array:
+        """Return the same of a state at time t [s]."""
+        self.take(state)
+        return self.gaps(t, state.x)
+
+    def own_gaps(self, x: Array) -> tuple[int, float]:
+        """Return how many contacts the cloth has with itself, and the least of their gaps [m], infinite for none."""
+        if self.force.surface is None:
+            return 0, math.inf
+        self.sync()
+        out = np.empty(2)
+        check(self._library.cloth_self_gaps(self._handle, doubles("x", x, self._shape), address(out)))
+        return int(out[0]), float(out[1])
+
     def add_bounds(self, t: float, x: Array, stiff: Array, damped: Array) -> None:
         """Add blocks (6, n) of stiffness [N/m] and damping [N s/m] across the gaps."""
         self.sync()
         shape = (6, self._shape[1])
+        place = doubles("x", x, self._shape)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
-        check(self._library.cloth_contact_bounds(self._handle, t, doubles("x", x, self._shape), *addresses))
+        check(self._library.cloth_contact_bounds(self._handle, t, place, *addresses))
+        if self.force.surface is not None:
+            check(self._library.cloth_self_bounds(self._handle, place, *addresses))
 
     def crosses(self, t: float, duration: float, start: Array, end: Array) -> bool:
-        """Return whether a particle meets an obstacle's surface on its straight way from one place to another."""
+        """Return whether a particle meets an obstacle's surface on its straight way from one place to another, or the
+        cloth meets itself.
+        """
         self.sync()
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_contact_crosses(self._handle, t, duration, *addresses))
+        return bool(out[0]) or self.passes(start, end)
+
+    def check_clear(self, x: Array) -> None:
+        """Refuse a cloth that passes through itself.
+
+        Raises:
+            ValueError: naming the first edge and triangle that do, and where.
+        """
+        if self.force.surface is None:
+            return
+        out = np.empty(5, dtype=np.int64)
+        check(self._library.cloth_self_pierced(self._handle, doubles("x", x, self._shape), address(out)))
+        a, b, *triangle = out.tolist()
+        if a >= 0:
+            where = [round(0.5 * sum(pair), 6) for pair in zip(x[:, a].tolist(), x[:, b].tolist(), strict=True)]
+            raise ValueError(
+                f"the cloth passes through itself at {where}: the edge from particle {a} to {b} goes through the "
+                f"triangle of particles {', '.join(map(str, triangle))}; start from another state, or set contact.self "
+                "to false"
+            )
+
+    def passes(self, start: Array, end: Array) -> bool:
+        """Return whether the cloth meets itself on straight ways from one place to another."""
+        if self.force.surface is None:
+            return False
+        self.sync()
+        out = np.empty(1, dtype=np.int64)
+        addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
+        check(self._library.cloth_self_crosses(self._handle, *addresses))
         return bool(out[0])

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calls that must not meet: two threads in one plan, or a force that lets its plan run while it is asked by a run."""
+"""A guard against two calls of one plan at a time.
+
+They may come from two threads, or from a force in numpy that calls the plan which is just calling the force.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 
 class Taken(Protocol):
-    """What one call at a time may use."""
+    """An object that allows one call at a time; the lock is held during a call."""
 
     turn: threading.Lock
 

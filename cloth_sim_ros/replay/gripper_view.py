@@ -79,7 +79,8 @@ class GripperView:
             path = gripper_path(name)
             reach = self._tracks.radius if track.pose is not None else 0.0
             colour = colours.CLOSED_GRIPPER if track.closed else colours.OPEN_GRIPPER
-            sphere = np.full((1, 3), reach, np.float32)
+            # Of one that pinches the pads are drawn, with the obstacles.
+            sphere = np.full((1, 3), 0.0 if track.pinches else reach, np.float32)
             body = self._table(f"{path}/body", rr.Ellipsoids3D, ragged=("half_sizes",))
             body.add(moment, half_sizes=sphere, colors=np.uint32(colour))
             axes = self._table(f"{path}/axes", rr.Arrows3D, ragged=("vectors",))

@@ -23,9 +23,18 @@ class GripperTrack:
     """
 
     def __init__(
-        self, name: str, *, pose: Floats | None, target: Floats, closed: bool, held: NDArray[np.int64]
+        self,
+        name: str,
+        *,
+        pose: Floats | None,
+        target: Floats,
+        closed: bool,
+        held: NDArray[np.int64],
+        pinches: bool = False,
     ) -> None:
         self.name = name
+        #: Whether it closes pads, and so takes hold of no particle.
+        self.pinches = pinches
         #: Position [m] and quaternion x, y, z, w, shape (7,); None while it is nowhere.
         self.pose = None if pose is None else pose.copy()
         self.target = target.copy()
@@ -46,7 +55,7 @@ class GripperTrack:
         if self.closed:
             return
         self.closed = True
-        if self.pose is not None:
+        if self.pose is not None and not self.pinches:
             near = np.linalg.norm(xyz - self.pose[:3], axis=1) <= radius
             self.held = np.flatnonzero(near & free)
 
@@ -66,7 +75,12 @@ class GripperTracks:
         self.anchor(anchored)
         self.tracks = {
             start.name: GripperTrack(
-                start.name, pose=start.pose, target=start.target, closed=start.closed, held=start.held
+                start.name,
+                pose=start.pose,
+                target=start.target,
+                closed=start.closed,
+                held=start.held,
+                pinches=start.pinches,
             )
             for start in opening.grippers
         }
@@ -101,5 +115,7 @@ class GripperTracks:
     def _reset(self) -> None:
         nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         none = np.zeros(0, dtype=np.int64)
-        for name in self.tracks:
-            self.tracks[name] = GripperTrack(name, pose=None, target=nowhere, closed=False, held=none)
+        for name, track in self.tracks.items():
+            self.tracks[name] = GripperTrack(
+                name, pose=None, target=nowhere, closed=False, held=none, pinches=track.pinches
+            )

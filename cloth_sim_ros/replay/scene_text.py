@@ -27,6 +27,8 @@ class GripperStart:
     closed: bool
     held: NDArray[np.int64]
     """Particles that it holds."""
+    pinches: bool = False
+    """Whether it closes pads, which are drawn as obstacles are, instead of taking hold of particles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +69,7 @@ def read_opening(scene_yaml: str, state: bytes) -> Opening:
     values = _parameters(scene_yaml)
     arrays = _arrays(state)
     names = [name for name in _texts(values.get("grippers")) if name]
+    mode = str(values.get("gripper.mode", "attach"))
     try:
         positions = np.ascontiguousarray(arrays["position"].T)
     except KeyError as error:
@@ -75,13 +78,15 @@ def read_opening(scene_yaml: str, state: bytes) -> Opening:
         frame_id=str(values.get("frame_id", "world")),
         anchors=tuple(_texts(values.get("cloth.anchors"))),
         gripper_radius=float(values.get("gripper.radius", 0.05)),
-        grippers=tuple(_gripper(name, index, arrays) for index, name in enumerate(names)),
+        grippers=tuple(
+            _gripper(name, index, arrays, str(values.get(f"{name}.mode", mode))) for index, name in enumerate(names)
+        ),
         obstacles=tuple(sorted(name.removesuffix(".shape") for name in values if name.endswith(".shape"))),
         positions=positions,
     )
 
 
-def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]]) -> GripperStart:
+def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]], mode: str) -> GripperStart:
     def entry(key: str, default: NDArray[Any]) -> NDArray[Any]:
         stored = arrays.get(f"memory.{key}")
         return default if stored is None or index >= len(stored) else stored[index]
@@ -96,6 +101,7 @@ def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]]) -> GripperS
         target=entry("gripper.target", nowhere),
         closed=bool(entry("gripper.closed", np.array(False))),
         held=particles[starts[index] : starts[index + 1]] if known else particles[:0],
+        pinches=mode == "pinch",
     )
 
 

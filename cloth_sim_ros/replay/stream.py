@@ -273,8 +273,12 @@ def _story(event: Any, grippers: GripperTracks) -> str:
     kind = event.get("kind")
     if kind == "grasp":
         name = event["gripper"]
-        held = len(grippers.tracks[name].held) if name in grippers.tracks else 0
-        return f"{name} closes, holds {held} particles" if event["closed"] else f"{name} opens"
+        track = grippers.tracks.get(name)
+        if not event["closed"]:
+            return f"{name} opens"
+        if track is not None and track.pinches:
+            return f"{name} closes its pads"
+        return f"{name} closes, holds {0 if track is None else len(track.held)} particles"
     if kind == "set_parameters":
         return ", ".join(f"{name} = {value}" for name, value in event["values"].items())
     if kind == "relax":

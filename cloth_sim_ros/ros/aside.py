@@ -29,8 +29,37 @@ def at_once(job: Callable[[], T]) -> T:
     return job()
 
 
+class Turn:
+    """A lock that its holder may take again. Who waits for it hears signals.
+
+    Args:
+        stopped: returns the name of the signal that has come, empty while none has.
+    """
+
+    def __init__(self, stopped: Callable[[], str]) -> None:
+        self._stopped = stopped
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> None:
+        """Take it.
+
+        Raises:
+            StopRequestedError: if a signal has come and the lock is not free soon.
+        """
+        while not self._lock.acquire(timeout=_GLANCE):
+            stopped = self._stopped()
+            if stopped and not self._lock.acquire(timeout=_GLANCE):
+                raise StopRequestedError(stopped)
+            if stopped:
+                return
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
 class Aside:
-    """Runs one job at a time in a thread of its own while the caller, the main thread, waits.
+    """Runs one job at a time in a thread of its own while the caller, the main thread, waits; those of other threads
+    here and now.
 
     Args:
         stopped: returns the name of the signal that has come, empty while none has.
@@ -55,6 +84,9 @@ class Aside:
             StopRequestedError: if a signal came before, or comes and the job is not done soon; one that had begun is
                 left to itself.
         """
+        if threading.current_thread() is not threading.main_thread():
+            # Which hears signals meanwhile.
+            return job()
         if self._stopped():
             raise StopRequestedError(self._stopped())
         if self._thread is None:
@@ -78,6 +110,10 @@ class Aside:
             except Empty:
                 if stopped:
                     raise StopRequestedError(stopped) from None
+
+    def leave(self) -> None:
+        """Take note that a frame of another thread goes on alone."""
+        self._running = True
 
     def end_process(self, status: int) -> NoReturn:
         """End the process at once.

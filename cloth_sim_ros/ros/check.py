@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.step_setters import in_words, step_setters
 from cloth_sim_ros.ros.unknown import unknown
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.obstacles import described
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def check(path: str, *, node: str) -> int:
     """
     try:
         values = parameter_file.read(path, node=node)
-        known = {entry.name for entry in Scene.declared(described(values, Scene.groups()))}
+        known = {entry.name for entry in Scene.declared_for(values)}
         own = {name: value for name, value in values.items() if name in known}
         scene = Scene.from_parameters(own, files=session_state(str(own.get("initial_state", ""))))
         simulation = Simulation(scene)

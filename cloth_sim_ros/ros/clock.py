@@ -22,6 +22,8 @@ _JUMP = 100_000_000
 _DEAD_BAND = 200_000
 #: Reading the clocks took longer than this: the thread was interrupted in between, the reading says nothing [ns].
 _READING = 50_000
+#: How long a frame under way is waited for at the end [s].
+_PATIENCE = 0.2
 #: When /clock goes ahead by more than this, older frames are left out [s].
 CATCH_UP = 1.0
 
@@ -36,6 +38,9 @@ class Due:
     lateness: int
     #: Due times since the frame before that passed without a frame.
     skipped: int
+    #: ROS time at which it begins [ns]; when it was due, where that is simulated. One that is late takes what came
+    #: since.
+    now: int
 
 
 class Pacer(Protocol):
@@ -44,8 +49,8 @@ class Pacer(Protocol):
     def start(self) -> None:
         """Begin; the first frame is due one period later, or at the next multiple of the period of /clock."""
 
-    def stop(self) -> None:
-        """Call for no more frames."""
+    def stop(self) -> bool:
+        """Call for no more frames; return whether none is under way."""
 
     @property
     def period(self) -> int:
@@ -55,26 +60,44 @@ class Pacer(Protocol):
 class WallPacer:
     """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral.
 
+    A thread of its own waits for their times and asks the executor for a turn, which looks at all that the node waits
+    for, and takes as long as the frame of a small cloth. So frames may run beside it, in that thread, as long as no
+    commands have come since the frame before, and that one was not late: then there is nothing to be taken first.
+
     Args:
-        node: has the guard condition that a frame is due by. A thread of its own rings it: a timer of the executor's
-            would cost it one more turn a frame.
+        node: has the guard condition that the executor is asked by.
         rate: frames a second.
         on_due: called for each frame.
         settled: whether all messages that have arrived were taken. In each turn an executor runs timers first, then
             takes one message of each topic, the oldest. If frames take all the time there is, a frame that did not wait
             for `settled` would only see commands that are as old as the middleware's queue is long.
+        beside: whether frames may run beside the executor.
     """
 
-    def __init__(self, node: Node, *, rate: float, on_due: Callable[[Due], None], settled: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        *,
+        rate: float,
+        on_due: Callable[[Due], None],
+        settled: Callable[[], bool],
+        beside: bool = False,
+    ) -> None:
         self._node = node
+        self._beside = beside
         self._on_due = on_due
         self._settled = settled
         self._guard = node.create_guard_condition(self._serve)
+        self._clock = node.get_clock()
         self.period = round(_SECOND / rate)
         self._start = 0
-        self._last = 0
+        #: Number of the last frame, and of the last due time that was seen to.
+        self._last = self._rung = 0
         self._stamp: int | None = None
         self._bell: threading.Thread | None = None
+        # Held by the thread that a frame runs in.
+        self._running = threading.Lock()
+        self._trouble: BaseException | None = None
 
     def start(self) -> None:
         self._start = time.monotonic_ns()
@@ -84,26 +107,57 @@ class WallPacer:
         self._bell = threading.Thread(target=self._ring, name="due", daemon=True)
         self._bell.start()
 
-    def stop(self) -> None:
-        if self._bell is not None:
+    def stop(self) -> bool:
+        if self._bell is None:
+            return True
+        if self._ended.locked():
             self._ended.release()
-            self._bell.join()
-            self._bell = None
-            self._node.destroy_guard_condition(self._guard)
+        self._bell.join(_PATIENCE)
+        if self._bell.is_alive():
+            return False
+        self._bell = None
+        self._node.destroy_guard_condition(self._guard)
+        return True
+
+    def _number(self) -> int:
+        """Number of the newest frame that is due."""
+        return (time.monotonic_ns() - self._start) // self.period
 
     def _ring(self) -> None:
-        while not self._ended.acquire(timeout=(self.period - self._since_start() % self.period) / _SECOND):
-            self._guard.trigger()
-
-    def _since_start(self) -> int:
-        return time.monotonic_ns() - self._start
+        while True:
+            late = self._number() > self._rung
+            wait = 0 if late else self._start + (self._rung + 1) * self.period - time.monotonic_ns()
+            if self._ended.acquire(timeout=max(0, wait) / _SECOND):
+                return
+            self._rung = self._number()
+            if late or not self._beside or not self._settled():
+                self._guard.trigger()
+                continue
+            try:
+                with self._running:
+                    self._run()
+            except BaseException as error:
+                # The executor's to raise, whatever it is.
+                self._trouble = error
+                self._guard.trigger()
+                return
 
     def _serve(self) -> None:
+        if self._trouble is not None:
+            raise self._trouble
         if self._bell is None:
             return
         if not self._settled():
             self._guard.trigger()
             return
+        # A frame under way that waits for nobody: the next one is rung for.
+        if self._running.acquire(blocking=False):
+            try:
+                self._run()
+            finally:
+                self._running.release()
+
+    def _run(self) -> None:
         now = time.monotonic_ns()
         number = (now - self._start) // self.period
         if number <= self._last:
@@ -111,24 +165,27 @@ class WallPacer:
         skipped = number - self._last - 1
         self._last = number
         due = self._start + number * self.period
-        self._on_due(Due(stamp=self._stamped(due, skipped + 1), lateness=now - due, skipped=skipped))
+        stamp, ros = self._stamped(due, skipped + 1)
+        self._on_due(Due(stamp=stamp, lateness=now - due, skipped=skipped, now=ros))
 
-    def _stamped(self, due: int, periods: int) -> int:
-        """ROS time of a steady time: evenly spaced, led slowly where clocks drift apart, jumping where they jump."""
+    def _stamped(self, due: int, periods: int) -> tuple[int, int]:
+        """ROS time of a steady time: evenly spaced, led slowly where clocks drift apart, jumping where they jump; and
+        that of now.
+        """
         before = time.monotonic_ns()
-        ros = self._node.get_clock().now().nanoseconds
+        ros = self._clock.now().nanoseconds
         after = time.monotonic_ns()
         measured = ros - (before + after) // 2 + due
         if self._stamp is None:
             self._stamp = measured
-            return measured
+            return measured, ros
         even = self._stamp + periods * self.period
         away = measured - even
         if after - before < _READING and abs(away) > _DEAD_BAND:
             most = self.period // 100
             even = measured if abs(away) > _JUMP else even + max(-most, min(most, away))
         self._stamp = even
-        return even
+        return even, ros
 
 
 class ClockPacer:
@@ -167,11 +224,12 @@ class ClockPacer:
         self._jump = self._node.get_clock().create_jump_callback(threshold, post_callback=self._moved)
         self._guard.trigger()
 
-    def stop(self) -> None:
+    def stop(self) -> bool:
         if self._jump is not None:
             self._jump.unregister()  # type: ignore[attr-defined]
             self._jump = None
             self._node.destroy_guard_condition(self._guard)
+        return True
 
     @property
     def has_clock(self) -> bool:
@@ -217,7 +275,7 @@ class ClockPacer:
             self._on_jump_ahead(skipped)
         number = self._next
         self._next += 1
-        self._on_due(Due(stamp=self._due(number), lateness=0, skipped=skipped))
+        self._on_due(Due(stamp=self._due(number), lateness=0, skipped=skipped, now=self._due(number)))
         if self._due(self._next) <= now:
             # One frame a call, so that commands and services are heard while many are made up for.
             self._guard.trigger()

@@ -20,11 +20,14 @@ from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
-from cloth_sim_ros.ros.log import ThrottledLog, counted
+from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Tape
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
+from cloth_sim_ros.simulation.frame import Frame
+from cloth_sim_ros.simulation.grippers import GraspResult
 
 #: Best effort, so that any publisher matches; the newest target is what counts.
 TARGETS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -214,7 +217,15 @@ class Commands:
         grasp = outcome.grasp
         if grasp is None:
             self._log.warn("grasp lost", f"a grasp did not take effect: {outcome.reason}")
-            return
+        elif not grasp.pending:
+            self._tell_grasp(grasp)
+
+    def show(self, frame: Frame) -> None:
+        """Say of pads that came to rest in a frame what is between them."""
+        for grasp in frame.pinches:
+            self._tell_grasp(grasp)
+
+    def _tell_grasp(self, grasp: GraspResult) -> None:
         if not grasp.closed:
             done = "is open"
         elif grasp.held:

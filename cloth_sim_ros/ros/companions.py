@@ -13,6 +13,9 @@ from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
+#: A frame that can't be followed is told of again after so long [ns].
+_LOST_PERIOD = 60_000_000_000
+
 
 class Companions:
     """Adds events of its own before a frame.
@@ -38,6 +41,8 @@ class Companions:
         self._followed: dict[str, int] = {}
         #: When the frame that a gripper follows was last seen to move on, ROS time [ns].
         self._moved: dict[str, int] = {}
+        #: When it was last told that what follows a frame can't, ROS time [ns].
+        self._lost: dict[str, int] = {}
 
     def events(self, now: int) -> list[Event]:
         """Return the events of a frame that is due at a ROS time [ns]."""
@@ -62,11 +67,21 @@ class Companions:
             target = kind(name, position, orientation)
             self._simulation.check(target)
         except (FrameError, EventError) as error:
-            self._log.warn(f"follow {name}", f"'{name}' can't follow frame '{frame}': {error}")
+            self._tell_lost(name, f"'{name}' can't follow frame '{frame}': {error}", now)
             return []
+        if self._lost.pop(name, None) is not None:
+            self._log.info(f"found {name}", f"'{name}' follows frame '{frame}'")
         self._followed[name] = stamp
         self._moved[name] = now
         return [target]
+
+    def _tell_lost(self, name: str, words: str, now: int) -> None:
+        """Warn when a frame gets lost, and now and then while it is."""
+        told = self._lost.get(name)
+        # The clock may have been set back since.
+        if told is None or not 0 <= now - told < _LOST_PERIOD:
+            self._lost[name] = now
+            self._log.warn(f"follow {name}", words)
 
     def _let_go(self, scene: Scene, index: int, name: str, now: int) -> list[Event]:
         if name in self._moved:

@@ -32,6 +32,7 @@ from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.locations import config_file
 from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.session.words import counted
 
 _NODE = "/cloth_sim"
 #: A busy machine takes long to load everything [s].
@@ -171,7 +172,7 @@ def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: An
                     raise DemoError(f"cloth_gripper ended with status {status}\n{gripper.log()}")
                 ended = time.monotonic()
             bar.n = min(time.monotonic() - begun, total)
-            bar.set_description_str(f"{seen.clouds} frames", refresh=False)
+            bar.set_description_str(counted(seen.clouds, "frame"), refresh=False)
             bar.refresh()
     return True
 
@@ -192,7 +193,7 @@ def _report(seen: Seen) -> int:
         command = command.relative_to(Path.cwd())
     print(f"look at it        {command} {path}")
     if lost:
-        raise DemoError(f"{lost} frames were lost on their way")
+        raise DemoError(f"{counted(lost, 'frame')} lost on the way")
     return 0
 
 

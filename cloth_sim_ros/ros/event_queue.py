@@ -85,9 +85,9 @@ class EventQueue:
 
     def take(self, due: int) -> list[Entry]:
         """Remove and return what a frame due at a ROS time [ns] takes: by stamp, equal ones in order of arrival."""
-        ready = [entry for entry in self._entries if entry.stamp <= due]
-        if not ready:
+        if not self._entries:
             return []
+        ready = [entry for entry in self._entries if entry.stamp <= due]
         self._entries = [entry for entry in self._entries if entry.stamp > due]
         # The newest target of a gripper is the one with the newest stamp; all else is stamped 0 and keeps its order.
         return sorted(ready, key=lambda entry: entry.stamp)

@@ -36,6 +36,8 @@ class FrameTransformer:
         self._buffer: Any = None
         self._listener: Any = None
         self._found = 0
+        #: Whether tf2 was looked for in vain: to look again would cost each frame of a gripper that follows something.
+        self._absent = False
 
     def to_cloth(
         self, frame_id: str, position: tuple[float, ...], orientation: tuple[float, ...] | None, stamp: int
@@ -95,13 +97,20 @@ class FrameTransformer:
     def _listen(self, frame_id: str) -> None:
         if self._buffer is not None:
             return
-        try:
-            import tf2_ros
-        except ImportError as error:
+        tf2_ros = None if self._absent else self._import()
+        if tf2_ros is None:
             raise FrameError(
-                f"it is in frame '{frame_id}', the cloth in '{self._frame_id}', and tf2_ros, which would transform it, "
-                f"is not installed; send it in '{self._frame_id}'"
-            ) from error
+                f"'{frame_id}' is not the cloth's frame '{self._frame_id}', and tf2_ros, which would transform it, is "
+                f"not installed: sudo apt install ros-jazzy-tf2-ros-py, or give poses in '{self._frame_id}'"
+            )
         self._tf2 = tf2_ros
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, self._node)
+
+    def _import(self) -> Any:
+        try:
+            import tf2_ros
+        except ImportError:
+            self._absent = True
+            return None
+        return tf2_ros

@@ -17,8 +17,8 @@ from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
 from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer, Hold
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.locations import config_file
-from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.session.words import counted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

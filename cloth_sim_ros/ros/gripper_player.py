@@ -24,8 +24,6 @@ from cloth_sim_ros.ros.outputs import LATCHED
 #: Discovery is gradual: a gripper counts as unknown only if it has not appeared this long after other services of the
 #: node [s].
 _SETTLING = 1.0
-#: How often a wait looks whether it shall go on.
-_POLL = Duration(seconds=0.1)
 #: A node says what a grasp did after its frame: later than this it has gone, or no frame is due [s].
 _ANSWER = 7.0
 #: Services that rclpy makes with the node itself, before it is ready.
@@ -126,20 +124,19 @@ class GripperPlayer:
         """Open the gripper, once, and wait until the node says that it is open.
 
         We have met the node's subscriptions; its middleware may take seconds longer to meet our publishers, and
-        targets, sent as best effort, would be lost until then. It acknowledges the grasp once it has met the publisher
-        of grasps, which was announced after that of targets. That is the middleware alone: what the gripper's state
-        is the node itself says, after a frame.
+        targets, sent as best effort, would be lost until then. The grasp is reliable, and its publisher was announced
+        after that of targets: a node that answers it has met both. Its answer is waited for, not the middleware's
+        acknowledgement, which says less and, for a publisher as young as this one, comes three seconds later.
 
         Raises:
             GripperError: if no answer comes until `end`.
         """
         # What was said before is of an earlier grasp.
-        self._status, met = None, False
+        self._status = None
         self._grasps.publish(Bool(data=False))
         while self._proceed():
-            met = met or self._grasps.wait_for_all_acked(_POLL)
-            self._executor.spin_once(timeout_sec=0.02)
-            if met and self._status_where(closed=False) is not None:
+            self._executor.spin_once(timeout_sec=0.1)
+            if self._status_where(closed=False) is not None:
                 return True
             if time.monotonic() > end:
                 raise GripperError(

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import statistics
 
-from cloth_sim_ros.ros.log import ThrottledLog, counted
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.session.words import counted
 
 #: A judgement is over at least so much time [s], and so many frames.
 WINDOW, FEWEST = 2.0, 20

@@ -12,11 +12,6 @@ from typing import Any
 _MOST_KINDS = 1000
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number of things in words: 1 frame, 2 frames."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 class ThrottledLog:
     """Logs each kind of message at most once in a while, and says how many it left out.
 

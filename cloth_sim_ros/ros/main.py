@@ -1,6 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_sim`: here stands only what must come before all that takes long to load, as signals may."""
+"""The command `cloth_sim`.
+
+It imports next to nothing: the signal handlers are installed first, so that a signal during the slow imports of rclpy
+and numpy ends the process in order.
+"""
 
 from __future__ import annotations
 

@@ -87,20 +87,31 @@ def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[
         before, begun = processor_time(pid), time.monotonic()
         time.sleep(seconds)
         taken, elapsed = processor_time(pid) - before, time.monotonic() - begun
-    simulation, frames = Simulation(scene), round(seconds * scene.rate)
-    for _ in range(round(settle * scene.rate)):
-        simulation.advance()
-    before = time.process_time()
-    for _ in range(frames):
-        simulation.advance()
-    alone = (time.process_time() - before) / frames
+    alone, paced = (simulation_alone(scene, seconds, settle, paced=paced) for paced in (False, True))
     each = taken / (elapsed * scene.rate)
     return {
         "node_ms_a_frame": round(1e3 * each, 4),
         "simulation_ms_a_frame": round(1e3 * alone, 4),
+        "paced_simulation_ms_a_frame": round(1e3 * paced, 4),
         "added_ms_a_frame": round(1e3 * (each - alone), 4),
+        "added_to_paced_ms_a_frame": round(1e3 * (each - paced), 4),
         "share_of_a_core": round(taken / elapsed, 4),
     }
+
+
+def simulation_alone(scene: Scene, seconds: float, settle: float, *, paced: bool) -> float:
+    """Return the processor time of a frame in this process [s], one right after the other or each when it is due: a
+    frame that was waited for finds the processor's caches cold.
+    """
+    simulation, frames = Simulation(scene), round(seconds * scene.rate)
+    for _ in range(round(settle * scene.rate)):
+        simulation.advance()
+    before, begun = time.process_time(), time.monotonic()
+    for k in range(1, frames + 1):
+        if paced:
+            time.sleep(max(0.0, begun + k * scene.period - time.monotonic()))
+        simulation.advance()
+    return (time.process_time() - before) / frames
 
 
 class Setter:

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from rclpy.parameter_service import ParameterService
 
 from cloth_sim_ros.ros import diagnostics, parameters
 from cloth_sim_ros.ros.accuracy import Accuracy
-from cloth_sim_ros.ros.aside import at_once
+from cloth_sim_ros.ros.aside import Turn, at_once
 from cloth_sim_ros.ros.broadcast import FrameBroadcaster
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
@@ -25,7 +25,7 @@ from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.initial_state import begins_anew
 from cloth_sim_ros.ros.lateness import Lateness
-from cloth_sim_ros.ros.log import ThrottledLog, counted
+from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.obstacles import ObstacleTopics
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
@@ -34,6 +34,7 @@ from cloth_sim_ros.ros.recording import (
     RecordingUnavailableError,
     SessionRecording,
     save_state,
+    tell_end,
 )
 from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report, introduction
@@ -43,6 +44,7 @@ from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -50,7 +52,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder import RecorderStatus
 
 #: How often the node looks after itself [s]; also the longest that a signal waits to be seen.
-_HOUSEKEEPING = 0.1
+_HOUSEKEEPING = 0.25
 #: A paused cloth is shown this often, so that those who come later see it, and no disk fills with the same picture [s].
 _PAUSED_PERIOD = 1.0
 #: Without a word from /clock for this long the node says so [s].
@@ -66,6 +68,8 @@ class ClothNode:
         name: node name, before remapping.
         aside: runs a long computation and returns what it returns; may raise StopRequestedError instead, and leave the
             computation to itself.
+        stopped: where given, frames that nobody commands run in a thread of their own, not in the executor. Returns the
+            name of the signal that has come, empty while none has: who waits for that thread looks at it.
         options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ... Services, those for
             parameters included, and subscriptions are made by `start`: whatever can be discovered is served.
 
@@ -78,6 +82,7 @@ class ClothNode:
         name: str = "cloth_sim",
         *,
         aside: Callable[[Callable[[], Any]], Any] = at_once,
+        stopped: Callable[[], str] | None = None,
         **options: Any,
     ) -> None:
         self._serves_parameters = options.pop("start_parameter_services", True)
@@ -91,7 +96,7 @@ class ClothNode:
             self._log.info("initial state", begins_anew(self._simulation))
         # Held by whoever works on the cloth or on what waits for it. Services wait for their frame, so they run beside
         # it where the executor has several threads; and parameters may be set from anywhere.
-        self._turn = threading.RLock()
+        self._turn, self._beside = Turn(stopped or str), stopped is not None
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, aside=aside)
@@ -132,11 +137,11 @@ class ClothNode:
         self._relief = Relief(self._simulation, self._log)
         self._forecaster = Forecaster(self._simulation, self.node.get_logger())
         self._accuracy = Accuracy(self._simulation, self._log)
-        self._changed = False
+        self._changed = self._follows_clock = False
         self._lateness = Lateness(period=scene.period, log=self._log)
         self._latest = Latest()
         further = (self._relief, self._forecaster, self._accuracy, self._obstacles)
-        report = Report(
+        self._report = Report(
             self.node,
             self._simulation,
             self._latest,
@@ -146,14 +151,14 @@ class ClothNode:
             recording=self._recording,
             further=lambda: {name: value for one in further for name, value in one.describe().items()},
         )
-        self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, report)
+        self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
         self._overheard = Overheard(self.node, self._recording, self._turn)
         self._pacer: Pacer | None = None
         self._started = self._report_due = time.monotonic()
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
-        self._follows_clock = False
-        self._cut_off = False
+        #: Whether a signal came before a frame ended, which goes on alone: the cloth is not to be read.
+        self.cut_off = False
 
     @property
     def simulation(self) -> Simulation:
@@ -203,9 +208,9 @@ class ClothNode:
                 on_jump_ahead=self._on_jump_ahead,
             )
         else:
-            self._pacer = WallPacer(self.node, rate=scene.rate, on_due=self._on_due, settled=self._commands.settled)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=steady)
+            settled, beside = self._commands.settled, self._beside
+            self._pacer = WallPacer(self.node, rate=scene.rate, on_due=self._on_due, settled=settled, beside=beside)
+        self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if not self._follows_clock:
             self._forecaster.tell()
         self._started = time.monotonic()
@@ -214,24 +219,28 @@ class ClothNode:
         # Last: who hears it may rely on all else.
         self._states.start(now)
         self._pacer.start()
-        count = self._simulation.state.particle_count
-        self.node.get_logger().info(introduction(scene, count, follows_clock=self._follows_clock))
+        self.node.get_logger().info(introduction(self._simulation, follows_clock=self._follows_clock))
+
+    def stop(self) -> bool:
+        """Let no more frames be due; return whether none is under way."""
+        ended = self._pacer is None or self._pacer.stop()
+        self.cut_off |= not ended
+        return ended
 
     def close(self, *, timeout: float = 1.5) -> bool:
         """End the recording and let no more frames be due; return whether all that was recorded is in its file.
 
         Also where the context was shut down before, as rclpy's own signal handlers do: nothing is published then.
         """
-        if self._pacer is not None:
-            self._pacer.stop()
-        with self._turn:
+        # Who waited for the end of a frame that goes on alone would wait in vain.
+        with self._turn if self.stop() else nullcontext():
             return self._close(timeout)
 
     def _close(self, timeout: float) -> bool:
         self._accuracy.close()
         self._queue.clear("the node stops")
         # If a signal cut a frame off, there is no whole state to report.
-        if self._pacer is not None and not self._cut_off and self.node.context.ok():
+        if self._pacer is not None and not self.cut_off and self.node.context.ok():
             try:
                 self._states.end(self.node.get_clock().now().nanoseconds)
                 self._diagnostics.send()
@@ -243,7 +252,7 @@ class ClothNode:
                     raise
         status = self._recording.end(reason="node stopped", timeout=timeout)
         if status is not None:
-            self._tell_end(status)
+            tell_end(self.node.get_logger(), status)
         return status is None or status.state == "closed"
 
     # Frames
@@ -256,12 +265,13 @@ class ClothNode:
         begun = time.monotonic()
         self._recording.before_frame(due.stamp)
         self._accuracy.before_frame()
-        # A frame that is late takes what came since it was due, too.
-        until = due.stamp if self._follows_clock else max(due.stamp, self.node.get_clock().now().nanoseconds)
         try:
-            frame = self._stepper.step(until, [*self._companions.events(due.stamp), *self._relief.events()])
+            frame = self._stepper.step(
+                max(due.stamp, due.now), [*self._companions.events(due.stamp), *self._relief.events()]
+            )
         except StopRequestedError:
-            self._cut_off = True
+            self.cut_off = True
+        if self.cut_off:
             return
         if self._stepper.refused_parameters:
             self.node.get_logger().error(f"parameters are set back: {self._stepper.refused_parameters}")
@@ -276,14 +286,15 @@ class ClothNode:
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
         if frame.moved or frame.events or not shown:
             self._shown = begun
-            energy = self._simulation.energy_report
-            if energy is not None:
+            if (energy := self._simulation.energy_report) is not None:
                 self._extras |= {"energy": energy.total, "energy balance": energy.residual}
             self._recording.add_frame(frame, due.stamp, self._extras)
             self._extras = {}
             state, told = self._simulation.state, self._simulation.scene.points.velocity
             self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=state.v if told else None)
             self._states.show(frame, due.stamp)
+            self._services.show(frame)
+            self._commands.show(frame)
             self._obstacles.send(frame, due.stamp)
             self._broadcaster.send(due.stamp)
         self._latest.advance = frame.advance or self._latest.advance
@@ -293,8 +304,7 @@ class ClothNode:
         self._count_late(due, taken)
 
     def _count_late(self, due: Due, taken: float) -> None:
-        if self._pacer is None:
-            return
+        assert self._pacer is not None
         period = self._pacer.period
         late = due.skipped + (due.lateness + int(taken * 1e9) > period)
         self.tally.late += late
@@ -313,10 +323,8 @@ class ClothNode:
             self._extras = {"clock_jump": [before, now]}
 
     def _on_jump_ahead(self, skipped: int) -> None:
-        self._log.warn(
-            "ahead",
-            f"/clock is ahead by more than can be made up for: {counted(skipped, 'frame')} left out for good",
-        )
+        left = counted(skipped, "frame")
+        self._log.warn("ahead", f"/clock is ahead by more than can be made up for: {left} left out for good")
         with self._turn:
             self._extras = {"skipped": skipped}
 
@@ -357,18 +365,10 @@ class ClothNode:
                 self.node.get_logger().info(f"recording into {status.path}")
                 answer(True, str(status.path))
             else:
-                self._tell_end(status)
+                tell_end(self.node.get_logger(), status)
                 answer(not begin and status.state == "closed", status.error or str(status.path))
 
         self._recording.tell(told)
-
-    def _tell_end(self, status: RecorderStatus) -> None:
-        if status.state == "closed":
-            self.node.get_logger().info(
-                f"recorded {counted(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}"
-            )
-        else:
-            self.node.get_logger().error(f"the recording did not end well: {status.error}")
 
     def _save_state(self) -> Path:
         return save_state(self._simulation, self.node.get_fully_qualified_name())
@@ -381,6 +381,7 @@ class ClothNode:
             now = time.monotonic()
             if now >= self._report_due:
                 self._report_due = max(self._report_due, now - _HOUSEKEEPING) + diagnostics.PERIOD
+                self._report.look_for_namesakes()
                 self._diagnostics.send()
             self._services.give_up_waiting()
             self._overheard.listen()

@@ -1,6 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles in the graph: their command topics, markers and wrenches, which come and go with them."""
+"""Obstacles in the graph: their command topics, markers, those of pads included, and wrenches, which come and go with
+them.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,11 @@ from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import wrench_message
 from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.physics.forces.force import Array
+    from cloth_sim_ros.physics.obstacles import Obstacle
     from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
 
 
@@ -34,7 +39,7 @@ class ObstacleTopics:
     def __init__(self, node: Node, simulation: Simulation, commands: Commands, tape: Tape, log: ThrottledLog) -> None:
         self._node, self._simulation, self._commands = node, simulation, commands
         self._tape, self._log = tape, log
-        self._names: list[str] = []
+        self._drawn: list[str] = []
         self._markers: ObstacleMarkers | None = None
         self._output: Output | None = None
         self._wrenches: dict[str, Output] = {}
@@ -53,13 +58,14 @@ class ObstacleTopics:
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record what a frame did to them."""
         obstacles = self._simulation.obstacles
-        if (obstacles.names if obstacles is not None else []) != self._names:
+        solids, poses = self._solids()
+        if [solid.name for solid in solids] != self._drawn:
             self._follow(stamp)
             return
+        if not np.array_equal(poses, self._poses):
+            self._show(stamp)
         if obstacles is None:
             return
-        if not np.array_equal(obstacles.poses(), self._poses):
-            self._show(stamp)
         for name in obstacles.behind:
             self._log.warn(
                 f"behind {name}",
@@ -72,17 +78,22 @@ class ObstacleTopics:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
 
     def describe(self) -> dict[str, str]:
-        """Return what diagnostics say of contact; nothing where there are no obstacles."""
-        gaps = self._simulation.gaps()
-        if gaps is None:
-            return {}
-        return {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
+        """Return what diagnostics say of contact; nothing where there is none."""
+        gaps, contact, said = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
+        if gaps is not None and len(gaps):
+            said = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
+        if contact is not None and contact.force.surface is not None:
+            count, gap = contact.own_gaps(self._simulation.state.x)
+            said |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
+        return said
 
     def _follow(self, stamp: int) -> None:
         """Let topics be those of the obstacles that there are."""
         obstacles, scene = self._simulation.obstacles, self._simulation.scene
         names = [] if obstacles is None else obstacles.names
-        if not names and not self._names:
+        solids, _ = self._solids()
+        drawn = [solid.name for solid in solids]
+        if not drawn and not self._drawn:
             return
         from cloth_sim_ros.ros.obstacle_markers import MarkerArray, ObstacleMarkers
 
@@ -92,23 +103,25 @@ class ObstacleTopics:
                 self._wrenches[name] = Output(self._node, WrenchStamped, f"~/{name}/wrench", self._tape, droppable=True)
         for name in [name for name in self._wrenches if name not in names]:
             self._wrenches.pop(name).close()
-        gone = [name for name in self._names if name not in names]
+        gone = [name for name in self._drawn if name not in drawn]
         self._markers = ObstacleMarkers(
-            [] if obstacles is None else obstacles.solids,
+            solids,
             frame_id=scene.frame_id,
             node=self._node.get_fully_qualified_name(),
             gone=gone,
         )
-        self._names = names
+        self._drawn = drawn
         if self._output is None:
             self._output = Output(self._node, MarkerArray, "~/obstacles", self._tape, qos=LATCHED)
         self._show(stamp)
 
+    def _solids(self) -> tuple[list[Obstacle], Array]:
+        return solids_and_poses(self._simulation.obstacles, self._simulation.pinching)
+
     def _show(self, stamp: int) -> None:
         assert self._markers is not None
         assert self._output is not None
-        obstacles = self._simulation.obstacles
-        self._poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()
+        self._poses = self._solids()[1]
         # Always: whoever comes later hears the last one.
         self._shown = self._markers.serialized(self._poses, stamp)
         self._output.send(self._shown, stamp)

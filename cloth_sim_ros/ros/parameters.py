@@ -67,11 +67,13 @@ class SceneNode(Node):
         self.declaring = False
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """As rclpy's, whose exception for parameters that are not there lists none; the parameters of an obstacle are
-        there as soon as its shape is set.
+        """Set parameters together or not at all, as rclpy's method does.
+
+        It differs in two ways. Parameters that do not exist are named in the error; rclpy's names none. Setting
+        `<name>.shape` of a new obstacle first declares all parameters of that obstacle.
 
         Raises:
-            UnknownParametersError: naming them, and the nearest that there are.
+            UnknownParametersError: names each unknown parameter and the known one that is spelt most like it.
         """
         names = [entry.name for entry in parameter_list]
         described = [
@@ -97,11 +99,12 @@ class SceneNode(Node):
 
 def _empty_lists(name: str, options: dict[str, Any]) -> str:
     """Say which parameters were given as [], and what to write instead."""
-    probe = Node(name, **options)
+    # Of the same name, so that the same overrides reach it; a second log of that name would be warned of.
+    probe = Node(name, **(options | {"enable_rosout": False}))
     try:
         given = []
         for entry in Scene.declared():
-            # A mark of any type, so that whatever overrides it does.
+            # Of dynamic type, so that an override of any type is accepted. An empty list then shows as None.
             descriptor = ParameterDescriptor(dynamic_typing=True)
             if probe.declare_parameter(entry.name, "no override", descriptor).value is None:
                 given.append(entry)
@@ -123,7 +126,7 @@ def declare(node: Node) -> Scene:
         ParameterError: for a value that makes no scene; the message says which and why.
     """
     values = {}
-    known = Scene.declared(obstacles.described(node.list_parameters([], 0).names, Scene.groups()))
+    known = Scene.declared_for(node.list_parameters([], 0).names)
     for entry in known:
         if node.has_parameter(entry.name):
             # Declared by the override, of whatever type that has: checked here, where the message says what to do.
@@ -269,7 +272,7 @@ def _profiles(node: Node, scene: Scene) -> list[str]:
     """Return the names of the overrides that the node's publishers look at; those of the topics after remapping."""
     topics = ["~/points", "~/topology", "~/mesh", "~/state", "/diagnostics", "/tf"]
     topics += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
-    if scene.described:
+    if scene.described or scene.pinching:
         topics += ["~/obstacles", *(f"~/{name}/wrench" for name in scene.described)]
     return [
         _PROFILE.format(topic=node.resolve_topic_name(topic), policy=policy) for topic in topics for policy in _POLICIES

@@ -64,7 +64,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
 def _run(signals: StopSignals, aside: Aside) -> int:
     try:
         # Aside, so that a signal interrupts nothing but our waiting: an exception amid rclpy's callbacks would be lost.
-        cloth = aside.run(lambda: ClothNode(aside=aside.run))
+        cloth = aside.run(lambda: ClothNode(aside=aside.run, stopped=signals.name))
     except StopRequestedError:
         signals.tell_early_end()
         if aside.left:
@@ -90,6 +90,8 @@ def _run(signals: StopSignals, aside: Aside) -> int:
         return _refuse(readable(error))
     finally:
         saved = cloth.close()
+        if cloth.cut_off:
+            aside.leave()
         cloth.node.destroy_node()
     return 0 if saved else 1
 
@@ -103,11 +105,16 @@ def _spin(cloth: ClothNode, signals: StopSignals) -> None:
             executor.spin_once()
         except ExternalShutdownException:
             return
+        except StopRequestedError:
+            # While it waited for a frame to end.
+            break
         except RuntimeError as error:
             if type(error).__name__ not in _TAKING_FAILED:
                 raise
             log.error("take", f"a message could not be taken and is left out: {error}")
-    cloth.node.get_logger().info(f"{signals.requested.name}: stopping")
+    # Frames have nothing to say any more.
+    cloth.stop()
+    cloth.node.get_logger().info(f"{signals.name()}: stopping")
 
 
 def _refuse(reason: str) -> int:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation import events
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -91,7 +92,9 @@ class SessionRecording:
         )
 
     def _check_libraries(self) -> None:
-        """Import what recording needs: the session's modules do so only when they come to it, in another thread.
+        """Import the libraries that recording needs.
+
+        The session's modules import them late, in the recorder's thread, where a missing one could not be reported.
 
         Raises:
             RecordingNotInstalledError: if one of them is missing.
@@ -236,6 +239,14 @@ def save_state(simulation: Simulation, node_name: str) -> Path:
     path = folder / f"{node_name.strip('/').replace('/', '_')}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
     path.write_bytes(simulation.state.to_bytes())
     return path
+
+
+def tell_end(logger: Any, status: RecorderStatus) -> None:
+    """Say how a recording ended."""
+    if status.state == "closed":
+        logger.info(f"recorded {counted(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}")
+    else:
+        logger.error(f"the recording did not end well: {status.error}")
 
 
 def _type_name(kind: Any) -> str:

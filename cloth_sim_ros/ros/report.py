@@ -13,19 +13,19 @@ from rclpy.node import Node
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.diagnostics import Tally
-from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.ros.strain import StrainGauge
-from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Level, summary, values.
 Said = tuple[bytes, str, dict[str, str]]
 
 
-def introduction(scene: Scene, count: int, *, follows_clock: bool) -> str:
-    """What a node of so many particles says at its start."""
+def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
+    """What a node says at its start."""
+    scene, count = simulation.scene, simulation.state.particle_count
     names = f"grippers: {', '.join(scene.gripper_names) or 'none'}"
     if scene.obstacle_names:
         names += f"; obstacles: {', '.join(scene.obstacle_names)}"
@@ -84,7 +84,6 @@ class Report:
 
     def __call__(self, wanted: bool = True) -> Said:
         """Return what is so now; the strain is not measured where nobody will read it."""
-        self._look_for_namesakes()
         period = self._simulation.scene.period
         rates = self._tally.report(period)
         values = {
@@ -140,8 +139,11 @@ class Report:
             values["error_estimate_m"] = "none" if advance.error is None else f"{advance.error:.3g}"
         return values
 
-    def _look_for_namesakes(self) -> None:
-        """Warn once when another node has this one's name: services and parameters would reach either of them."""
+    def look_for_namesakes(self) -> None:
+        """Warn once when another node has this one's name: services and parameters would reach either of them.
+
+        Not part of a report: the last one is made while the node stops, when nobody can act on a warning any more.
+        """
         own = (self._node.get_name(), self._node.get_namespace())
         found = self._node.get_node_names_and_namespaces().count(own) > 1
         if found and not self._namesakes:

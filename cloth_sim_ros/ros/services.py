@@ -16,11 +16,15 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
-from cloth_sim_ros.ros.log import counted
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
+from cloth_sim_ros.simulation.grippers import GraspResult
+from cloth_sim_ros.simulation.simulation import Frame
 
 #: How long a service waits for the frame that it asked for before it says that none is due [s].
 PATIENCE = 5.0
+#: How long one waits for pads that close before it says that they still do [s].
+CLOSING_PATIENCE = 30.0
 
 
 class Services:
@@ -58,6 +62,8 @@ class Services:
         self._seconds = seconds
         self._turn = turn
         self._waiting: list[tuple[float, Future]] = []
+        #: Of grippers whose pads close: which, since when, and who is told what became of it.
+        self._closing: list[tuple[str, float, Future]] = []
 
     def serve(self) -> None:
         """Let the services be found: whoever finds one may rely on an answer."""
@@ -88,11 +94,36 @@ class Services:
                     )
                 )
         self._waiting = [entry for entry in self._waiting if not entry[1].done()]
+        for gripper, asked, future in self._closing:
+            if now - asked > CLOSING_PATIENCE:
+                reason = f"its pads still close after {CLOSING_PATIENCE:g} s; ~/{gripper}/state tells when they hold"
+                future.set_result(GraspResult(gripper, True, 0, reason))
+        self._closing = [entry for entry in self._closing if not entry[2].done()]
 
-    async def _ask(self, event: Event) -> Outcome:
+    def show(self, frame: Frame) -> None:
+        """Answer those who wait for pads that came to rest in a frame, or never will."""
+        if not self._closing:
+            return
+        became = {grasp.gripper: grasp for grasp in frame.grasps}
+        stopped = {name: "opened" for name, grasp in became.items() if not grasp.closed}
+        if any(isinstance(event, Reset) for event in frame.events):
+            stopped |= {name: "reset" for name in self._grippers if name not in became}
+        done = {
+            name: GraspResult(name, True, 0, f"{what} before its pads came to rest") for name, what in stopped.items()
+        }
+        done |= {result.gripper: result for result in frame.pinches}
+        for gripper, _, future in self._closing:
+            if gripper in done:
+                future.set_result(done[gripper])
+        self._closing = [entry for entry in self._closing if not entry[2].done()]
+
+    async def _ask(self, event: Event, *, rest: Future | None = None) -> Outcome:
+        """Queue an event and wait for its frame; where it begins to close pads, `rest` is told what becomes of it."""
         future: Future = Future()
 
         def answer(outcome: Outcome) -> None:
+            if rest is not None and outcome.grasp is not None and outcome.grasp.pending:
+                self._closing.append((outcome.grasp.gripper, self._seconds(), rest))
             if not future.done():
                 future.set_result(outcome)
 
@@ -121,10 +152,13 @@ class Services:
         return _answered(response, await self._ask(Step()), "one frame passed")
 
     async def _on_close(self, gripper: str, request: Any, response: Any) -> Any:
-        outcome = await self._ask(Grasp(gripper, bool(request.data)))
+        rest: Future = Future()
+        outcome = await self._ask(Grasp(gripper, bool(request.data)), rest=rest)
         grasp = outcome.grasp
         if grasp is None:
             return _answered(response, outcome, "")
+        if grasp.pending:
+            grasp = await rest
         # Closing on nothing did what was asked, and yet not what was wanted.
         response.success = bool(grasp.held) if grasp.closed else True
         response.message = f"holds {counted(grasp.held, 'particle')}" + (f": {grasp.reason}" if grasp.reason else "")

@@ -79,7 +79,7 @@ class Shadow:
             return
         job = _Job(self._scene, self._start, self._events, simulation.state.share())
         self._start = None
-        # The newest one waits; of those that the process is not done for, the older is left out.
+        # One window waits for the process at most. If an older one still waits, the new one takes its place.
         with contextlib.suppress(queue.Empty):
             self._jobs.get_nowait()
             self._left_out += 1

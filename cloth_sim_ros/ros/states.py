@@ -9,8 +9,8 @@ from lifecycle_msgs.msg import State
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from cloth_sim_ros.ros.log import counted
 from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
@@ -53,9 +53,10 @@ class States:
     def show(self, frame: Frame, stamp: int) -> None:
         """Say what a frame has changed."""
         self._say_state(stamp)
-        if not frame.events:
+        if not frame.events and not frame.pinches:
             return
-        changed = {grasp.gripper: grasp.reason for grasp in frame.grasps}
+        # Pads that only begin to close hold nothing yet: it is told when they have.
+        changed = {grasp.gripper: grasp.reason for grasp in (*frame.grasps, *frame.pinches) if not grasp.pending}
         if any(isinstance(event, Reset) for event in frame.events):
             changed = {name: "" for name in self._grippers} | changed
         self._say_grippers(changed, stamp)
@@ -80,7 +81,7 @@ class States:
     def _status(self, name: str, reason: str) -> DiagnosticStatus:
         grippers, simulation = self._simulation.grippers, self._simulation
         index = grippers.names.index(name)
-        closed, held = grippers.is_closed(index), len(grippers.held(index))
+        closed, held = grippers.is_closed(index), simulation.held(index)
         words = f"closed, holds {counted(held, 'particle') if held else 'nothing'}" if closed else "open"
         values = {
             "closed": str(closed).lower(),

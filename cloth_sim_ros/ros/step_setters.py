@@ -56,7 +56,7 @@ def step_setters(plan: Plan, x: Array) -> StepSetters:
     few = max(1, int(FEW * len(moving)))
     particle, limit = int(moving[order[0]]), float(limits[order[0]])
     gain = float(limits[order[min(few, len(order) - 1)]]) / limit
-    # Those alone that are shorter than what would be left.
+    # Name only particles whose own limit is clearly below what would remain without them.
     named = [k for k in order[:few] if limits[k] * LITTLE <= gain * limit]
     force, share = _stiffest(model, x, particle)
     return StepSetters(

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One frame of the simulation at a time, with what waits for it; what goes wrong is told, and the node lives on."""
+"""Advances the simulation by a frame with the events that are due. A failure is reported and does not end the node."""
 
 from __future__ import annotations
 
@@ -39,12 +39,18 @@ class Stepper:
         self.refused_parameters = ""
 
     def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
-        """Compute a frame with what waits for a ROS time [ns] or before, after events of the node's own.
+        """Compute the frame that is due at a ROS time [ns], with the events that wait for it.
 
-        Where the motion becomes unstable the commands take effect, time stands still, `trouble` says why, and so does
-        the answer to whoever asked for time to pass.
+        Args:
+            due: ROS time [ns]; events stamped later go on waiting.
+            own: events of the node itself, applied first.
+
+        If the motion becomes unstable, the commands take effect but no time passes. `trouble` says why, and so does the
+        answer to a service that asked for time to pass.
         """
-        entries = [*(Entry(event=event) for event in own), *self._queue.take(due)]
+        entries = self._queue.take(due)
+        if own:
+            entries = [*(Entry(event=event) for event in own), *entries]
         self.refused_parameters = ""
         refused: list[tuple[Entry, str]] = []
         stopped = False
@@ -62,7 +68,7 @@ class Stepper:
                     entries = [entry for entry in entries if not isinstance(entry.event, SetParameters)]
                 elif isinstance(error, UnstableError) and not stopped:
                     stopped, self.trouble = True, str(error)
-                    # Whatever would let time pass is left out: within this very frame it would fail once more.
+                    # Leave out events that let time pass: the same step would fail again within this frame.
                     refused += [(entry, f"time is stopped: {error}") for entry in entries if _lets_time_pass(entry)]
                     entries = [entry for entry in entries if not _lets_time_pass(entry)]
                     entries.append(Entry(event=Pause(True)))

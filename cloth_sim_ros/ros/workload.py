@@ -13,9 +13,9 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Most particle steps in a frame: about a second of the slowest forces.
 MOST_WORK = 20_000_000
-#: Steps that any cloth may take, however large: who asks for a million particles waits.
+#: So many steps in a frame are never refused, however large the cloth: whoever asks for a million particles will wait.
 ALWAYS = 1000
-#: Steps that no cloth may take, however small: each has a cost of its own.
+#: More steps in a frame are always refused, however small the cloth: each step has a fixed cost.
 NEVER = 100_000
 
 

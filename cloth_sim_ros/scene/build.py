@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
@@ -25,6 +27,7 @@ from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.pinch import pads_of
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
@@ -63,7 +66,22 @@ class Configuration(Protocol):
     def contact(self) -> sections.Contact: ...
 
     @property
+    def initial_state(self) -> str: ...
+
+    @property
+    def obstacle_names(self) -> list[str]: ...
+
+    @property
+    def described(self) -> dict[str, sections.Obstacle]: ...
+
+    @property
     def solids(self) -> list[Obstacle]: ...
+
+    @property
+    def gripper(self) -> sections.Gripper: ...
+
+    @property
+    def pinching(self) -> list[str]: ...
 
     @property
     def sheet(self) -> Sheet: ...
@@ -152,12 +170,25 @@ def build_model(scene: Configuration) -> Model:
     forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_panels(scene, sheet)]
     if scene.gripper_names:
         forces.append(Grips(len(scene.gripper_names)))
-    solids = scene.solids
-    if solids:
-        from cloth_sim_ros.physics.forces.contact import Contact
+    solids, pads, own = scene.solids, pads_of(scene, sum(masses.tolist())), scene.contact
+    if solids or pads or own.self_:
+        from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
 
-        forces.append(Contact(solids, thickness=scene.contact.thickness, damping=scene.contact.damping))
+        surface = None
+        if own.self_:
+            surface = OwnSurface(sheet.triangles(), sheet.positions(), thickness=own.thickness)
+        contact = Contact(solids, thickness=own.thickness, damping=own.damping, pads=pads, surface=surface)
+        contact.move(np.concatenate([_starting_paths(scene), contact.paths[len(solids) :]]))
+        forces.append(contact)
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
+
+
+def _starting_paths(scene: Configuration) -> Array:
+    """Paths of obstacles that stand where they start, shape (obstacles, PATH_NUMBERS)."""
+    rows = np.zeros((len(scene.obstacle_names), PATH_NUMBERS))
+    for row, name in zip(rows, scene.obstacle_names, strict=True):
+        row[1:4], row[13:17] = scene.described[name].position, normalised(scene.described[name].orientation)
+    return rows
 
 
 def uniform_forces(scene: Configuration) -> list[Force]:

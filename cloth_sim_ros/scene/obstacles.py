@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -18,12 +17,11 @@ from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.scene import parameters, sections
 from cloth_sim_ros.scene.build import Sheet
-from cloth_sim_ros.scene.parameters import Parameter, ParameterError
+from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: Of an obstacle that is there, the parameters that may change.
 LIVE = ("friction", "frame")
 #: What describes an obstacle; without it, its other parameters mean nothing.
@@ -140,17 +138,17 @@ def solid(name: str, description: sections.Obstacle) -> Obstacle:
 
 
 def check_cloth(sheet: Sheet, thickness: float) -> None:
-    """Refuse a cloth that obstacles can't keep out.
+    """Refuse a cloth that obstacles, or the cloth itself, can't keep out.
 
     Args:
         sheet: its geometry.
-        thickness: distance at which obstacles begin to act [m].
+        thickness: distance at which they begin to act [m].
 
     Raises:
         ParameterError: for a cloth without a surface, or a thickness above half its shortest edge.
     """
     if not len(sheet.triangles()):
-        raise ParameterError("obstacles need a surface; raw springs (cloth.springs) have none")
+        raise ParameterError("obstacles and contact.self need a surface; raw springs (cloth.springs) have none")
     shortest = _shortest_edge(sheet)
     if thickness > 0.5 * shortest:
         raise ParameterError(

@@ -43,7 +43,7 @@ _GROUPS = {
     "air": "Air",
     "wind": "Wind",
     "gripper": "Grippers",
-    "contact": "Contact with obstacles",
+    "contact": "Contact with obstacles and of the cloth with itself",
     OBSTACLE: "Each obstacle, under its own name",
     "points": "Point cloud",
     "record": "Recording",

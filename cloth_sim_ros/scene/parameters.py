@@ -9,12 +9,15 @@ documentation read its default, unit and limits from there, and whether it may c
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from typing import Any
 
 import attrs
 
+#: Names of grippers and obstacles, which are part of names in ROS.
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _META = "parameter"
 _SECTION = "section"
 #: Whole numbers of a parameter are those of 64 bits, as ROS has them.
@@ -50,8 +53,8 @@ class Parameter:
     choices: tuple[str, ...] = ()
     #: May change while the cloth runs; takes effect at the next frame.
     live: bool = False
-    #: A change shows or reports something else, or counts for later commands: it leaves the motion as it is, to the
-    #: last bit.
+    #: A change does not alter the motion by a single bit: the parameter only decides what is shown or reported, or how
+    #: later commands are taken.
     observes: bool = False
 
     @property
@@ -119,6 +122,11 @@ def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
     return attrs.field(default=default, metadata={_META: declared})
 
 
+def _leaf(field: attrs.Attribute[Any]) -> str:
+    """The last part of a parameter's name: its field's, less the _ behind a name that Python has another use for."""
+    return field.name.removesuffix("_")
+
+
 def section(cls: type) -> Any:
     """Declare a field that holds a further configuration class, its names prefixed by the field's."""
     return attrs.field(factory=cls, metadata={_SECTION: cls})
@@ -134,7 +142,7 @@ def _declared(cls: Any, prefix: str) -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     for field in attrs.fields(cls):
         if _META in field.metadata:
-            found.append(attrs.evolve(field.metadata[_META], name=prefix + field.name))
+            found.append(attrs.evolve(field.metadata[_META], name=prefix + _leaf(field)))
         elif _SECTION in field.metadata:
             found.extend(_declared(field.metadata[_SECTION], f"{prefix}{field.name}."))
     return tuple(found)
@@ -148,7 +156,7 @@ def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
         if _SECTION in field.metadata:
             values.update(flatten(value, f"{prefix}{field.name}."))
         elif _META in field.metadata:
-            values[prefix + field.name] = value
+            values[prefix + _leaf(field)] = value
     return values
 
 
@@ -183,7 +191,7 @@ def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **f
 def _build(cls: Any, values: dict[str, Any], prefix: str, further: dict[str, Any]) -> Any:
     arguments = dict(further)
     for field in attrs.fields(cls):
-        name = prefix + field.name
+        name = prefix + _leaf(field)
         if _SECTION in field.metadata:
             arguments[field.name] = _build(field.metadata[_SECTION], values, name + ".", {})
         elif name in values:

@@ -73,7 +73,10 @@ def same_elements(before: Scene, scene: Scene) -> bool:
 def _elements(scene: Scene) -> tuple[Any, ...]:
     panels = scene.wind.normal_drag, scene.wind.tangential_drag
     obstacles = [(name, attrs.evolve(scene.described[name], frame="")) for name in scene.obstacle_names]
-    contact = (obstacles, scene.contact) if obstacles else None
+    gripper = scene.gripper
+    pads = gripper.pad_size, gripper.opening, gripper.force, gripper.speed, gripper.friction
+    pinching = (scene.pinching, pads) if scene.pinching else None
+    contact = (obstacles, scene.contact, pinching) if obstacles or pinching or scene.contact.self_ else None
     return scene.cloth, scene.material, scene.bending, scene.grippers, panels, contact
 
 

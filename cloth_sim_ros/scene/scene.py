@@ -26,6 +26,7 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene import parameter_file, parameters, relaxation, sections
+from cloth_sim_ros.scene import pinch as scene_pinch
 from cloth_sim_ros.scene.build import (
     Sheet,
     anchored_particles,
@@ -34,6 +35,7 @@ from cloth_sim_ros.scene.build import (
     build_sheet,
     grid_threads_of,
 )
+from cloth_sim_ros.scene.gripper_section import PINCH
 from cloth_sim_ros.scene.identity import cloth_of, difference
 from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
 from cloth_sim_ros.scene.sections import (
@@ -49,6 +51,7 @@ from cloth_sim_ros.scene.sections import (
     Tf,
     Wind,
 )
+from cloth_sim_ros.scene.sheet_checks import check_sheet
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
@@ -149,6 +152,8 @@ class Scene:
     diagnostics: Diagnostics = section(Diagnostics)
     #: Obstacles that are described, by name: those of `obstacles`, and those that wait to be named there.
     described: dict[str, sections.Obstacle] = attrs.field(factory=dict)
+    #: How grippers hold that have a mode of their own, by name.
+    modes: dict[str, str] = attrs.field(factory=dict)
     #: Content of the files that parameters name, by that name; what a recording must hold to run again.
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
@@ -172,14 +177,28 @@ class Scene:
             normalised(self.cloth.orientation)
         except ValueError as error:
             raise ParameterError(f"cloth.orientation: {error}") from error
-        self._check_sheet()
+        check_sheet(self)
+        if self.initial_state:
+            self._loaded_state()
         self._check_obstacles()
 
     @classmethod
-    def declared(cls, obstacles: Iterable[str] = ()) -> tuple[parameters.Parameter, ...]:
-        """Every parameter of a scene, with those of obstacles of some names."""
-        own = parameters.declared(cls)
-        return (*own, *(entry for name in obstacles for entry in scene_obstacles.declared(name)))
+    def declared(cls, obstacles: Iterable[str] = (), modes: Iterable[str] = ()) -> tuple[parameters.Parameter, ...]:
+        """Every parameter of a scene, with those of obstacles of some names, and modes of grippers of some."""
+        further = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
+        return (*parameters.declared(cls), *further, *(scene_pinch.mode_of(name) for name in modes))
+
+    @classmethod
+    def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
+        """Every parameter of a scene, with those of the obstacles and grippers that full names describe."""
+        given = list(names)
+        modes = scene_pinch.with_modes(given, cls.groups())
+        return cls.declared(scene_obstacles.described(given, cls.groups()), modes)
+
+    @property
+    def entries(self) -> tuple[parameters.Parameter, ...]:
+        """Every parameter of this scene."""
+        return self.declared(self.described, self.modes)
 
     @staticmethod
     @cache
@@ -203,10 +222,11 @@ class Scene:
         """
         names = scene_obstacles.described(values, cls.groups())
         checked = parameters.check(
-            cls.declared(names), values, hint=lambda name: scene_obstacles.hint(name, cls.groups())
+            cls.declared_for(values), values, hint=lambda name: scene_obstacles.hint(name, cls.groups())
         )
         content = scene_files.read(checked, files or {}, folder)
-        scene: Scene = parameters.build(cls, checked, described=scene_obstacles.read(checked, names), files=content)
+        described, modes = scene_obstacles.read(checked, names), scene_pinch.modes(checked, cls.groups())
+        scene: Scene = parameters.build(cls, checked, described=described, modes=modes, files=content)
         return scene
 
     @classmethod
@@ -223,7 +243,7 @@ class Scene:
         values = parameters.flatten(self)
         for name, obstacle in self.described.items():
             values.update(parameters.flatten(obstacle, f"{name}."))
-        return values
+        return values | {scene_pinch.mode_of(name).name: mode for name, mode in self.modes.items()}
 
     def changed(self, values: dict[str, Any]) -> Scene:
         """Return a scene with live parameters changed.
@@ -231,7 +251,7 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, a parameter that can't change while running, or a bad value.
         """
-        known = {entry.name: entry for entry in self.declared()}
+        known = {entry.name: entry for entry in self.declared(modes=self.modes)}
         for name in values:
             if name in known and not known[name].live:
                 raise ParameterError(f"{name} can't change while the cloth runs; set it at start")
@@ -250,6 +270,11 @@ class Scene:
     def gripper_names(self) -> list[str]:
         """Names of the grippers."""
         return [name for name in self.grippers if name]
+
+    @property
+    def pinching(self) -> list[str]:
+        """Names of the grippers that pinch."""
+        return [name for name in self.gripper_names if self.modes.get(name, self.gripper.mode) == PINCH]
 
     @property
     def obstacle_names(self) -> list[str]:
@@ -358,36 +383,7 @@ class Scene:
 
     def _check_obstacles(self) -> None:
         names = self.obstacle_names
+        scene_pinch.check_modes(self.modes, self.gripper_names)
         scene_obstacles.check_names(names, self.described, self.gripper_names, self.groups())
-        if names and self.solids:
+        if scene_pinch.pads_of(self, 1.0) or (names and self.solids) or self.contact.self_:
             scene_obstacles.check_cloth(self.sheet, self.contact.thickness)
-
-    def _check_sheet(self) -> None:
-        cloth, model, modulus = self.cloth, self.bending.model, self.material.bending_modulus
-        if cloth.mesh and cloth.springs:
-            raise ParameterError(f"both cloth.mesh '{cloth.mesh}' and cloth.springs '{cloth.springs}' are set; set one")
-        for path in (cloth.mesh, cloth.springs, self.initial_state):
-            if path and path not in self.files:
-                raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
-        sheet = self.sheet
-        if isinstance(sheet, GridSheet):
-            grid_threads_of(self, sheet)
-        elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none"):
-            fitting = "none" if isinstance(sheet, RawSprings) else "none, opposite, crossed or altitude"
-            raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
-        anchored_particles(self, sheet)
-        if (self.wind.normal_drag or self.wind.tangential_drag) and not len(sheet.triangles()):
-            raise ParameterError("wind.normal_drag and wind.tangential_drag need a surface; raw springs have none")
-        if self.initial_state:
-            self._loaded_state()
-        if model in ("axial", "opposite") and modulus:
-            from cloth_sim_ros.physics.sheets.bending import refuse_bending_modulus
-
-            try:
-                refuse_bending_modulus(model)
-            except ValueError as error:
-                raise ParameterError(f"material.bending_modulus is {modulus} N m: {error}") from error
-        if model in ("crossed", "altitude") and not modulus:
-            raise ParameterError(
-                f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
-            )

@@ -8,6 +8,7 @@ import attrs
 
 from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
 from cloth_sim_ros.physics.sheets.surface import LAYOUTS
+from cloth_sim_ros.scene.gripper_section import Gripper as Gripper
 from cloth_sim_ros.scene.parameters import parameter
 
 
@@ -170,63 +171,19 @@ class Wind:
 
 
 @attrs.frozen(kw_only=True)
-class Gripper:
-    """What every gripper is like."""
-
-    radius: float = parameter(
-        "double",
-        0.05,
-        "Closing grabs the particles within this distance",
-        unit="m",
-        least=0.0,
-        most=100.0,
-        live=True,
-        observes=True,
-    )
-    stiffness: float = parameter(
-        "double",
-        1000.0,
-        "Stiffness of the zero-length spring that holds a particle inside the sheet; in proportion to mass at borders",
-        unit="N/m",
-        least=0.0,
-        most=1e8,
-        open_least=True,
-        live=True,
-    )
-    damping: float = parameter(
-        "double",
-        0.5,
-        "Dimensionless damping of that spring; 2 is critical for a free particle",
-        least=0.0,
-        most=10.0,
-        live=True,
-    )
-    timeout: float = parameter(
-        "double",
-        0.0,
-        "A closed gripper lets go when no target has come for this long; 0 never, it keeps its last target",
-        unit="s",
-        least=0.0,
-        most=1e6,
-        live=True,
-        observes=True,
-    )
-    frame: str = parameter(
-        "string",
-        "",
-        "TF frame that a gripper follows, {gripper} standing for its name; empty for none. Needs tf2_ros",
-    )
-
-
-@attrs.frozen(kw_only=True)
 class Contact:
-    """How obstacles keep the cloth out."""
+    """How obstacles, and the cloth itself, keep the cloth out."""
 
+    self_: bool = parameter(
+        "bool",
+        False,
+        "Whether the cloth keeps the thickness from itself too, and does not pass through itself",
+    )
     thickness: float = parameter(
         "double",
         0.003,
-        "Distance from an obstacle's surface within which it pushes the cloth's middle surface away; at most half the "
-        "shortest edge of the cloth",
+        "Distance from an obstacle's surface, or from another part of the cloth, within which it pushes the cloth's "
+        "middle surface away; at most half the shortest edge of the cloth",
         unit="m",
         least=0.0,
         most=1.0,
@@ -246,7 +203,10 @@ class Contact:
 
 @attrs.frozen(kw_only=True)
 class Obstacle:
-    """An obstacle; each has a group of its own name. What says so may change only while it is not in `obstacles`."""
+    """An obstacle. Its parameters form a group under its own name, e.g. `table.size`.
+
+    Those whose description says so may change only while `obstacles` does not name it.
+    """
 
     shape: str = parameter(
         "string",
@@ -287,8 +247,8 @@ class Obstacle:
     friction: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0),
-        "Coefficients of friction between it and the cloth, at rest and in motion, the latter no larger; one number "
-        "counts for both; 0: the cloth slides off freely",
+        "Coefficients of friction between it and the cloth, at rest (sliding below 0.01 m/s) and in motion (above "
+        "0.02 m/s), the latter no larger; one number counts for both; 0: the cloth slides off freely",
         least=0.0,
         most=1e3,
         live=True,

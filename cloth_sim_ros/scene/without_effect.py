@@ -66,9 +66,24 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "there are no grippers",
     ),
     (
+        ("gripper.mode", "gripper.pad_size", "gripper.opening", "gripper.force", "gripper.speed", "gripper.friction"),
+        lambda scene: not scene.gripper_names,
+        "there are no grippers",
+    ),
+    (
+        ("gripper.pad_size", "gripper.opening", "gripper.force", "gripper.speed", "gripper.friction"),
+        lambda scene: not scene.pinching,
+        "no gripper pinches (gripper.mode)",
+    ),
+    (
+        ("gripper.radius", "gripper.stiffness", "gripper.damping"),
+        lambda scene: bool(scene.pinching) and scene.pinching == scene.gripper_names,
+        "no gripper attaches (gripper.mode)",
+    ),
+    (
         ("contact.thickness", "contact.damping"),
-        lambda scene: not scene.obstacle_names,
-        "there are no obstacles",
+        lambda scene: not scene.obstacle_names and not scene.pinching and not scene.contact.self_,
+        "there are no obstacles, no gripper pinches, and contact.self is false",
     ),
 )
 
@@ -80,7 +95,7 @@ def without_effect(scene: Scene, given: Iterable[str]) -> list[str]:
         scene: that was built with them.
         given: full names.
     """
-    defaults = {entry.name: entry.default for entry in Scene.declared(scene.described)}
+    defaults = {entry.name: entry.default for entry in scene.entries}
     values = scene.parameters()
     sentences: dict[str, str] = {}
     chosen = {name for name in given if values[name] != defaults[name]}

@@ -13,6 +13,7 @@ from typing import Any
 from cloth_sim_ros.session.cdr import decode_cloud, decode_surface
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.session.words import counted
 
 _SHOWN_HAPPENINGS = 12
 _QUIET_EVENTS = ("target", "move")
@@ -195,7 +196,7 @@ def _cloth(summary: SessionSummary) -> str:
         return "no clouds"
     height, width = summary.grid
     shape = f"{height} x {width}, {height * width} particles" if height > 1 else f"{width} particles"
-    return shape if summary.triangles is None else f"{shape}, {summary.triangles} triangles"
+    return shape if summary.triangles is None else f"{shape}, {counted(summary.triangles, 'triangle')}"
 
 
 def _frames(summary: SessionSummary) -> str:
@@ -204,7 +205,7 @@ def _frames(summary: SessionSummary) -> str:
     first, last = summary.simulated
     speed = f", {(last - first) / summary.seconds:.2f} x real time" if summary.seconds > 0 else ""
     return (
-        f"{summary.first_frame} to {summary.last_frame} ({summary.advances} records), "
+        f"{summary.first_frame} to {summary.last_frame} ({counted(summary.advances, 'record')}), "
         f"{first:.3f} to {last:.3f} s simulated{speed}"
     )
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.words import counted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,8 +41,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="{info,recover,export}")
 
-    info = commands.add_parser("info", help="what happened in a session", description=_info.__doc__)
-    info.add_argument("files", nargs="+", type=Path, metavar="session.mcap", help="one file, or the parts of a session")
+    info = commands.add_parser("info", help="what happened in sessions", description=_info.__doc__)
+    info.add_argument("files", nargs="+", type=Path, metavar="session.mcap", help="sessions, the parts of one in order")
     info.add_argument("--all-parts", action="store_true", help="with one file given, take its session's others too")
     info.add_argument("--json", action="store_true", help="for programs")
     info.set_defaults(run=_info)
@@ -80,24 +81,37 @@ def _files(options: argparse.Namespace) -> list[Path]:
 
 
 def _info(options: argparse.Namespace) -> int:
-    """Read a session to its end, checking every checksum, and tell what happened. Status 1 if it lacks something."""
+    """Read sessions to their end, checking every checksum, and tell what happened. Status 1 if one lacks something."""
+    from cloth_sim_ros.session.reader import by_session
+
+    told, missing = [], []
+    for files in by_session(_files(options)):
+        said, lacks = _summary(files, as_json=options.json)
+        told.append(said)
+        missing.append(lacks)
+    if options.json:
+        print(json.dumps(told[0] if len(told) == 1 else told, indent=2))
+    else:
+        print("\n\n".join(map(str, told)))
+    return 1 if any(missing) else 0
+
+
+def _summary(files: list[Path], *, as_json: bool) -> tuple[object, bool]:
+    """What happened in one session, for people or for programs, and whether it lacks something."""
     from tqdm import tqdm
 
     from cloth_sim_ros.session.info import Summarizer, render, to_json
     from cloth_sim_ros.session.reader import SessionReader
 
-    with SessionReader(_files(options)) as reader:
+    with SessionReader(files) as reader:
         total = sum(part.size() for part in reader.parts)
         summarizer = Summarizer(reader.node)
         with tqdm(total=total, unit="B", unit_scale=True, desc="reading", delay=1.0, leave=False) as bar:
             for message in reader.messages():
                 summarizer.add(message)
                 bar.update(sum(part.position for part in reader.parts) - bar.n)
-        if options.json:
-            print(json.dumps(to_json(reader, summarizer.summary), indent=2))
-        else:
-            print(render(reader, summarizer.summary))
-        return 0 if reader.missing is None else 1
+        said = to_json(reader, summarizer.summary) if as_json else render(reader, summarizer.summary)
+        return said, reader.missing is not None
 
 
 def _recover(options: argparse.Namespace) -> int:
@@ -114,7 +128,7 @@ def _recover(options: argparse.Namespace) -> int:
 
         recovery = recover(options.file, options.output, progress=progress)
     print(
-        f"{recovery.path}: {recovery.messages} messages, {recovery.bytes_written / 1e6:,.1f} MB\n"
+        f"{recovery.path}: {counted(recovery.messages, 'message')}, {recovery.bytes_written / 1e6:,.1f} MB\n"
         f"what was missing stays missing: {recovery.missing}"
     )
     return 0
@@ -138,7 +152,7 @@ def _export(options: argparse.Namespace) -> int:
         )
         if reader.missing is not None:
             print(f"cloth_session: {reader.missing}", file=sys.stderr)
-    print(f"{output}: {count} frames, {output.stat().st_size / 1e6:,.1f} MB")
+    print(f"{output}: {counted(count, 'frame')}, {output.stat().st_size / 1e6:,.1f} MB")
     return 0
 
 

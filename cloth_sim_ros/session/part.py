@@ -180,7 +180,8 @@ class SessionPart:
         found += self.damage
         dropped = self.end_notes.get("dropped", "0")
         if dropped != "0":
-            found.append(f"{dropped} clouds were dropped, the disk was too slow")
+            clouds = "1 cloud was" if dropped == "1" else f"{dropped} clouds were"
+            found.append(f"{clouds} dropped, the disk was too slow")
         return f"{self.path.name}: {'; '.join(found)}" if found else None
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:

@@ -197,7 +197,10 @@ def _check_order(parts: Sequence[SessionPart]) -> None:
     first = parts[0]
     for before, after in itertools.pairwise(parts):
         if after.session != first.session:
-            raise SessionError(f"{after.path} belongs to session {after.session}, {first.path} to {first.session}")
+            raise SessionError(
+                f"{after.path} belongs to session {after.session}, {first.path} to {first.session}; "
+                "give the files of one session at a time"
+            )
         if after.number != before.number + 1:
             raise SessionError(
                 f"{after.path} is part {after.number} of its session and follows part {before.number}; "
@@ -216,6 +219,27 @@ def session_files(path: Path | str) -> list[Path]:
             found.setdefault(sibling.number, sibling.path)
             sibling.close()
     return [found[number] for number in sorted(found)]
+
+
+def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """Split files into sessions: parts of one session that follow each other stay together.
+
+    A file that cannot be read stays alone, so that whoever reads it says why.
+    """
+    together: list[Path] = []
+    follows: tuple[str, int] | None = None
+    for path in paths:
+        try:
+            with contextlib.closing(SessionPart(path)) as part:
+                place = (part.session, part.number)
+        except SessionError:
+            place = None
+        if together and (place is None or place != follows):
+            yield together
+            together = []
+        together.append(path)
+        follows = None if place is None else (place[0], place[1] + 1)
+    yield together
 
 
 def _following_part(part: SessionPart, *, strict: bool) -> SessionPart | None:

@@ -18,6 +18,7 @@ from cloth_sim_ros.session.errors import RecordingError, SessionError
 from cloth_sim_ros.session.layouts import Qos
 from cloth_sim_ros.session.recorder_options import RecorderOptions, RecorderState, RecorderStatus
 from cloth_sim_ros.session.storage import AppendFile
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.session.writer import SessionWriter, Snapshot
 
 _LOOK = 0.01
@@ -218,7 +219,7 @@ class Recorder:
         self._thread.join(timeout)
         status = self.status()
         if self._thread.is_alive():
-            waiting = f"{status.queue_depth} messages were not written within {timeout:g} s; is the disk stuck?"
+            waiting = f"{counted(status.queue_depth, 'message')} not written within {timeout:g} s; is the disk stuck?"
             return replace(status, state="failed", error=waiting)
         return status
 

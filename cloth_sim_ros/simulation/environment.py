@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from cloth_sim_ros import __version__
 from cloth_sim_ros.engine import NUMERICS
 
 #: What bits depend on within one and the same arithmetic, and what a difference calls it.
@@ -23,7 +24,6 @@ def environment() -> dict[str, str]:
 
     Bits depend on `numerics` and `source` alone; the rest is for whoever reads it.
     """
-    from cloth_sim_ros import __version__
     from cloth_sim_ros.engine.binding import engine_name
 
     return {

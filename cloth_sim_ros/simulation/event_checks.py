@@ -8,15 +8,19 @@ import math
 from collections.abc import Sequence
 
 import attrs
+import numpy as np
 
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
+from cloth_sim_ros.scene.pinch import pads_of
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target
 
 #: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
 REACH = 1e4
+#: Made once: a union of types that is made anew takes longer than to ask for it.
+_OF_GRIPPERS = (Target, Grasp)
 
 
 class EventError(ValueError):
@@ -35,10 +39,11 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
     Raises:
         EventError: naming the value, the limit and the remedy.
     """
-    if isinstance(event, Target | Grasp):
+    if isinstance(event, _OF_GRIPPERS):
         _check_name("gripper", event.gripper, scene.gripper_names)
     if isinstance(event, Target):
         _check_pose(event.gripper, event.position, event.orientation)
+        _check_pads(event, scene, state)
     elif isinstance(event, Move):
         _check_name("obstacle", event.obstacle, scene.obstacle_names)
         _check_pose(event.obstacle, event.position, event.orientation)
@@ -61,15 +66,30 @@ def _check_name(kind: str, name: str, known: Sequence[str]) -> None:
 
 
 def _check_pose(name: str, position: Sequence[float], orientation: Sequence[float] | None) -> None:
-    if len(position) != 3 or not all(math.isfinite(value) for value in position):
+    if len(position) != 3 or not all(map(math.isfinite, position)):
         raise EventError(f"target of '{name}' is {list(position)}; it must be 3 finite numbers")
-    if max(abs(value) for value in position) > REACH:
+    if max(map(abs, position)) > REACH:
         raise EventError(f"target of '{name}' is {list(position)} m; no coordinate may be beyond {REACH:g} m")
     if orientation is not None:
         try:
             normalised(orientation)
         except ValueError as error:
             raise EventError(f"target of '{name}': {error}") from error
+
+
+def _check_pads(event: Target, scene: Scene, state: State) -> None:
+    """Refuse a first target, which places a gripper at once, where its pads would be in the cloth."""
+    placed = state.memory.get("gripper.placed")
+    if event.gripper not in scene.pinching or (placed is not None and placed[scene.gripper_names.index(event.gripper)]):
+        return
+    from cloth_sim_ros.simulation.pinching import check_placed
+
+    turn = (0.0, 0.0, 0.0, 1.0) if event.orientation is None else normalised(event.orientation)
+    pads = next(pads for pads in pads_of(scene, 1.0) if pads.gripper == event.gripper)
+    try:
+        check_placed(pads, np.concatenate([event.position, turn]), state)
+    except ValueError as error:
+        raise EventError(f"target of '{event.gripper}': {error}") from error
 
 
 def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene:

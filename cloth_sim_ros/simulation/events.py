@@ -101,6 +101,8 @@ def ordered(events: list[Event]) -> list[Event]:
     First the newest target of each gripper and each obstacle, then every grasp in order of arrival, then the rest in
     order of arrival.
     """
+    if len(events) < 2:
+        return events
     targets: dict[str, Event] = {}
     moves: dict[str, Event] = {}
     for event in events:

@@ -24,6 +24,8 @@ class Frame:
     events: tuple[Event, ...]
     #: One for each grasp event, in order.
     grasps: tuple[GraspResult, ...]
+    #: One for each gripper that pinches whose pads came to rest, closed, in this frame.
+    pinches: tuple[GraspResult, ...] = ()
     #: Whether simulated time passed.
     moved: bool
     #: Name of the integrator that ran; of the one that is chosen where no time passed.

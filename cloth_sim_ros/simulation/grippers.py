@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import functools
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import attrs
 import numpy as np
 
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
@@ -17,7 +20,7 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Target
-from cloth_sim_ros.simulation.movers import Movers, renewed
+from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, renewed, within
 
 
 @attrs.frozen
@@ -30,6 +33,8 @@ class GraspResult:
     held: int
     #: Why it holds none, or that nothing changed; empty otherwise.
     reason: str = ""
+    #: Whether its pads only begin to close: `Frame.pinches` tells when they have.
+    pending: bool = False
 
 
 class Grippers:
@@ -45,6 +50,10 @@ class Grippers:
         self._state = state
         #: What was laid into the force that holds particles last: as long as it is the same, only paths are new.
         self._laid: tuple[Any, ...] | None = None
+        #: Of those that pinch, by index: how far their pads reach from their origin [m].
+        self.reaches: dict[int, float] = {}
+        #: Paths of all over the newest frame, shape (count, PATH_NUMBERS).
+        self.paths = np.zeros((len(names), PATH_NUMBERS))
         count = len(names)
         pose = np.zeros((count, 7))
         pose[:, 6] = 1.0
@@ -115,6 +124,16 @@ class Grippers:
             name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
         )
 
+    def pinch(self, name: str) -> GraspResult:
+        """Let the pads of a gripper close."""
+        memory, g = self._state.memory, self.names.index(name)
+        if memory["gripper.closed"][g]:
+            return GraspResult(name, True, 0, "it is closed already: open it first")
+        renewed(self._state, "gripper.closed")[g] = True
+        if not memory["gripper.placed"][g]:
+            return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
+        return GraspResult(name, True, 0, pending=True)
+
     def open(self, name: str) -> GraspResult:
         """Let go of everything that a gripper holds."""
         memory = self._state.memory
@@ -144,9 +163,17 @@ class Grippers:
         """
         memory = self._state.memory
         closed = memory["gripper.closed"].tolist()
-        paths, changes = self._movers.paths(t, duration)
-        self._lay(grips, paths, model, stiffness, damping)
-        return max((change for shut, change in zip(closed, changes, strict=True) if shut), default=0.0)
+        goal = functools.partial(self._within, duration) if self.reaches else None
+        self.paths, changes = self._movers.paths(t, duration, goal)
+        self._lay(grips, self.paths, model, stiffness, damping)
+        counts = [shut or g in self.reaches for g, shut in enumerate(closed)]
+        return max((change for count, change in zip(counts, changes, strict=True) if count), default=0.0)
+
+    def _within(self, duration: float, g: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
+        """Where a gripper is at a frame's end: pads follow as obstacles do, lest they jump through the cloth."""
+        if g not in self.reaches or not self._state.memory["gripper.placed"][g]:
+            return target
+        return within(pose, target, self.reaches[g], MOST_SPEED * duration)
 
     def _lay(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
         memory = self._state.memory

@@ -14,8 +14,8 @@ from cloth_sim_ros.scene.scene import Scene
 #: Change of velocity from one frame to the next [m/s] from which a motion counts as jumping.
 JUMP = 0.5
 _LOADS = frozenset(("gravity", "air.drag", "wind.velocity", "material.damping"))
-#: Change of drag times a frame, of which the step limit changes by less than a quarter, and of the damping of springs
-#: k_d0, of which it changes by about as much.
+#: Largest changes for which the step limit is not computed again, since it changes by less than a quarter: of the drag
+#: rate times the period [1], and of the springs' damping k_d0 [1].
 _THICKER, _DAMPED = 0.04, 0.01
 
 
@@ -34,7 +34,7 @@ def is_gentle(names: Collection[str], before: Scene, scene: Scene, v: Array) -> 
     damped = abs(scene.material.damping - before.material.damping)
     if thicker * scene.period > _THICKER or damped > _DAMPED:
         return False
-    # Of panels by the mass on their area.
+    # Acceleration for each m/s of wind that panels add [1/s]: drag over mass, both by area.
     panels = (scene.wind.normal_drag + scene.wind.tangential_drag) / scene.material.density
     speeds = np.abs(v).max(axis=1).tolist() if thicker else (0.0, 0.0, 0.0)
     pushes = zip(scene.gravity, before.gravity, scene.wind.velocity, before.wind.velocity, speeds, strict=True)

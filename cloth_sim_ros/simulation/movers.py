@@ -4,26 +4,58 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised, path_row
+from cloth_sim_ros.physics.gripper_path import normalised, planned_paths, rotation_vector, turned_by
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Vector
 
-#: Where one of an index is to be at a frame's end, of its pose and its target, 7 numbers each.
+#: Fastest that an obstacle's surface, or a pad's, follows its target, mean over a frame [m/s].
+MOST_SPEED = 10.0
+#: Takes a body's index, its pose and its target, and returns the pose that it shall have at the frame's end. A pose is
+#: 7 numbers: position [m] and quaternion x, y, z, w.
 Goal = Callable[[int, Sequence[float], Sequence[float]], Sequence[float]]
 
 
 def renewed(state: State, name: str) -> NDArray:
-    """Put a copy of an array of the state's memory in its place, to write into: who holds the array holds the state
-    before.
+    """Replace an array of the state's memory by a copy, and return the copy to write into.
+
+    The old array is left as it was, because earlier states share it.
     """
     state.memory[name] = state.memory[name].copy()
     return state.memory[name]
+
+
+def standing(t: float, poses: Array) -> Array:
+    """Return the paths of bodies that stand at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
+    rows = np.zeros((len(poses), PATH_NUMBERS))
+    rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, poses[:, :3], poses[:, 3:]
+    return rows
+
+
+def within(pose: Sequence[float], target: Sequence[float], reach: float, most: float) -> Sequence[float]:
+    """Return where a body is that goes from a pose to a target, 7 numbers each, or as near to it as it may: no point
+    within a reach [m] of its origin goes further than `most` [m].
+    """
+    way = [target[i] - pose[i] for i in range(3)]
+    turn = rotation_vector(pose[3:], target[3:])
+    needed = _length(way) + reach * _length(turn)
+    if needed <= most:
+        return target
+    share = most / needed
+    turned = turned_by(pose[3:], [share * angle for angle in turn])
+    return [*(pose[i] + share * way[i] for i in range(3)), *turned]
+
+
+def _length(vector: Sequence[float]) -> float:
+    x, y, z = vector
+    return math.sqrt(x * x + y * y + z * z)
 
 
 class Movers:
@@ -38,14 +70,11 @@ class Movers:
     def __init__(self, kind: str, poses: Array, state: State) -> None:
         self._kind = kind
         self._state = state
+        self._names = tuple(f"{kind}.{what}" for what in ("pose", "twist", "turn", "target"))
         count = len(poses)
-        for what, array in (
-            ("pose", poses.copy()),
-            ("twist", np.zeros((count, 6))),
-            ("turn", np.zeros((count, 6))),
-            ("target", poses.copy()),
-        ):
-            state.memory.setdefault(f"{kind}.{what}", array)
+        arrays = poses.copy(), np.zeros((count, 6)), np.zeros((count, 6)), poses.copy()
+        for name, array in zip(self._names, arrays, strict=True):
+            state.memory.setdefault(name, array)
 
     def array(self, what: str) -> NDArray:
         """One of the arrays, not to be written into: pose, twist, turn or target."""
@@ -63,7 +92,7 @@ class Movers:
 
     def aim(self, index: int, position: Vector, orientation: Vector | None) -> Array:
         """Take note of a target [m], without an orientation the one before, and return its pose, shape (7,)."""
-        target = self.renewed("target")
+        target = renewed(self._state, self._names[3])
         target[index, :3] = position
         if orientation is not None:
             target[index, 3:] = normalised(orientation)
@@ -79,15 +108,14 @@ class Movers:
             duration: its length [s].
             goal: where one of an index is to be at its end, of its pose and its target; at its target where left out.
         """
-        poses, twists, before, targets = (self.array(what).tolist() for what in ("pose", "twist", "turn", "target"))
+        memory = self._state.memory
+        poses, twists, before, targets = map(memory.__getitem__, self._names)
         ends = targets
         if goal is not None:
-            ends = [goal(k, *given) for k, given in enumerate(zip(poses, targets, strict=True))]
-        planned = [path_row(t, duration, *given) for given in zip(poses, twists, before, ends, strict=True)]
-        rows, last, turns = (list(column) for column in zip(*planned, strict=True))
+            given = zip(poses.tolist(), targets.tolist(), strict=True)
+            ends = np.array([goal(k, *each) for k, each in enumerate(given)])
+        rows, last, turns, changes = planned_paths(t, duration, poses, twists, before, ends)
+        pose, twist, turn, _ = self._names
         # No array of a state is written into, so two names may share one.
-        pose = self.array("target") if goal is None else np.array(ends)
-        for what, array in (("pose", pose), ("twist", np.array(last)), ("turn", np.array(turns))):
-            self._state.memory[f"{self._kind}.{what}"] = array
-        changes = [max(abs(new[i] - old[i]) for i in range(3)) for new, old in zip(turns, before, strict=True)]
-        return np.array(rows), changes
+        memory[pose], memory[twist], memory[turn] = ends, last, turns
+        return rows, changes

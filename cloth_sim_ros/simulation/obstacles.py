@@ -13,18 +13,14 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix, rotation_vector, turned_by
+from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.simulation.events import Move
-from cloth_sim_ros.simulation.movers import Movers
+from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, standing, within
 
-#: Fastest that an obstacle's surface follows its target, mean over a frame [m/s].
-MOST_SPEED = 10.0
 #: Of an obstacle that is larger, or a plane, the speed of turning counts at this distance from its origin [m].
 _MOST_ARM = 1.0
 _KIND = "obstacle"
@@ -67,24 +63,16 @@ class Obstacles:
         """Take note of a target."""
         self._movers.aim(self.names.index(event.obstacle), event.position, event.orientation)
 
-    def plan_frame(self, contact: Contact, t: float, duration: float) -> float:
-        """Lay each obstacle's path over a frame that starts at time t [s] into the force that keeps cloth out.
-
-        Returns:
-            By how much the way of one over this frame differs from that over the one before [m], at most, along an
-            axis.
+    def plan_frame(self, t: float, duration: float) -> tuple[Array, float]:
+        """Return each obstacle's path over a frame that starts at time t [s], shape (count, PATH_NUMBERS), and by how
+        much the way of one over it differs from that over the frame before [m], at most, along an axis.
         """
-        goal = functools.partial(self._within, duration)
-        paths, changes = self._movers.paths(t, duration, goal)
-        contact.move(paths)
-        return max(changes)
+        paths, changes = self._movers.paths(t, duration, functools.partial(self._within, duration))
+        return paths, max(changes)
 
     def standing(self, t: float) -> Array:
         """Return the paths of obstacles that stand where they are, from time t [s] on, shape (count, PATH_NUMBERS)."""
-        rows = np.zeros((len(self.names), PATH_NUMBERS))
-        pose = self._movers.array("pose")
-        rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, pose[:, :3], pose[:, 3:]
-        return rows
+        return standing(t, self._movers.array("pose"))
 
     def nearest(self, name: str) -> tuple[float, int]:
         """Return the gap [m], negative inside, between an obstacle and the nearest particle, and its number."""
@@ -114,14 +102,7 @@ class Obstacles:
 
     def _within(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
         """Where an obstacle is at a frame's end: at its target, or as near to it as its speed lets."""
-        way = [target[i] - pose[i] for i in range(3)]
-        turn = rotation_vector(pose[3:], target[3:])
-        needed = _length(way) + min(self.solids[k].reach, _MOST_ARM) * _length(turn)
-        if needed <= MOST_SPEED * duration:
-            return target
-        share = MOST_SPEED * duration / needed
-        turned = turned_by(pose[3:], [share * angle for angle in turn])
-        return [*(pose[i] + share * way[i] for i in range(3)), *turned]
+        return within(pose, target, min(self.solids[k].reach, _MOST_ARM), MOST_SPEED * duration)
 
 
 def rearrange(state: State, before: list[str], now: list[str], described: Mapping[str, sections.Obstacle]) -> None:
@@ -166,8 +147,3 @@ def gaps(solid: Obstacle, pose: Array, x: Array, *, within: float = math.inf) ->
 def _start(description: sections.Obstacle) -> Array:
     """Pose with which an obstacle starts, shape (7,)."""
     return np.concatenate([np.asarray(description.position, dtype=np.float64), normalised(description.orientation)])
-
-
-def _length(vector: Sequence[float]) -> float:
-    x, y, z = vector
-    return math.sqrt(x * x + y * y + z * z)

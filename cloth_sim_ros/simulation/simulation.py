@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book, note
@@ -36,7 +37,7 @@ from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.holding import hold, stop
 from cloth_sim_ros.simulation.loads import JUMP, is_gentle
 from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
-from cloth_sim_ros.simulation.surroundings import change_obstacles, obstacles_of
+from cloth_sim_ros.simulation.surroundings import change_obstacles, lay_paths, obstacles_of, pinching_of, stand
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
@@ -82,12 +83,15 @@ class Simulation:
                 raise ValueError(f"the cloth {error}") from error
         #: Energy balance since it was asked for or parameters changed; None where it is not asked for.
         self.energy_report: EnergyReport | None = None
-        # Two shortcuts, both derived from the state. The first: the sheet sleeps, the scene in force allows it, and the
-        # book has its wrenches. The second: the last frame, kept if the next one without events must equal it.
+        # Two shortcuts for a sleeping sheet. Both follow from the state and are not part of it. The first: under the
+        # present parameters the rule of sleep was checked, and the wrenches are in the book. The second: the last
+        # frame, kept while the next one, if it has no events, can only be equal to it.
         self._known_to_rest = False
         self._slept: Frame | None = None
         self._plans = Plans(scene)
         self._apply_scene(scene)
+        if state is None and self.plan.contact is not None:
+            self.plan.contact.check_clear(self.state.x)
 
     @property
     def scene(self) -> Scene:
@@ -119,6 +123,13 @@ class Simulation:
         """Whether the next frame, unless events come, costs nothing: it can only be the last one again."""
         return self._slept is not None and self.frame < sleeps_until(self.state)
 
+    def held(self, index: int) -> int:
+        """Number of particles that a gripper holds, or has between its pads."""
+        name = self.grippers.names[index]
+        if self.pinching is not None and name in self.pinching.names:
+            return self.pinching.held(self.plan, self.time, name)
+        return int(self.grippers.held(index).size)
+
     @property
     def positions(self) -> Array:
         """Particle positions [m], a copy of shape (particle_count, 3)."""
@@ -140,12 +151,11 @@ class Simulation:
         return self.plan.energy(self.time, self.state.x, self.state.v)
 
     def gaps(self) -> Array | None:
-        """For each obstacle, how many particles it touches and the smallest gap [m], shape (obstacle_count, 2).
-
-        None where there are no obstacles.
+        """How many particles each obstacle, and then each pad, touches and the smallest gap [m], shape (count, 2); None
+        where there are none.
         """
         contact = self.plan.contact
-        return None if contact is None else contact.gaps(self.time, self.state.x)
+        return None if contact is None else contact.gaps_of(self.state, self.time)
 
     def rates(self, scene: Scene) -> tuple[float, float]:
         """Bounds of the squared highest frequency [1/s^2] and of the damping rate [1/s] with another scene in force."""
@@ -222,21 +232,30 @@ class Simulation:
                     self._reset()
         moved = stepped or not self.paused
         done = self._move() if moved else None
+        pinches = self.pinching.settle(self.plan, self.time) if moved and self.pinching is not None else []
+        wrenches, loads = self._loads(self._book if moved else None)
         frame = Frame(
             index=self.frame,
             time=self.time,
             events=tuple(events),
             grasps=tuple(grasps),
+            pinches=tuple(pinches),
             moved=moved,
             integrator=done.integrator if done else self._integrator.name,
             tolerance=self._tolerance,
             advance=done,
-            wrenches=self._book.wrenches if moved and self._book else np.zeros((len(self.grippers.names), 6)),
-            loads=self._book.loads if moved and self._book else np.zeros((self.plan.obstacle_count, 6)),
+            wrenches=wrenches,
+            loads=loads,
         )
         if done and not done.steps and not self.paused and self._settled:
             self._slept = frame
         return frame
+
+    def _loads(self, book: Book | None) -> tuple[Array, Array]:
+        """What the cloth did to grippers and to obstacles, as a frame tells it; nothing without a book."""
+        wrenches = book.wrenches if book else np.zeros((len(self.grippers.names), 6))
+        loads = book.loads if book else np.zeros((self.plan.obstacle_count, 6))
+        return wrenches, loads if self.pinching is None else self.pinching.take_over(loads, wrenches)
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
@@ -256,12 +275,17 @@ class Simulation:
     def _grasp(self, event: Grasp) -> GraspResult:
         index = self.grippers.names.index(event.gripper)
         before = self.grippers.held(index).size
-        if event.closed:
+        pinches = self.pinching is not None and event.gripper in self.pinching.names
+        if pinches and event.closed:
+            result = self.grippers.pinch(event.gripper)
+        elif event.closed:
             result = self.grippers.close(event.gripper, self.model, self._scene.gripper.radius)
         else:
             result = self.grippers.open(event.gripper)
         restart(self.state)
-        if result.held != before:
+        if result.pending and self.pinching is not None:
+            self.pinching.unsettle(event.gripper)
+        if result.held != before or pinches:
             wake(self.state)
         return result
 
@@ -281,8 +305,8 @@ class Simulation:
             done = self._integrator.advance(self.plan, state, start, period, self._book)
             if self._energy is not None and self._book is not None:
                 self.energy_report = self._energy.end(state, start + period, self._book)
-            moving = state.share()
-            if self._sleep.follow(state, start + period) and self._energy is not None:
+            moving = None if self._energy is None else state.share()
+            if self._sleep.follow(state, start + period) and self._energy is not None and moving is not None:
                 self.energy_report = self._energy.stop(moving)
         state.frame += 1
         return done
@@ -298,8 +322,9 @@ class Simulation:
         jerk = 0.0
         if self.plan.grips is not None:
             jerk = self.grippers.plan_frame(self.plan.grips, self.model, t, period, gripper.stiffness, gripper.damping)
-        if self.obstacles is not None and self.plan.contact is not None:
-            jerk = max(jerk, self.obstacles.plan_frame(self.plan.contact.force, t, period))
+        if self.plan.contact is not None:
+            force = self.plan.contact.force
+            jerk = max(jerk, lay_paths(force, self.obstacles, self.pinching, self.grippers, t, period))
         if jerk > JUMP * period:
             restart(state)
 
@@ -320,18 +345,8 @@ class Simulation:
     def _sleep_on(self, last: Frame) -> Frame:
         """Return a frame of a sleeping cloth: the last one with the next number."""
         self.state.frame += 1
-        return Frame(
-            index=self.frame,
-            time=self.time,
-            events=(),
-            grasps=(),
-            moved=True,
-            integrator=last.integrator,
-            tolerance=last.tolerance,
-            advance=last.advance,
-            wrenches=last.wrenches.copy(),
-            loads=last.loads.copy(),
-        )
+        now = attrs.evolve(last, index=self.frame, time=self.time, events=(), grasps=(), pinches=())
+        return attrs.evolve(now, moved=True, wrenches=last.wrenches.copy(), loads=last.loads.copy())
 
     def _reset(self) -> None:
         frame, paused, factor = self.state.frame, self.paused, relaxation.factor_of(self.state)
@@ -345,9 +360,11 @@ class Simulation:
         self._stand_obstacles()
 
     def _stand_obstacles(self) -> None:
-        """Let contact know where obstacles are, until the next frame moves them."""
-        if self.obstacles is not None and self.plan.contact is not None:
-            self.plan.contact.force.move(self.obstacles.standing(self.time))
+        """Let contact know where obstacles and pads are, until the next frame moves them."""
+        #: Grippers that pinch; None where none does.
+        self.pinching = pinching_of(self.plan, self.grippers, self.state)
+        if self.plan.contact is not None:
+            stand(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene = scene

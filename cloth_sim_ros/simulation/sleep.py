@@ -23,10 +23,10 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import PINCHED, restart
 from cloth_sim_ros.physics.remembered import SLEEP_FROM as FROM
 from cloth_sim_ros.physics.remembered import SLEEP_VELOCITY as VELOCITY
 from cloth_sim_ros.physics.remembered import Sleep as Memory
-from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 
 #: Accelerations below so many roundings of a coordinate, times the largest squared frequency, count as zero.
@@ -102,7 +102,13 @@ class Sleep:
         coordinate = max(float(state.x.max()), -float(state.x.min()))
         omega2, _ = self._plan.rates(state.x)
         rounding = _ROUNDINGS * float(np.finfo(np.float64).eps) * omega2 * coordinate
-        return bool(all_below(acceleration, max(self._room, rounding)))
+        most = max(self._room, rounding)
+        contact = self._plan.contact
+        if contact is not None and contact.force.pads:
+            pushed = contact.pad_accelerations(t, state.x, np.zeros_like(state.v))
+            if not (np.abs(pushed) <= most).all():
+                return False
+        return bool(all_below(acceleration, most))
 
     def goes_on(self, state: State) -> bool:
         """Whether a sheet that sleeps may sleep on: its time is not up, and nothing moves what it hangs on. Otherwise
@@ -133,7 +139,11 @@ class Sleep:
         return self._plan.steady()
 
     def _calm(self, state: State) -> bool:
-        return bool(self._tolerance) and bool(all_below(state.v, self._room / CONSTANTS.calm)) and self._steady()
+        limit = self._room / CONSTANTS.calm
+        pads = state.memory.get(PINCHED)
+        if pads is not None and not (np.abs(pads[:, 1]) <= limit).all():
+            return False
+        return bool(self._tolerance) and bool(all_below(state.v, limit)) and self._steady()
 
 
 def is_asleep(state: State) -> bool:

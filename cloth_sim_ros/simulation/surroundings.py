@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The obstacles of a scene and a state, where there are any: a cloth without obstacles loads nothing of them."""
+"""The obstacles and pads of a scene and a state, where there are any: a cloth without them loads nothing of them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.movers import standing
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.physics.forces.contact import Contact
+    from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.simulation.grippers import Grippers
     from cloth_sim_ros.simulation.obstacles import Obstacles
+    from cloth_sim_ros.simulation.pinching import Pinching
 
 
 def obstacles_of(scene: Scene, state: State) -> Obstacles | None:
@@ -37,6 +43,71 @@ def obstacles_of(scene: Scene, state: State) -> Obstacles | None:
     return obstacles
 
 
+def pinching_of(plan: Plan, grippers: Grippers, state: State) -> Pinching | None:
+    """Return the grippers that pinch, by a plan's contact and a state; None where none does.
+
+    Raises:
+        ValueError: for a state of another number of them.
+    """
+    pads = () if plan.contact is None else plan.contact.force.pads
+    if not pads:
+        if PINCHED in state.memory:
+            raise ValueError(f"the state has {len(state.memory[PINCHED])} grippers that pinch, the scene none")
+        return None
+    from cloth_sim_ros.simulation.pinching import Pinching
+
+    return Pinching(pads, grippers, state)
+
+
+def lay_paths(
+    force: Contact,
+    obstacles: Obstacles | None,
+    pinching: Pinching | None,
+    grippers: Grippers,
+    t: float,
+    duration: float,
+) -> float:
+    """Lay the paths of obstacles and pads over a frame that starts at time t [s] into the force that keeps cloth out;
+    those of grippers are planned.
+
+    Returns:
+        By how much the way of an obstacle over it differs from that over the frame before [m], at most, along an axis.
+    """
+    paths, change = list[Array](), 0.0
+    if obstacles is not None:
+        rows, change = obstacles.plan_frame(t, duration)
+        paths.append(rows)
+    if pinching is not None:
+        paths.append(pinching.rows(grippers.paths))
+        force.drive(pinching.driven())
+    if paths:
+        force.move(np.concatenate(paths))
+    return change
+
+
+def stand(force: Contact, obstacles: Obstacles | None, pinching: Pinching | None, grippers: Grippers, t: float) -> None:
+    """Let contact know where obstacles and pads are at time t [s], until a frame moves them."""
+    paths = [] if obstacles is None else [obstacles.standing(t)]
+    if pinching is not None:
+        paths.append(pinching.rows(standing(t, grippers.poses())))
+        force.drive(pinching.driven())
+    if paths:
+        force.move(np.concatenate(paths))
+
+
+def solids_and_poses(obstacles: Obstacles | None, pinching: Pinching | None) -> tuple[list[Obstacle], Array]:
+    """Return all that keeps cloth out, obstacles and then pads of grippers that are anywhere, and their poses: position
+    [m] and quaternion x, y, z, w, shape (count, 7).
+    """
+    solids = [] if obstacles is None else list(obstacles.solids)
+    poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()
+    if pinching is not None:
+        shown = pinching.shown()
+        solids += [pinching.boxes[k] for k in shown]
+        poses = np.concatenate([poses, pinching.poses()[shown]])
+    return solids, poses
+
+
 def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
     """Let the obstacles in states, and the anchors of their friction, be those of another scene."""
     for state in states:
@@ -56,9 +127,12 @@ def kept_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
     Obstacles that stay keep theirs; those that come have touched nothing yet. None where no obstacle has friction:
     nothing is held then, and where there is friction again it begins anew.
     """
-    if not any(solid.friction[0] > 0.0 for solid in scene.solids):
+    pads = [f"{name}.{side}" for name in scene.pinching for side in ("left", "right")]
+    rough = any(solid.friction[0] > 0.0 for solid in scene.solids) or (pads and scene.gripper.friction[0] > 0.0)
+    if not rough:
         return None
-    names, now = before.obstacle_names, scene.obstacle_names
+    # Which grippers pinch never changes.
+    names, now = [*before.obstacle_names, *pads], [*scene.obstacle_names, *pads]
     kept = np.zeros((len(now), *anchors.shape[1:]))
     for k, name in enumerate(now):
         if name in names:

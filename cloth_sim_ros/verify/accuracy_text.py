@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.verify.certificate import MOST_GROWTH, Certificate, FrameAccuracy, Window
 
 #: Most windows that are listed; of more, the worst are.
@@ -33,7 +34,7 @@ def _sentences(certificate: Certificate) -> list[str]:
     broken, open_ones, flagged = (certificate.having(verdict) for verdict in ("not kept", "undecided", "flagged"))
     promised = len(windows) - len(certificate.having("no promise"))
     found = [
-        f"Accuracy: of {_count(promised, 'window')} of a second, {len(certificate.having('kept'))} keep the promise."
+        f"Accuracy: of {counted(promised, 'window')} of a second, {len(certificate.having('kept'))} keep the promise."
     ]
     if not promised:
         found = ["Accuracy: no tolerance is set, so nothing is promised."]
@@ -52,7 +53,7 @@ def _sentences(certificate: Certificate) -> list[str]:
         )
     if certificate.altered:
         found.append(
-            f"The recorded positions of {_count(certificate.altered, 'frame')} are not what its record leads to."
+            f"The recorded positions of {counted(certificate.altered, 'frame')} are not what its record leads to."
         )
     if certificate.horizon is None:
         along = [frame.session_error for frame in certificate.frames if not math.isnan(frame.session_error)]
@@ -76,7 +77,7 @@ def _other_integrator(certificate: Certificate) -> str:
     if wrong:
         frames = ", ".join(str(sample.frame) for sample in wrong[:5])
         return f"BUT scipy's DOP853 differs by up to {largest:.2g} m (frames {frames}): do not trust this certificate."
-    return f"On {_count(len(samples), 'frame')} scipy's DOP853 agrees within {largest:.2g} m."
+    return f"On {counted(len(samples), 'frame')} scipy's DOP853 agrees within {largest:.2g} m."
 
 
 def _window_row(window: Window) -> dict[str, str]:
@@ -130,7 +131,3 @@ def _ratio(error: float, allowed: float) -> float:
 def _list(windows: Sequence[Window]) -> str:
     named = ", ".join(f"{window.start:.3f} to {window.end:.3f} s (frame {window.worst})" for window in windows[:5])
     return named if len(windows) <= 5 else f"{named} and {len(windows) - 5} more"
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -44,6 +44,8 @@ class Moving(NamedTuple):
     v: Array
     #: Anchors of friction, see `Touching.anchors_shape`; None where nothing is held yet.
     anchors: Array | None = None
+    #: Where pads of grippers are, see `Touching.pinched_shape`; None where they are open, or there are none.
+    pinched: Array | None = None
 
 
 @lru_cache(maxsize=16)
@@ -88,6 +90,8 @@ class FineSteps:
         while done < duration * (1.0 - 1e-12):
             left = duration - done
             # What contact may come to, at the most.
+            if plan.contact is not None:
+                plan.contact.lay_pads(now.pinched)
             ahead = plan.ahead(t + done, left, now.x, now.v)
             limit = leapfrog_limit(rates[0] + ahead[0], rates[1] + ahead[1])
             longest = min(SHARE_OF_LIMIT * limit, finest) * FINE[0] * self._scale
@@ -128,13 +132,13 @@ def _combined(
     """Run a stretch with each of several step counts; return what they combine to, the runs, and what is told of it."""
     if plan.contact is not None:
         plan.contact.lay(start.anchors)
+        plan.contact.lay_pads(start.pinched)
     runs, result = plan.runs(t, length, (start.x, start.v), counts, weights=weights(counts))
     assert result is not None
     x, v, told = result
-    if plan.contact is None or not plan.contact.force.rough:
+    if plan.contact is None:
         return Moving(x, v), runs, told
-    ends = np.array([run.anchors for run in runs])
-    return Moving(x, v, plan.contact.settle(t + length, x, v, ends, weights(counts))), runs, told
+    return Moving(x, v, *plan.contact.ended(t + length, x, v, runs, weights(counts))), runs, told
 
 
 def distance(x: Array, y: Array) -> float:

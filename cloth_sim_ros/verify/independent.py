@@ -24,7 +24,8 @@ def frame_by_dop853(equations: Equations, frame: RunFrame, state: State) -> Arra
 
 
 def dop853(plan: Plan, t: float, duration: float, start: Moving) -> Moving:
-    """Move from time t [s] through a duration [s]. Anchors of friction are dragged after each of its steps.
+    """Move from time t [s] through a duration [s]. Anchors of friction are dragged after each of its steps; pads are
+    moved with the particles.
 
     Raises:
         ArithmeticError: if it finds no step that is small enough.
@@ -33,22 +34,31 @@ def dop853(plan: Plan, t: float, duration: float, start: Moving) -> Moving:
 
     shape, half, contact = start.x.shape, start.x.size, plan.contact
     anchors = contact.lay(start.anchors) if contact is not None else None
+    pinched = contact.lay_pads(start.pinched) if contact is not None else None
+    pads = np.empty((0, 2)) if pinched is None else pinched
 
     def right(time: float, y: Array) -> Array:
         out = np.empty_like(y)
-        out[:half] = y[half:]
-        x, v = y[:half].reshape(shape), y[half:].reshape(shape)
-        plan.accelerations(time, x, v, out[half:].reshape(shape))
+        out[:half] = y[half : 2 * half]
+        x, v = y[:half].reshape(shape), y[half : 2 * half].reshape(shape)
+        if contact is not None and len(pads):
+            now = y[2 * half :].reshape(pads.shape)
+            contact.lay_pads(now.copy())
+            out[2 * half :] = np.stack([now[:, 1], contact.pad_accelerations(time, x, v)], axis=1).ravel()
+        plan.accelerations(time, x, v, out[half : 2 * half].reshape(shape))
         return out
 
-    y = np.concatenate([start.x.ravel(), start.v.ravel()])
+    y = np.concatenate([start.x.ravel(), start.v.ravel(), pads.ravel()])
     solver = DOP853(right, t, y, t + duration, rtol=RELATIVE, atol=ABSOLUTE)
     while solver.status == "running":
         trouble = solver.step()
         if contact is not None and anchors is not None:
-            x, v = solver.y.copy().reshape(2, *shape)
+            x, v = solver.y[: 2 * half].copy().reshape(2, *shape)
+            if len(pads):
+                contact.lay_pads(solver.y[2 * half :].reshape(pads.shape).copy())
             anchors = contact.lay(contact.settle(solver.t, x, v, anchors[None], [1.0]))
     if solver.status == "failed":
         raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {trouble}")
-    x, v = solver.y.copy().reshape(2, *shape)
-    return Moving(x, v, anchors)
+    x, v = solver.y[: 2 * half].copy().reshape(2, *shape)
+    ended = solver.y[2 * half :].reshape(pads.shape).copy() if len(pads) else None
+    return Moving(x, v, anchors, ended)

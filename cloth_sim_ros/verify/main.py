@@ -10,22 +10,29 @@ import argparse
 import contextlib
 import importlib.util
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.session.reader import SessionReader, by_session
+from cloth_sim_ros.session.words import counted
 
 if TYPE_CHECKING:
     from cloth_sim_ros.verify.certificate import Certificate
     from cloth_sim_ros.verify.run import Verdict
 
-#: Exit statuses: all came out the same; something differs; something could not be read; it was recorded with other
-#: arithmetic, and nothing differs that this does not explain; with `--accuracy`: all came out the same, and somewhere
-#: the tolerance's promise was not kept, or could not be shown to be, and no frame was flagged.
-SAME, DIFFERENT, UNREADABLE, OTHER_ARITHMETIC, NOT_KEPT = 0, 1, 2, 3, 4
-#: Of several sessions the gravest status is the command's, the last of these.
+#: Exit statuses. All came out the same to the last bit.
+SAME = 0
+#: Something differs.
+DIFFERENT = 1
+#: A file could not be read, or lacks frames.
+UNREADABLE = 2
+#: It was recorded by a version with other arithmetic; all differences are of the size of rounding's effects.
+OTHER_ARITHMETIC = 3
+#: With `--accuracy`: the same bits, but a window without flagged frames broke the tolerance, or may have.
+NOT_KEPT = 4
+#: From the mildest to the gravest: of several sessions the gravest decides.
 _GRAVITY = (SAME, OTHER_ARITHMETIC, NOT_KEPT, DIFFERENT, UNREADABLE)
 
 
@@ -43,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     _add_accuracy(parser)
     options = parser.parse_args(arguments)
-    sessions = list(_sessions(options.session))
+    sessions = list(by_session(options.session))
     _check_accuracy(parser, options, len(sessions))
     status = SAME
     try:
@@ -107,7 +114,7 @@ def describe(verdict: Verdict) -> str:
     """A verdict in words: the outcome in the first sentence, what qualifies it after that."""
     where = f"{verdict.name}: "
     pace = f"{verdict.simulated:.1f} s run in {verdict.seconds:.1f} s"
-    counts = f"{_count(verdict.frames, 'frame')} and {_count(verdict.clouds, 'cloud')}"
+    counts = f"{counted(verdict.frames, 'frame')} and {counted(verdict.clouds, 'cloud')}"
     if not verdict.frames:
         sentences = ["it holds no frames: there is nothing to compare."]
     elif verdict.same:
@@ -115,7 +122,7 @@ def describe(verdict: Verdict) -> str:
     else:
         sentences = [
             f"it differs from frame {verdict.first_frame} ({verdict.first_time:.3f} s) on, in {verdict.first_reason}.",
-            f"Of {counts}, {_count(verdict.different, 'frame')} {'differs' if verdict.different == 1 else 'differ'}; "
+            f"Of {counts}, {counted(verdict.different, 'frame')} {'differs' if verdict.different == 1 else 'differ'}; "
             f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({pace}).",
         ]
     if verdict.other_arithmetic and not verdict.same:
@@ -179,28 +186,6 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
             topics = {number: channel.topic for number, channel in part.summary.channels.items()}
             count += sum(times for number, times in counts.items() if topics.get(number) == f"{reader.node}/frame")
     return count
-
-
-def _sessions(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """The files, those of one split session together; what cannot be read stays alone, to be told of in its turn."""
-    together: list[Path] = []
-    follows: tuple[str, int] | None = None
-    for path in paths:
-        try:
-            with SessionReader(path) as reader:
-                place = (reader.parts[0].session, reader.parts[0].number)
-        except SessionError:
-            place = None
-        if together and (place is None or place != follows):
-            yield together
-            together = []
-        together.append(path)
-        follows = None if place is None else (place[0], place[1] + 1)
-    yield together
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Reset
@@ -51,8 +51,10 @@ class RunFrame:
     reset: bool
     #: None where the scene has no grippers.
     grasping: Grasping | None
-    #: Paths of the obstacles, see `Contact`; None where there are none.
+    #: Paths of the obstacles and pads, see `Contact`; None where there are none.
     surrounding: Array | None
+    #: Whether each gripper that pinches is anywhere, and whether it closes, see `Contact`; None where there are none.
+    driven: NDArray[np.bool_] | None
     #: Tolerance in force [m]; None where none is set.
     tolerance: float | None
     #: Whether the simulation said that its error may be above the tolerance's share.
@@ -103,6 +105,7 @@ class FrameWatch:
             reset=reset,
             grasping=grasping,
             surrounding=None if contact is None else contact.force.paths.copy(),
+            driven=None if contact is None else contact.force.driven.copy(),
             tolerance=frame.tolerance,
             flagged=bool(advance and advance.flagged),
             step=advance.step if advance and advance.steps else float("inf"),
@@ -125,6 +128,8 @@ class Equations:
             grips.hold(held.paths, held.starts, held.particles, motion.offsets, held.stiffness, held.damping)
         if frame.surrounding is not None and self._plan.contact is not None:
             self._plan.contact.force.move(frame.surrounding)
+            if frame.driven is not None:
+                self._plan.contact.force.drive(frame.driven)
         return self._plan
 
 
@@ -138,7 +143,7 @@ class Motion:
     """
 
     def __init__(self, state: State) -> None:
-        self.now = Moving(state.x, state.v, state.memory.get(ANCHORS))
+        self.now = Moving(state.x, state.v, state.memory.get(ANCHORS), state.memory.get(PINCHED))
         self._scene: Scene | None = None
         count = len(state.memory.get("gripper.pose", ()))
         starts = state.memory.get("grip.starts", np.zeros(count + 1, dtype=np.int64))

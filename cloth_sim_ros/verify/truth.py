@@ -24,7 +24,7 @@ WITHOUT_TOLERANCE = 1e-6
 
 @attrs.frozen(eq=False, kw_only=True)
 class Told:
-    """The true motion at the end of a frame."""
+    """The reference motion at the end of a frame, and how well it is known."""
 
     #: Positions [m], shape (3, n).
     x: Array
@@ -32,7 +32,7 @@ class Told:
     own: float
     #: What rounding alone does to them [m], an estimate.
     floor: float
-    #: How often a kick has grown since the start, the most of three; nan where not asked for.
+    #: By what factor a kick has grown since the start, the largest of three; nan where not asked for.
     growth: float
 
 

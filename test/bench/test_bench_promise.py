@@ -97,7 +97,8 @@ def test_a_throw_in_air_and_the_growth_of_its_kicks():
     slowed = (1.0 - np.exp(-2.0 * drag)) / drag
     expected = v[:, 0] * slowed + gravity * (2.0 - slowed) / drag
     assert integration.positions[:, 0] == pytest.approx(expected, abs=1e-12)
-    # A place stays away by its kick; a speed's way is that of a throw. Places are rounded to 1e-7 of a kick.
+    # A kick of position keeps its size. A kick of velocity moves the particle away as a throw in air does. The third
+    # trajectory is not kicked. Positions are rounded to 1e-7 of a kick.
     assert integration.deviations() / KICK == pytest.approx([1.0, slowed, 0.0], abs=1e-5)
 
 
@@ -167,10 +168,14 @@ def test_a_promise_that_is_kept_and_one_that_is_broken():
     assert window.known
     assert window.ratio < 1.0
     assert 1.0 < window.growth < 10.0
-    # The same run, off by more than is promised at its middle.
+    # The same run, off by three times the promised error in each coordinate in the middle.
     run.positions[30] = run.positions[30] + 3.0 * window.promised
     broken = judge_window(run, 0, 60, seed=0)[0]
-    assert broken.ratio == pytest.approx(3.0 * 3.0**0.5, abs=1.0)
+    assert broken.from_start == pytest.approx(3.0 * 3.0**0.5, abs=1.0)
+    # Kicks made later in the window grow somewhat more here, but not enough to explain the error.
+    assert broken.growth < broken.later < 3.0 * broken.growth
+    assert broken.ratio == pytest.approx(broken.from_start * broken.growth / broken.later)
+    assert broken.ratio > 1.0
 
 
 def test_kicks_are_of_their_size_and_leave_anchors_alone():

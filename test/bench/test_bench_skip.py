@@ -14,7 +14,8 @@ from cloth_sim_ros.bench.speed_curtain import cores
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Of a frame of fixed work: the steps, whether they stayed finite, and what the next ones may be, in one.
+#: Engine calls of a frame with a fixed number of steps, by name. One call takes the steps, checks that the state is
+#: finite, and gives the limits for the next steps.
 NEEDED = {"frame": 1}
 VARIANTS = {variant.name: variant for variant in variants()}
 
@@ -54,8 +55,8 @@ def test_a_frame_is_one_call_of_the_engine(name):
 
 @pytest.mark.parametrize("presence", ["idle", "active, holding", "active, turning"])
 def test_a_gripper_is_part_of_it(presence):
-    # The engine is told where its path leads.
-    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"plan_paths": 1}
+    # Its path is planned, and the engine told where it leads.
+    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"paths": 1, "plan_paths": 1}
 
 
 def test_error_control_adds_a_look_at_the_end():

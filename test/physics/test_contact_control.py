@@ -176,7 +176,7 @@ def test_the_least_gap_and_the_steps_of_a_state_that_goes_on_are_the_same():
     for k in range(4):
         integrator.advance(plan, state, k * FRAME, FRAME)
     again = State.from_bytes(state.to_bytes())
-    book = Book(0, obstacle_count=1)
+    book = Book(plan.gripper_count, obstacle_count=1)
     for one in (state, again):
         done = integrator.advance(plan, one, 4 * FRAME, FRAME, book)
     assert done.steps > 0

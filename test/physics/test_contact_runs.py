@@ -139,7 +139,7 @@ def test_a_table_bears_the_weight_of_a_sheet_that_lies_on_it(listed):
     plan, state, integrator = drop(model, places, tolerance=1e-4)
     for k in range(60):
         integrator.advance(plan, state, k / 60.0, 1.0 / 60.0)
-    book = Book(0, obstacle_count=1)
+    book = Book(plan.gripper_count, obstacle_count=1)
     integrator.advance(plan, state, 1.0, 1.0 / 60.0, book)
     weight = 9.81 * model.mass
     assert book.loads[0, :3] == pytest.approx([0.0, 0.0, -weight], abs=1e-3 * weight)

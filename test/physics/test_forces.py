@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.forces.wind import Wind
-from cloth_sim_ros.physics.gripper_path import path_row
+from cloth_sim_ros.physics.gripper_path import planned_paths
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import compile
@@ -59,9 +59,8 @@ def sheet(damping, parity, **options):
 def grips(stillness=False):
     held = Grips(2)
     one, turned = [0.1, 0, 0, 0, 0, 0, 1.0], [0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]
-    paths = np.zeros((2, 26))
-    for g, (pose, target) in enumerate([(one, turned), (turned, one)]):
-        paths[g] = path_row(0.0, 0.1, pose, RNG.standard_normal(6).tolist(), [0.0] * 6, target)[0]
+    twists = np.array([RNG.standard_normal(6) for _ in range(2)])
+    paths = planned_paths(0.0, 0.1, np.array([one, turned]), twists, np.zeros((2, 6)), np.array([turned, one]))[0]
     if stillness:
         paths[:, 4:13] = paths[:, 17:26] = 0.0
     particles = np.array([1, 2, 2, 5])
@@ -159,7 +158,7 @@ def test_runs_are_the_leapfrog_of_the_laws(forces, steps, narrow):
     expected = laws.leapfrog(model, T, duration, x, v, steps)
     runs, _ = compile(model).runs(T, duration, (x, v), [steps], narrow=narrow)
     # Single precision has 6e-8 of the largest numbers: places and speeds of a few, accelerations of a thousand a step.
-    for found, right in zip(runs[0][:2], expected, strict=True):
+    for found, right in zip(runs[0].ends, expected, strict=True):
         assert found == pytest.approx(right, abs=(3e-6 if narrow else 1e-12) * np.abs(right).max())
 
 

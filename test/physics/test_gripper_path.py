@@ -10,14 +10,14 @@ from support.alone import alone, force
 
 from cloth_sim_ros.engine.binding import check, library
 from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.gripper_path import normalised, path_row, rotation_matrix, rotation_vector
+from cloth_sim_ros.physics.gripper_path import normalised, planned_paths, rotation_matrix, rotation_vector
 
 T = 1 / 60
 
 
 def planned(t, *given):
     """A frame's path, the twist at its end and its turn."""
-    return [np.array(part) for part in path_row(t, T, *(array.tolist() for array in given))]
+    return [part[0] for part in planned_paths(t, T, *(array[None] for array in given))[:3]]
 
 
 def at(row, t):

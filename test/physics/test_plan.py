@@ -12,6 +12,7 @@ from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.assembly import MOVE
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
@@ -219,3 +220,9 @@ def test_arrays_that_the_engine_would_misread_are_refused():
         plan.runs(0.0, 1.0, (good, good.astype(np.float32)), [1])
     with pytest.raises(ValueError, match=r"x has shape \(3, 5\)"):
         plan.runs(0.0, 1.0, (np.zeros((3, 5)), good), [1])
+
+
+def test_a_book_that_does_not_fit_the_plan_is_refused():
+    simulation = made(next(iter(SCENES.values())))
+    with pytest.raises(ValueError, match="a book of 3 grippers for a run with 2"):
+        Extrapolated(tolerance=1e-4).advance(simulation.plan, simulation.state, 0.0, 1.0 / 60.0, Book(3))

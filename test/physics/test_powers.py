@@ -21,8 +21,8 @@ FOREIGN = {
     *("tanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "cbrt", "hypot", "pow", "power", "float_power"),
     *("einsum", "dot", "vdot", "inner", "matmul", "tensordot", "norm", "eigh", "eigvalsh", "svd", "inv"),
 }
-#: Where they do no harm: what is said of a mesh that is refused or mended, and on which side of one a point is; exact
-#: fractions; squares, which numpy takes by a product; whole numbers.
+#: Uses of these functions that do no harm: messages about a mesh that is refused or mended, the side of a mesh that a
+#: point is on, exact fractions, integers, and squares, which numpy computes as a product.
 HARMLESS = {
     ("physics/sheets/meshes.py", "norm"),
     ("physics/sheets/meshes.py", "@"),
@@ -38,7 +38,7 @@ HARMLESS = {
 @pytest.mark.parametrize("value", [5e-324, 1e-300, 3e-9, 0.3, 1.0, 2.0, 7.25, 1e5, 1.7e308])
 def test_a_root_is_right_to_a_few_roundings(value: float, degree: int) -> None:
     found = root(value, degree)
-    # Exactly: the root of something that is off by degree times what the root is off.
+    # In exact fractions: a relative error e of the root is one of degree * e in the root's power.
     assert abs(Fraction(found) ** degree / Fraction(value) - 1) < degree * 2 * Fraction(2) ** -52
 
 
@@ -61,7 +61,7 @@ def test_no_arithmetic_of_a_library_reaches_the_bits(path: Path) -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in FOREIGN:
             used.add((node.func.attr, node.lineno))
         elif isinstance(node, ast.BinOp) and isinstance(node.left, ast.Constant):
-            continue  # 2**31, and numbers that are told
+            continue  # constants such as 2**31, and numbers in messages
         elif isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult | ast.Pow):
             used.add(("@" if isinstance(node.op, ast.MatMult) else "**", node.lineno))
     name = str(path.relative_to(PACKAGE))

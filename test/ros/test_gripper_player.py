@@ -40,7 +40,10 @@ class Cloth:
         #: What the gripper will say, and when [s].
         self._answers: list[tuple[float, bool]] = []
         self._hear: Any = None
-        publisher = SimpleNamespace(publish=self._publish, wait_for_all_acked=lambda _: True)
+        # The middleware acknowledges nothing in time: what counts is what the node says.
+        publisher = SimpleNamespace(
+            publish=self._publish, wait_for_all_acked=lambda _: False, get_subscription_count=lambda: 1
+        )
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.time * 1e9)))
         self.node: Any = SimpleNamespace(
             create_publisher=lambda *_: publisher, create_subscription=self._subscribe, get_clock=lambda: clock
@@ -48,6 +51,11 @@ class Cloth:
         executor = SimpleNamespace(add_node=lambda _: None, spin_once=self._spin_once)
         monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
         monkeypatch.setattr(gripper_player, "time", SimpleNamespace(monotonic=lambda: self.time))
+
+    def say(self, closed: bool) -> None:
+        """Say what the gripper is, as the node does to those who come later."""
+        values = {"closed": str(closed).lower(), "held": str(self._held if closed else 0)}
+        self._hear(DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
 
     def play(self) -> gripper_player.GripperPlayer:
         player = gripper_player.GripperPlayer(self.node, SCRIPT, target="/cloth_sim")
@@ -63,9 +71,7 @@ class Cloth:
         if before < self.held_up_at <= self.time:
             self.time += self.held_up_for
         while self._answers and self.time >= self._answers[0][0]:
-            _, closed = self._answers.pop(0)
-            values = {"closed": str(closed).lower(), "held": str(self._held if closed else 0)}
-            self._hear(DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+            self.say(self._answers.pop(0)[1])
 
     def _publish(self, message: Any) -> None:
         self.sent.append((self.time, message.data if hasattr(message, "data") else message.pose.position.x))
@@ -104,6 +110,24 @@ def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.Mo
     closed, opened = (cloth.sent[k][0] for k in cloth.grasps())
     assert opened - closed >= 2.5
     assert [hold.held for hold in player.holds] == [3]
+
+
+def test_it_begins_when_the_node_says_that_the_gripper_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = Cloth(monkeypatch, answers_after=2.5)
+    player = gripper_player.GripperPlayer(cloth.node, SCRIPT, target="/cloth_sim")
+    # What it was before somebody asked is no answer.
+    cloth.say(False)
+    assert player.wait_for_gripper(10.0)
+    assert [what for _, what in cloth.sent] == [False]
+    assert 2.5 <= cloth.time < 3.0
+
+
+def test_a_node_that_does_not_say_that_the_gripper_is_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = Cloth(monkeypatch, answers_after=1e9)
+    player = gripper_player.GripperPlayer(cloth.node, SCRIPT, target="/cloth_sim")
+    cloth.say(False)
+    with pytest.raises(gripper_player.GripperError, match="does not say that it is open"):
+        player.wait_for_gripper(10.0)
 
 
 def test_a_node_that_does_not_answer_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:

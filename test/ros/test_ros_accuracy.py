@@ -100,7 +100,7 @@ def test_it_is_the_certificate_of_the_window() -> None:
     told = judge(scene, start, [()] * 30, simulation.state.digest())
     assert told["verdict"] == "kept"
     assert (told["start"], told["end"]) == (0.0, pytest.approx(1.0))
-    # Another end than the one that came about is no basis for saying anything.
+    # Where the judge's run does not end in the state that the simulation reached, nothing is said of its accuracy.
     assert "otherwise" in judge(scene, start, [()] * 30, "0" * 32)["trouble"]
 
 

@@ -201,7 +201,10 @@ def test_frames_without_tf2_are_refused_with_the_reason(monkeypatch: pytest.Monk
     frames = transformer()
     assert frames.to_cloth("", (1.0, 2.0, 3.0), None, 0) == ((1.0, 2.0, 3.0), None)
     assert frames.to_cloth("world", (1.0, 2.0, 3.0), None, 0) == ((1.0, 2.0, 3.0), None)
-    with pytest.raises(FrameError, match="in frame 'base', the cloth in 'world', and tf2_ros"):
+    with pytest.raises(
+        FrameError,
+        match=r"'base' is not the cloth's frame 'world', and tf2_ros.* sudo apt install ros-jazzy-tf2-ros-py",
+    ):
         frames.to_cloth("base", (1.0, 2.0, 3.0), None, 0)
 
 
@@ -309,6 +312,33 @@ def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     _, own, log = companions(None, gripper__frame="{gripper}_tool")
     assert own.events(NOW) == []
     assert "'gripper_tool' does not exist" in log.lines[0]
+
+
+def test_a_frame_that_can_not_be_followed_is_told_when_it_gets_lost_and_when_it_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stub_tf2(monkeypatch)
+    _, own, log = companions(None, gripper__frame="base")
+    newest = own._frames.newest
+
+    def lost(frame_id: str) -> Any:
+        raise FrameError(f"{frame_id} is gone")
+
+    monkeypatch.setattr(own._frames, "newest", lost)
+    monkeypatch.setattr(own._log, "_seconds", 0.0)  # nothing is left to the throttle of the log
+    for second in range(60):
+        assert own.events(NOW + second * SECOND) == []
+    assert log.lines == ["'gripper' can't follow frame 'base': base is gone"]
+    own.events(NOW + 60 * SECOND)
+    assert len(log.lines) == 2
+    # The clock is set back: what was told then says nothing of now.
+    own.events(NOW)
+    assert len(log.lines) == 3
+    monkeypatch.setattr(own._frames, "newest", newest)
+    assert len(own.events(NOW + SECOND)) == 1
+    assert log.lines[3:] == ["'gripper' follows frame 'base'"]
+    own.events(NOW + 2 * SECOND)
+    assert len(log.lines) == 4
 
 
 def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,12 +35,13 @@ def test_a_frame_takes_all_that_has_come(client: Client) -> None:
             return bool(cloth.place("gripper")[2] > 0.565)
 
         client.spin_until(newest, what="the newest target")
-        # They arrive together or nearly so, and an executor hands one over a turn: not one a frame.
+        # The eight targets arrive almost together, and the executor hands over one a turn. A frame waits for several
+        # turns, so they need fewer than eight frames.
         assert cloth.simulation.frame - begun < 8
 
 
 def commands_of(received: list[int]) -> Commands:
-    """Commands of which so many more have come each time that they are asked whether they have settled."""
+    """Return Commands that receive `received[k]` more messages before the k-th call of `settled`."""
     commands = Commands.__new__(Commands)
     commands.received = commands._seen = commands._turns = 0
     coming = iter(received)

@@ -138,7 +138,7 @@ def test_one_that_would_hold_the_cloth_is_refused_at_once(client: Client) -> Non
 def test_friction_is_described_and_changes_while_the_cloth_runs(client: Client) -> None:
     with ClockedCloth(client, LYING) as cloth:
         told = cloth.node.node.describe_parameter("block.friction")
-        assert told.description.startswith("Coefficients of friction between it and the cloth, at rest and in motion")
+        assert told.description.startswith("Coefficients of friction between it and the cloth, at rest (sliding")
         assert not told.read_only
         assert change(cloth, block__friction=[0.3]).successful
         assert cloth.node.node.get_parameter("block.friction").value == [0.3]

@@ -211,7 +211,7 @@ class HandPacer:
 
     period = 16_666_667
 
-    def __init__(self, _node: Any, *, rate: float, on_due: Any, settled: Any) -> None:
+    def __init__(self, _node: Any, *, rate: float, on_due: Any, settled: Any, beside: bool) -> None:
         self.on_due = on_due
 
     def start(self) -> None:
@@ -225,4 +225,4 @@ def frames(cloth: ClothNode, count: int) -> None:
     """Let frames be due now."""
     for _ in range(count):
         due = cloth.node.get_clock().now().nanoseconds
-        cloth._pacer.on_due(Due(stamp=due, lateness=0, skipped=0))  # type: ignore[union-attr]
+        cloth._pacer.on_due(Due(stamp=due, lateness=0, skipped=0, now=due))  # type: ignore[union-attr]

@@ -93,14 +93,14 @@ def lifted_again(actors: Actors, client: Client) -> None:
 
 def test_the_node_dies_first_and_its_callers_go_on(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
     actors, client = grasp
-    # A question under way when it dies: it is never answered, and holds nobody up.
+    # A service call that is under way when the node dies is never answered, and blocks nobody.
     asked = client.node.create_client(SetBool, "/cloth_sim/gripper/close")
     client.spin_until(asked.service_is_ready, what="the service")
     actors.signal("node", signal.SIGSTOP)
     future = asked.call_async(SetBool.Request(data=False))
     actors.kill("node")
     assert not future.done()
-    # The gripper plays on into the void; a new cloth hears its targets, and is not grasped by it.
+    # The gripper goes on publishing without a cloth. A new cloth receives its targets, but is not grasped.
     actors.start("node")
     client.clouds.clear()
     client.wait_for_clouds(30)

@@ -168,13 +168,29 @@ def test_a_context_that_ends_amid_the_closing_is_no_error(ros_domain: int, monke
     context.init()
     cloth = ClothNode(context=context)
     cloth.start()
-    names = cloth.node.get_node_names_and_namespaces
+    clock = cloth.node.get_clock()
 
-    def late() -> list[tuple[str, str]]:
+    def late() -> Any:
         context.shutdown()
-        return list(names())
+        return clock
 
-    monkeypatch.setattr(cloth.node, "get_node_names_and_namespaces", late)
+    monkeypatch.setattr(cloth.node, "get_clock", late)
     assert cloth.close()
     assert not context.ok()
     cloth.node.destroy_node()
+
+
+def test_a_node_that_stops_warns_of_nothing(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A namesake that the last report would be the first to see: nobody could act on the warning."""
+    context = rclpy.Context()
+    context.init()
+    cloth = ClothNode(context=context)
+    cloth.start()
+    own = (cloth.node.get_name(), cloth.node.get_namespace())
+    monkeypatch.setattr(cloth.node, "get_node_names_and_namespaces", lambda: [own, own])
+    assert cloth.close()
+    cloth.node.destroy_node()
+    context.shutdown()
+    assert "[WARN]" not in capfd.readouterr().err

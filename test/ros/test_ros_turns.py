@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from support.clocked_cloth import ClockedCloth
-from support.ros_client import Client
+from support.ros_client import Client, pose
 
 from cloth_sim_ros.ros.node import ClothNode
 
@@ -25,9 +26,10 @@ def client(ros_domain: int) -> Iterator[Client]:
         yield client
 
 
-def test_a_frame_takes_one_turn_of_the_executor(client: Client) -> None:
+@pytest.mark.parametrize(("beside", "most"), [(False, 1.5), (True, 0.5)], ids=["in the executor", "beside it"])
+def test_a_frame_that_nobody_commands_takes_one_turn_or_none(client: Client, beside: bool, most: float) -> None:
     overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"rate": 500.0}).items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if beside else None)
     client.executor.add_node(cloth.node)
     cloth.start()
     try:
@@ -36,8 +38,8 @@ def test_a_frame_takes_one_turn_of_the_executor(client: Client) -> None:
         while cloth.simulation.frame < begun + 200:
             client.executor.spin_once(timeout_sec=1.0)
             turns += 1
-        # Beside them there is little: the node looks after itself ten times a second.
-        assert turns < 1.5 * 200
+        # There is little else: the node looks after itself four times a second.
+        assert turns < most * 200
     finally:
         client.executor.remove_node(cloth.node)
         cloth.close()
@@ -88,3 +90,48 @@ def test_a_publisher_of_grasps_that_would_not_be_heard_is_told(
             return "a publisher of /cloth_sim/gripper/grasp offers best effort" in said
 
         client.spin_until(told, what="a warning")
+
+
+def test_commands_take_effect_in_frames_beside_the_executor(client: Client) -> None:
+    overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str)
+    client.executor.add_node(cloth.node)
+    cloth.start()
+    try:
+        corner = cloth.simulation.positions[-1]
+        grasp = client.publisher(Bool, "/cloth_sim/gripper/grasp")
+        targets = client.publisher(PoseStamped, "/cloth_sim/gripper/target")
+        targets.publish(pose(*corner.tolist()))
+        client.spin_until(lambda: cloth.simulation.grippers.is_placed(0), what="the target")
+        grasp.publish(Bool(data=True))
+        client.spin_until(lambda: cloth.simulation.grippers.held(0).size, what="the grasp")
+        begun = cloth.simulation.frame
+        client.spin_until(lambda: cloth.simulation.frame > begun + 10, what="frames that nobody commands")
+        corner[1] += 0.1
+        targets.publish(pose(*corner.tolist()))
+        client.spin_until(lambda: cloth.simulation.grippers.poses()[0, 1] > corner[1] - 0.01, what="the move")
+    finally:
+        client.executor.remove_node(cloth.node)
+        cloth.close()
+        cloth.node.destroy_node()
+
+
+def test_what_goes_wrong_beside_the_executor_is_the_executors_to_raise(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str)
+
+    def broken(*_: Any) -> None:
+        raise ZeroDivisionError("in a frame")
+
+    monkeypatch.setattr(cloth, "_frame", broken)
+    client.executor.add_node(cloth.node)
+    cloth.start()
+    try:
+        with pytest.raises(ZeroDivisionError, match="in a frame"):
+            client.spin_until(lambda: False, what="a frame")
+    finally:
+        client.executor.remove_node(cloth.node)
+        cloth.close()
+        cloth.node.destroy_node()

@@ -71,7 +71,7 @@ def test_what_makes_no_obstacle_is_refused(change: dict[str, Any], words: str) -
 def test_raw_springs_have_no_surface_to_keep_out(tmp_path: Path) -> None:
     (tmp_path / "chain.yaml").write_text("positions: [[0, 0, 1], [0, 0, 2]]\nmass: 1.0\nsprings: [[0, 1, 10.0]]\n")
     chain = Scene.from_file(Path(__file__).parents[2] / "config" / "chain.yaml")
-    with pytest.raises(ParameterError, match="obstacles need a surface"):
+    with pytest.raises(ParameterError, match=r"obstacles and contact\.self need a surface"):
         Scene.from_parameters({**chain.parameters(), "obstacles": ["floor"], "floor.shape": "plane"}, files=chain.files)
 
 

@@ -39,6 +39,23 @@ def test_info_tells_what_happened(session: Path, capsys: pytest.CaptureFixture[s
         assert said in text
 
 
+def test_info_of_several_sessions_tells_one_after_the_other(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # As `sessions/*.mcap` gives them after a second recording.
+    other = samples.write_session(tmp_path, CONTENT[:90], stem="other")
+    assert main(["info", str(session), str(other)]) == 0
+    text = capsys.readouterr().out
+    assert [line for line in text.splitlines() if line.endswith(".mcap")] == [session.name, other.name]
+    assert text.count("state       complete") == 2
+    assert main(["info", "--json", str(session), str(other)]) == 0
+    assert [content["complete"] for content in json.loads(capsys.readouterr().out)] == [True, True]
+    other.write_bytes(other.read_bytes()[:-1000])
+    assert main(["info", str(session), str(other)]) == 1
+    assert main(["export", str(session), str(other)]) == 2
+    assert "give the files of one session at a time" in capsys.readouterr().err
+
+
 def test_info_for_programs(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", "--json", str(session)]) == 0
     content = json.loads(capsys.readouterr().out)
@@ -98,6 +115,14 @@ def test_export_takes_every_nth_of_a_span(session: Path, tmp_path: Path) -> None
     assert main(["export", str(session), "-o", str(target), "--every", "4", "--start", "0.25", "--end", "0.5"]) == 0
     with np.load(target) as content:
         assert content["frame"].tolist() == [15, 19, 23, 27]
+
+
+@pytest.mark.parametrize(("every", "said"), [("60", ": 1 frame, "), ("30", ": 2 frames, ")])
+def test_export_says_how_much_in_words(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], every: str, said: str
+) -> None:
+    assert main(["export", str(session), "-o", str(tmp_path / "out.npz"), "--every", every]) == 0
+    assert said in capsys.readouterr().out
 
 
 def test_export_parquet(session: Path, tmp_path: Path) -> None:

@@ -187,3 +187,25 @@ def test_a_reset_is_refused_where_the_cloth_would_start_inside_an_obstacle(reste
     cloth.advance([SetParameters({"obstacles": ["block", "ball"], **near})])
     with pytest.raises(EventError, match="the cloth as it starts is inside obstacle 'ball'"):
         cloth.advance([Reset()])
+
+
+def test_a_plan_of_a_scene_has_its_obstacles_where_the_scene_puts_them() -> None:
+    turn = [0.0, 0.3826834323650898, 0.0, 0.9238795325112867]
+    values = {"cloth.anchors": [""], "cloth.position": [0.0, 0.0, 1.0], "obstacles": ["slope", "ball"]}
+    shapes = {"slope.shape": "plane", "slope.position": [0.1, 0.2, -3.0], "slope.orientation": turn}
+    ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [3.0, 0.0, 0.0]}
+    scene = Scene.from_parameters({**values, **shapes, **ball})
+    plan, state = scene.plan(), scene.starting_state()
+    simulation = Simulation(scene)
+    assert plan.contact is not None
+    found = simulation.gaps()
+    assert found is not None
+    assert np.array_equal(plan.contact.gaps(0.0, state.x), found)
+
+
+def test_a_library_user_whose_cloth_is_inside_an_obstacle_is_told_which() -> None:
+    scene = Scene.from_parameters(
+        {"cloth.anchors": [""], "obstacles": ["wall"], "wall.shape": "plane", "wall.position": [0.0, 0.0, 9.0]}
+    )
+    with pytest.raises(ValueError, match=r"m deep inside obstacle 'wall' at 0 s"):
+        scene.build_integrator().advance(scene.plan(), scene.starting_state(), 0.0, 1.0 / 60.0)

@@ -241,7 +241,7 @@ def contact(t, x, v, force, masses):
     return Values(f, energy, float(booked[:, 7].sum())), booked
 
 
-def friction(way, normal, slip, push, rough, frequency, slid):
+def friction(way, normal, slip, push, rough, frequency):
     """Acceleration of friction, by how much its spring is stretched then, and whether it slides, for one contact.
 
     Args:
@@ -251,15 +251,16 @@ def friction(way, normal, slip, push, rough, frequency, slid):
         push: acceleration across the surface.
         rough: coefficients at rest and in motion.
         frequency: of the spring; its damping is a tenth of critical.
-        slid: whether it slid.
     """
     across = np.eye(3) - np.outer(normal, normal)
     stretch, speed = across @ way, across @ slip
-    slides = frequency**2 * np.linalg.norm(stretch) > push * rough[1 if slid else 0]
+    # At rest up to 0.01 m/s, in motion from 0.02 m/s on, smoothly between.
+    part = min(max((1.0 - speed @ speed / 0.02**2) / 0.75, 0.0), 1.0)
+    most = push * (rough[1] + (rough[0] - rough[1]) * part**2 * (3.0 - 2.0 * part))
+    slides = frequency**2 * np.linalg.norm(stretch) > most
     if slides:
-        stretch = stretch / np.linalg.norm(stretch) * push * rough[1] / frequency**2
+        stretch = stretch / np.linalg.norm(stretch) * most / frequency**2
     spring, damped = frequency**2 * stretch, 0.2 * frequency * speed
-    most = push * rough[1 if slides else 0]
     # As much damping as leaves the sum within the cone: |spring + part damped|^2 = most^2.
     part = max(np.roots([damped @ damped, 2.0 * spring @ damped, spring @ spring - most**2]).real)
     return -spring - min(max(part, 0.0), 1.0) * damped, stretch, slides

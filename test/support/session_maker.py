@@ -20,6 +20,7 @@ from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
 from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
 NODE = "/cloth_sim"
 #: ROS time of every made session's start [ns]: any fixed number will do.
@@ -201,7 +202,8 @@ class SessionMaker:
         cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
         # The node's markers are made of ROS messages; who has none leaves them out.
-        if self.simulation.obstacles is not None and importlib.util.find_spec("rclpy"):
+        surrounded = self.simulation.obstacles is not None or self.simulation.pinching is not None
+        if surrounded and importlib.util.find_spec("rclpy"):
             self._write(f"{NODE}/obstacles", _MARKERS, change, self._markers(now))
         for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))
@@ -211,14 +213,13 @@ class SessionMaker:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
 
     def _markers(self, now: int) -> bytes:
-        """CDR bytes of the obstacles as the node shows them; needs ROS's messages."""
+        """CDR bytes of obstacles and pads as the node shows them; needs ROS's messages."""
         from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
 
-        obstacles = self.simulation.obstacles
-        assert obstacles is not None
-        gone, self._marked = [name for name in self._marked if name not in obstacles.names], obstacles.names
-        markers = ObstacleMarkers(obstacles.solids, frame_id="world", node=NODE, gone=gone)
-        return markers.serialized(obstacles.poses(), now)
+        solids, poses = solids_and_poses(self.simulation.obstacles, self.simulation.pinching)
+        names = [solid.name for solid in solids]
+        gone, self._marked = [name for name in self._marked if name not in names], names
+        return ObstacleMarkers(solids, frame_id="world", node=NODE, gone=gone).serialized(poses, now)
 
     def split(self) -> None:
         """Go on in a new file that opens with a snapshot of the present state."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Synthetic sessions for the tests of the session room: every topic of a real one, no simulation and no ROS."""
+"""Synthetic sessions for the tests of cloth_sim_ros.session: every topic of a real one, no simulation and no ROS."""
 
 from __future__ import annotations
 

@@ -226,7 +226,7 @@ def test_one_frame_changed_by_a_millimetre_is_found_out(tmp_path: Path, capsys: 
 
 
 def test_a_session_of_other_arithmetic_is_judged_by_what_was_recorded(tmp_path: Path) -> None:
-    # Every digest is another one, as where rounding is: positions of the file are all there is.
+    # Every digest differs, as after other rounding: only the recorded positions are left to judge by.
     def other(topic: str, data: bytes) -> bytes:
         if topic != f"{NODE}/frame":
             return data
@@ -240,7 +240,7 @@ def test_a_session_of_other_arithmetic_is_judged_by_what_was_recorded(tmp_path: 
     assert not any(frame.exact for frame in certificate.frames)
     assert certificate.altered == 0
     assert [window.verdict for window in certificate.windows] == ["kept", "kept"]
-    # What float32 does is part of the floor, and where a window begins it is not known any better.
+    # Positions are recorded as float32. Its rounding is part of the floor, and of the error of a window's start.
     assert all(frame.floor > 1e-8 for frame in certificate.frames)
     assert certificate.frames[-1].own > 1e-8
 

@@ -100,7 +100,7 @@ def test_the_certificate_covers_contact(tmp_path: Path) -> None:
     assert max(sample.difference for sample in certificate.samples) < 1e-6
     errors = [frame.error for frame in certificate.frames]
     assert 1e-9 < max(errors) < 1e-4
-    # The truth's own error, with which those are told.
+    # How far these errors themselves may be off [m].
     assert max(frame.own for frame in certificate.frames) < 1e-6
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Protocol
 
 import attrs
@@ -43,19 +44,36 @@ def binds(options: Options, choice: Choice, steps: int, step: float) -> str:
 
 def reason(options: Options, choice: Choice, steps: int, step: float) -> str:
     """Return the choice in words."""
-    order = f"order {choice.columns + 1}" + (f" by {choice.columns} runs" if choice.columns > 1 else "")
-    begin, h = f"{options.name}: {order}", f"{step:.3g} s"
-    if options.step is not None and binds(options, choice, steps, step) == "step":
+    bound = binds(options, choice, steps, step)
+    refined = choice.refine > 1.0
+    return _words(options.name, options.tolerance, options.step, bound, choice.columns, refined, steps == 1, step)
+
+
+# Most frames are stepped as the one before.
+@lru_cache(maxsize=64)
+def _words(
+    name: str,
+    tolerance: float | None,
+    fixed: float | None,
+    bound: str,
+    columns: int,
+    refined: bool,
+    one: bool,
+    step: float,
+) -> str:
+    order = f"order {columns + 1}" + (f" by {columns} runs" if columns > 1 else "")
+    begin, h = f"{name}: {order}", f"{step:.3g} s"
+    if bound == "step":
         return f"{begin}, fixed step of {h}"
-    if options.tolerance is None:
-        why = "set by stability" if options.step is None else f"of {options.step:.3g} s"
-        if choice.refine > 1.0:
+    if tolerance is None:
+        why = "set by stability" if fixed is None else f"of {fixed:.3g} s"
+        if refined:
             return f"{begin}, step {why} made {h}: springs pushed to a point made energy"
-        if options.step is not None:
+        if fixed is not None:
             return f"{begin}, step {why} made {h}: the motion stiffened"
         return f"{begin}, step {h} {why}, no tolerance"
-    held = f"tolerance {options.tolerance:g} m"
-    if choice.refine > 1.0:
+    held = f"tolerance {tolerance:g} m"
+    if refined:
         return f"{begin}, step {h} set by the {held}"
-    bound = "one step a frame" if steps == 1 else f"step {h} set by stability"
-    return f"{begin}, {bound}; it holds the {held}"
+    length = "one step a frame" if one else f"step {h} set by stability"
+    return f"{begin}, {length}; it holds the {held}"

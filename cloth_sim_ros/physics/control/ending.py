@@ -12,6 +12,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.state import State
 
 #: Places in the half step, from its end to its begin, and weights of the fourth difference.
@@ -24,7 +25,7 @@ def missed_velocity(plan: Plan, state: State, t: float, half_step: float) -> flo
     """Return what a change of forces within the last half step [s] before a state at time t may make of a velocity
     [m/s]: by the fourth difference of the accelerations, which a smooth motion has next to nothing of.
     """
-    x, v = state.x, state.v
+    x, v, pads = state.x, state.v, state.memory.get(PINCHED)
     here, there, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)
     if plan.contact is not None:
         plan.contact.take(state)
@@ -32,6 +33,8 @@ def missed_velocity(plan: Plan, state: State, t: float, half_step: float) -> flo
     difference[:] = here
     for place, weight in _WEIGHTS:
         back = place * half_step
+        if plan.contact is not None and pads is not None:
+            plan.contact.lay_pads(np.stack([pads[:, 0] - back * pads[:, 1], pads[:, 1]], axis=1))
         plan.accelerations(t - back, x - back * v + (0.5 * back * back) * here, v - back * here, there)
         difference += weight * there
     return half_step * largest_distance(difference, np.zeros_like(difference))

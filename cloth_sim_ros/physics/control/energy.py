@@ -25,8 +25,8 @@ from cloth_sim_ros.physics.state import State
 #: Rounding of a sum of energies, relative to it; coordinates of a sheet at rest are off by so many roundings.
 _ROUNDING, _ROUNDINGS = 1e-12, 8.0
 
-#: Time [s], positions and velocities (3, n).
-Moment = tuple[float, Array, Array]
+#: Time [s], positions and velocities (3, n), and where pads are, None without any.
+Moment = tuple[float, Array, Array, Array | None]
 
 
 class EnergyRule:
@@ -65,15 +65,15 @@ class EnergyRule:
             step: length of its steps [s].
             work: done by grippers and moving air over the run [J].
         """
-        plan, memory = self._plan, self.memory
-        before = own_energy(plan, *start, step)
-        rise = own_energy(plan, *end, step) - before - work
+        memory = self.memory
+        before = self._own(start, step)
+        rise = self._own(end, step) - before - work
         moved = max(self._kinetic(start), self._kinetic(end)) + abs(work)
         little = _ROUNDING * abs(before) + self._noise(end[1])
         made, most = max(0.0, memory.made + rise), CONSTANTS.gain * moved + little
         if not np.isfinite(rise):
             return True
-        if self._begins and plan.energy(*end) - plan.energy(*start) - work > CONSTANTS.swing * moved + little:
+        if self._begins and self._energy(end) - self._energy(start) - work > CONSTANTS.swing * moved + little:
             return True
         if rise > 0.0 and made > most:
             return True
@@ -87,7 +87,19 @@ class EnergyRule:
         return 0.5 * self._plan.model.mass * omega2 * place * place
 
     def _kinetic(self, moment: Moment) -> float:
-        return self._plan.energies(*moment)[0]
+        return self._plan.energies(*moment[:3])[0]
+
+    def _lay(self, moment: Moment) -> None:
+        if self._plan.contact is not None:
+            self._plan.contact.lay_pads(moment[3])
+
+    def _own(self, moment: Moment, step: float) -> float:
+        self._lay(moment)
+        return own_energy(self._plan, *moment[:3], step)
+
+    def _energy(self, moment: Moment) -> float:
+        self._lay(moment)
+        return self._plan.energy(*moment[:3])
 
 
 def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:

@@ -72,7 +72,7 @@ class ExplicitAdvance:
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state)),
             precision=PrecisionRule(plan, precision, duration, budget),
-            touch=TouchRule(options, plan, Touch.of(state), memory),
+            touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
             duration=duration,
             cap=work_cap(plan, options.work, duration, memory.longest, self._fallen),
             part_cost=part_cost(plan),
@@ -98,16 +98,15 @@ class ExplicitAdvance:
         if whole.choice.judge and not effort.lost:
             step = CONSTANTS.safety * self._limit
             effort.evaluations += effort.precision.measure(self._t, state, step, whole.choice)
-        start = state.share()
         if self._book is not None:
             self._book.restart()
         try:
             error = whole.cover()
         except UnstableError:
-            state.go_back(start)
+            state.go_back(whole.start)
             raise
         if error is None:
-            state.go_back(start)
+            state.go_back(whole.start)
             return self._finish()
         if whole.pieces > 1:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())

@@ -38,7 +38,7 @@ class PrecisionRule:
         return the force evaluations that it took.
         """
         memory = self.memory
-        if memory.rounding >= 0.0 or choice.columns > 1 or not self._plan.narrows():
+        if memory.rounding >= 0.0 or choice.columns > 1 or not self._plan.narrows(self._duration, state.x, state.v):
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._room:
@@ -60,4 +60,7 @@ class PrecisionRule:
         if not 0.0 <= rounding <= self._room:
             return False
         v, least = state.v, CONSTANTS.motion * rounding
+        # The last particle is looked at first: where the sheet moves it mostly does.
+        if max(map(abs, v[:, -1].tolist())) * self._duration > least:
+            return True
         return float(v.max()) * self._duration > least or -float(v.min()) * self._duration > least

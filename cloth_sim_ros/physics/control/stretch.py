@@ -20,13 +20,13 @@ from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.fallback import within_reach
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, step_counts
+from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, larger_rates, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.powers import root
-from cloth_sim_ros.physics.remembered import Error
+from cloth_sim_ros.physics.remembered import PINCHED, Error
 from cloth_sim_ros.physics.state import State
 
-#: A stretch whose first run takes fewer steps is not halved: half of them would be too few to tell runs apart.
+#: A stretch whose first run takes fewer steps is not halved: half of them could not tell runs apart.
 _FEWEST_HALVED = 2 * UNDAMPED_STEPS
 #: Halvings of an advance: a ten thousandth of a microsecond is never what a motion is about.
 _MOST_HALVINGS = 24
@@ -65,6 +65,7 @@ class Stretch:
         self.choice, self.rule = choice, rule
         self._stability, self._ahead, self._halvings, self._most = stability, ahead, halvings, most
         self.limit = effort.touch.limit_ahead(t, duration, effort.state)
+        self.start = effort.state
         #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
         self.steps = self.first = 0
         self.finest = math.inf
@@ -74,9 +75,7 @@ class Stretch:
         #: Whether it is halved next.
         self._halve = False
         self._kept: Columns | None = None
-        self._sums = Sums()
-        self._counts_first = 0
-        self._held = 0.0
+        self._sums, self._counts_first, self._held = Sums(), 0, 0.0
 
     @property
     def longest(self) -> float:
@@ -91,7 +90,8 @@ class Stretch:
         """
         effort = self._effort
         state, memory, book = effort.state, effort.stability, effort.book
-        start, begun = state.share(), (memory.omega2, memory.damping)
+        self.start = start = state.share()
+        begun = memory.omega2, memory.damping
         noted = None if book is None else book.noted()
         if self._duration * self.choice.refine > self._most * self.longest:
             if self._halvings < _MOST_HALVINGS and effort.affords(self._ahead):
@@ -189,23 +189,24 @@ class Stretch:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
         if not told.finite:
             # Contact that stops nothing any more: by finer steps it would have reached no further.
-            limit = effort.touch.limit(columns.reached(self.choice.columns))
+            limit = effort.touch.limit(columns.reached(self.choice.columns), columns.own(self.choice.columns))
             finer, self.limit = 2.0 if self.finest <= limit else 1.0, min(self.limit, limit)
             return self._instead(finer, "not finite")
         if not accepted:
             return False
         told = columns.told(self.choice.columns)
         reached = max(columns.reached(self.choice.columns), told.contact)
-        limit = effort.touch.limit(reached, told.omega2, told.damping)
+        own = columns.own(self.choice.columns)
+        limit = effort.touch.limit(reached, larger_rates(own, told.own), told.omega2, told.damping)
         if not self.finest <= limit:
             # The motion stiffened.
             self.limit = min(self.limit, limit)
             return self._instead(1.0, "not within their stability limit")
         choice = self.choice
         x, v = columns.combine(choice.columns)
-        after = math.inf if reached else told.omega2
+        after = math.inf if reached or own[0] else told.omega2
         if self._unknown() and effort.energy.looks(memory.omega2, after, combined=choice.columns > 1):
-            ends = (t, state.x, state.v), (t + length, x, v)
+            ends = (t, state.x, state.v, state.memory.get(PINCHED)), (t + length, x, v, columns.pads(choice.columns))
             # A combination's energy does not swing.
             step = self.finest if choice.columns == 1 else 0.0
             work, evaluations = put_in(effort.plan, state, columns, t, choice.columns)

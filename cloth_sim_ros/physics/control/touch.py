@@ -7,7 +7,7 @@ from __future__ import annotations
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Options
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Stability, Touch
+from cloth_sim_ros.physics.remembered import PINCHED, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 #: A stretch whose first run takes fewer steps is not halved because contact makes them short.
@@ -39,16 +39,25 @@ class TouchRule:
         contact, known = self._plan.contact, self._stability
         if contact is None:
             return self.bare
+        contact.lay_pads(state.memory.get(PINCHED))
         omega2, damping = contact.ahead(t, duration, state.x, state.v)
         return self._options.step_limit(known.omega2 + omega2, known.damping + damping)
 
-    def limit(self, energy: float, omega2: float | None = None, damping: float | None = None) -> float:
-        """Return the step limit [s] of contact that had to take up an energy, and a sheet of these rates."""
+    def limit(
+        self,
+        energy: float,
+        own: tuple[float, float],
+        omega2: float | None = None,
+        damping: float | None = None,
+    ) -> float:
+        """Return the step limit [s] of obstacles' contact that had to take up an energy, of the cloth's contact with
+        itself of some squared frequency and damping rate, and of a sheet of these rates.
+        """
         omega2 = self._stability.omega2 if omega2 is None else omega2
         damping = self._stability.damping if damping is None else damping
         if self._plan.contact is not None:
             stiff, damped = self._plan.contact.limits(energy)
-            omega2, damping = omega2 + stiff, damping + damped
+            omega2, damping = omega2 + stiff + own[0], damping + damped + own[1]
         return self._options.step_limit(omega2, damping)
 
     def is_brief(self, longest: float, duration: float) -> bool:

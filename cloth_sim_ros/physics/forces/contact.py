@@ -1,21 +1,55 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contact: obstacles keep particles at a distance (docs/contact.md)."""
+"""Contact: obstacles, and the cloth itself, keep cloth at a distance (docs/contact.md)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite, indices
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.parts import Part, Surrounded
+from cloth_sim_ros.physics.pinch import Pads
+
+
+class OwnSurface:
+    """The surface of a cloth that is not to pass through itself.
+
+    Args:
+        triangles: its triangles, shape (m, 3).
+        positions: of its particles at rest [m], shape (n, 3).
+        thickness: distance that it keeps from itself [m].
+
+    Raises:
+        ValueError: for a surface without triangles, or a thickness above half its shortest edge: then neighbours would
+            touch at rest.
+    """
+
+    def __init__(self, triangles: ArrayLike, positions: ArrayLike, *, thickness: float) -> None:
+        places = finite("positions of the surface", positions, np.shape(positions))
+        self.triangles = indices("triangles of the surface", triangles, 3, len(places))
+        if not len(self.triangles):
+            raise ValueError("a surface without triangles can't touch itself; give its triangles")
+        ends = places[self.triangles[:, [1, 2, 0]]] - places[self.triangles]
+        square = ends[..., 0] * ends[..., 0] + ends[..., 1] * ends[..., 1] + ends[..., 2] * ends[..., 2]
+        self.particle_count = len(places)
+        #: Its shortest edge at rest [m].
+        self.shortest = math.sqrt(float(square.min()))
+        if thickness > 0.5 * self.shortest:
+            raise ValueError(
+                f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.shortest:.4g} "
+                f"m: neighbours would touch at rest; take {0.49 * self.shortest:.2g} m or less, or a coarser cloth"
+            )
 
 
 class Contact(EngineForce):
-    """Obstacles that move as commanded, and push particles off that come nearer than a thickness.
+    """Obstacles that move as commanded, and push particles off that come nearer than a thickness; so does the cloth's
+    own surface where it is given.
 
     With g the gap between a particle and an obstacle, d the thickness and s = g / d, the energy of a particle of mass m
     is ``m U^2 / 2 (1 - s)^4 / s`` for s < 1, U = 35 m/s. It is in proportion to mass, so that a sheet's motion does not
@@ -24,10 +58,12 @@ class Contact(EngineForce):
 
     Args:
         obstacles: what there is at first; names must differ.
+        pads: of the grippers that pinch; they are nowhere until `drive` says so.
         thickness: d [m], above 0.
         damping: kappa [s/m], at least 0: at speeds from 1 / kappa on much of a bounce is lost.
         frequency: of the springs that hold sticking particles to their anchors [1/s], above 0. On a slope a particle
             gives by about mu g / frequency^2.
+        surface: what is not to pass through itself; None where the cloth may.
 
     Raises:
         ValueError: for a thickness or damping out of range, a shape that the engine has no distance for, or two
@@ -39,7 +75,14 @@ class Contact(EngineForce):
     damps_waves = False
 
     def __init__(
-        self, obstacles: Sequence[Obstacle] = (), *, thickness: float, damping: float = 10.0, frequency: float = 2000.0
+        self,
+        obstacles: Sequence[Obstacle] = (),
+        *,
+        thickness: float,
+        damping: float = 10.0,
+        frequency: float = 2000.0,
+        pads: Sequence[Pads] = (),
+        surface: OwnSurface | None = None,
     ) -> None:
         self.thickness = float(finite("contact thickness", thickness, ()))
         if self.thickness <= 0.0:
@@ -48,17 +91,22 @@ class Contact(EngineForce):
         self.frequency = float(finite("contact frequency", frequency, ()))
         if self.frequency <= 0.0:
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
-        #: Count obstacles laid anew, and new paths, so that a plan knows when to look.
-        self.changes = self.moves = 0
+        #: Count obstacles laid anew, new paths and new commands to drives, so that a plan knows when to look.
+        self.changes = self.moves = self.commands = 0
+        #: Of the grippers that pinch.
+        self.pads = tuple(pads)
+        #: Whether each of those is anywhere, and whether it closes, shape (pinches, 2).
+        self.driven = np.zeros((len(self.pads), 2), dtype=bool)
+        self.surface = surface
         self.surround(obstacles)
 
     def surround(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
         """Set what obstacles there are.
 
         Args:
-            obstacles: all of them.
-            paths: of each over the next frame, shape (m, PATH_NUMBERS), see `Grips`; at rest at the origin where left
-                out.
+            obstacles: all of them, pads aside.
+            paths: of each over the next frame, shape (m, PATH_NUMBERS), see `Grips`, and behind them of the gripper of
+                each pad; at rest at the origin where left out.
         """
         names = [obstacle.name for obstacle in obstacles]
         for obstacle in obstacles:
@@ -68,17 +116,29 @@ class Contact(EngineForce):
                 raise ValueError(
                     f"obstacle '{obstacle.name}' is a {obstacle.shape}; the engine knows {', '.join(SHAPES)}"
                 )
-        self.obstacles = tuple(obstacles)
+        #: Pads included, two for each gripper that pinches.
+        self.obstacles = (*obstacles, *(box for pads in self.pads for box in pads.boxes()))
         if paths is None:
-            paths = np.zeros((len(obstacles), PATH_NUMBERS))
+            paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
             paths[:, 16] = 1.0
         self.paths = paths
         self.changes += 1
 
     def move(self, paths: Array) -> None:
-        """Set new paths, shape (m, PATH_NUMBERS), for the obstacles that there are."""
+        """Set new paths, shape (m, PATH_NUMBERS), for the obstacles and pads that there are."""
         self.paths = paths
         self.moves += 1
+
+    def drive(self, driven: NDArray[np.bool_]) -> None:
+        """Set whether each gripper that pinches is anywhere, and whether it closes, shape (pinches, 2)."""
+        if not np.array_equal(driven, self.driven):
+            self.driven = driven.copy()
+            self.commands += 1
+
+    @property
+    def solid_count(self) -> int:
+        """Number of obstacles that are no pads."""
+        return len(self.obstacles) - 2 * len(self.pads)
 
     @property
     def rough(self) -> bool:
@@ -86,7 +146,17 @@ class Contact(EngineForce):
         return any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
+        if self.surface is not None and self.surface.particle_count != particle_count:
+            raise ValueError(
+                f"the surface that is not to pass through itself has {self.surface.particle_count} particles, the "
+                f"model {particle_count}; give the model's own"
+            )
         return (Surrounded(contact=self),)
+
+    @property
+    def acts(self) -> bool:
+        """Whether there is anything to touch."""
+        return bool(self.obstacles) or self.surface is not None
 
     def steady(self) -> bool:
         """Whether no obstacle moves or turns over its path."""

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.arrays import combine, largest_distance
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.state import State
 
@@ -54,6 +54,11 @@ def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
     """
     size, total = len(counts), sum(counts)
     return tuple(n**size / (total * math.prod(n - other for other in counts if other != n)) for n in counts)
+
+
+def larger_rates(*rates: tuple[float, float]) -> tuple[float, float]:
+    """Return the largest squared frequency and the largest damping rate of some pairs of both."""
+    return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
 class Columns:
@@ -98,27 +103,36 @@ class Columns:
 
     def combine(self, columns: int) -> tuple[Array, Array]:
         """Return positions and velocities of T_K, K = columns."""
-        if columns not in self._combined:
+        known = self._combined.get(columns)
+        if known is None:
             self._make(columns)
-        if columns not in self._combined:
+            known = self._combined.get(columns)
+        if known is None:
             factors, runs = weights(self.counts[:columns]), self._runs[:columns]
-            self._combined[columns] = (
-                combine([run.x for run in runs], factors),
-                combine([run.v for run in runs], factors),
-            )
-        return self._combined[columns]
+            known = combine([run.x for run in runs], factors), combine([run.v for run in runs], factors)
+            self._combined[columns] = known
+        return known
 
     def told(self, columns: int) -> Told:
         """Return how lively T_K, K = columns, is, and the bounds at its end."""
-        x, v = self.combine(columns)
-        if columns not in self._told:
+        told = self._told.get(columns)
+        if told is None:
+            x, v = self.combine(columns)
+            told = self._told.get(columns)
+        if told is None:
             activity = max(largest_distance(v, self._start.v), 0.0 * largest_distance(x, self._start.x))
             if not math.isfinite(largest_distance(x, self._start.x)):
                 activity = math.inf
-            contact = self._plan.contact
-            held = 0.0 if contact is None else contact.energy_ahead(self._t + self.duration, 0.0, x, v)
-            self._told[columns] = Told(activity if held < math.inf else math.inf, *self._plan.rates(x), held)
-        return self._told[columns]
+            contact, held, own = self._plan.contact, 0.0, (0.0, 0.0)
+            if contact is not None:
+                contact.lay_pads(self.pads(columns))
+                held = contact.energy_ahead(self._t + self.duration, 0.0, x, v)
+                own = contact.own_ahead(0.0, x, v)
+                if not held < math.inf or contact.passes(self._runs[columns - 1].x, x):
+                    activity = math.inf
+            told = Told(activity, *self._plan.rates(x), held, own)
+            self._told[columns] = told
+        return told
 
     def difference(self, columns: int) -> float:
         """Return how far T_(K+1) is from T_K, K = columns [m]: the error of T_K.
@@ -129,7 +143,24 @@ class Columns:
         """
         (x, v), (y, w) = self.combine(columns + 1), self.combine(columns)
         omega = self._touched if self.held(columns + 1) else self._omega
-        return max(largest_distance(x, y), largest_distance(v, w) / omega)
+        of_pads = self._difference_of_pads(columns)
+        return max(largest_distance(x, y), largest_distance(v, w) / omega, of_pads)
+
+    def pads(self, columns: int) -> Array | None:
+        """Return where pads are at the end of T_K, K = columns; None where no gripper pinches."""
+        contact = self._plan.contact
+        if contact is None or not contact.force.pads:
+            return None
+        self._make(columns)
+        return contact.combined_pads(self._runs[:columns], weights(self.counts[:columns]))
+
+    def _difference_of_pads(self, columns: int) -> float:
+        """Return the same of half the ways between pads and their rates."""
+        finer, here = self.pads(columns + 1), self.pads(columns)
+        if finer is None or here is None:
+            return 0.0
+        away = np.abs(finer - here)
+        return max(float(away[:, 0].max()), float(away[:, 1].max()) / self._touched)
 
     def reached(self, columns: int) -> float:
         """Return the energy per mass that contact had to take up in the runs of T_K, or would have had to, had they
@@ -140,6 +171,15 @@ class Columns:
         self._make(columns)
         return max(run.reached for run in self._runs[:columns])
 
+    def own(self, columns: int) -> tuple[float, float]:
+        """Return squared frequency [1/s^2] and damping rate [1/s] at which the cloth's contact with itself had to be
+        followed in the runs of T_K, K = columns.
+        """
+        if self._plan.contact is None:
+            return 0.0, 0.0
+        self._make(columns)
+        return larger_rates(*(run.own for run in self._runs[:columns]))
+
     def held(self, columns: int) -> float:
         """Return the largest energy per mass that contact held in the runs of T_K, K = columns, in U^2/2."""
         contact = self._plan.contact
@@ -149,15 +189,17 @@ class Columns:
         return contact.held(min(run.gap for run in self._runs[:columns]))
 
     def pass_on(self, columns: int, state: State) -> None:
-        """Let a state end as T_K, K = columns, does: its positions, velocities and friction's anchors."""
+        """Let a state end as T_K, K = columns, does: its positions, velocities, pads and friction's anchors."""
         state.x, state.v = self.combine(columns)
         contact = self._plan.contact
-        if contact is None or not contact.force.rough:
+        if contact is None:
             return
         self._make(columns)
-        ends = np.array([run.anchors for run in self._runs[:columns]])
-        factors = weights(self.counts[:columns])
-        state.memory[ANCHORS] = contact.settle(self._t + self.duration, state.x, state.v, ends, factors)
+        runs, factors = self._runs[:columns], weights(self.counts[:columns])
+        ended = contact.ended(self._t + self.duration, state.x, state.v, runs, factors)
+        for name, array in zip((ANCHORS, PINCHED), ended, strict=True):
+            if array is not None:
+                state.memory[name] = array
 
     def work(self, columns: int) -> float:
         """Return the work [J] that grippers did over T_K, K = columns, and obstacles and air where these are noted."""

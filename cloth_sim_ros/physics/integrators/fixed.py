@@ -54,6 +54,8 @@ def advance_fixed(
 
     def limit_at(now: float, ahead: float) -> float:
         """The step limit now [s], with contact that comes within so many seconds."""
+        if plan.contact is not None:
+            plan.contact.take(state)
         (omega2, damping), contact = plan.rates(state.x), plan.ahead(now, ahead, state.x, state.v)
         return integrator.step_limit(omega2 + contact[0], damping + contact[1])
 

@@ -17,6 +17,7 @@ from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.remembered import Implicit as Memory
 from cloth_sim_ros.physics.state import State
 
@@ -165,6 +166,8 @@ class ImplicitAdvance:
         self._curvature, self._unsolved = math.inf, 0
         state, total, contact = self._state, 0.0, self._plan.contact
         guess = np.empty_like(state.x)
+        if contact is not None:
+            contact.take(state)
         self._plan.accelerations(self._t, state.x, state.v, guess)
         for k in range(steps):
             t = self._t + k * h
@@ -182,7 +185,7 @@ class ImplicitAdvance:
                     note(self._book, self._plan, moment, x, v, weight)
             state.x, state.v, guess = done.x, done.v, done.a
             if contact is not None:
-                contact.follow(t + h, state)
+                contact.follow(t + h, h, state)
             total += done.error
         return total if np.isfinite(state.x).all() and np.isfinite(state.v).all() else None
 
@@ -298,7 +301,7 @@ class ImplicitAdvance:
             # Beyond an obstacle's surface there is no way back.
             return np.full_like(a, np.nan)
         correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
-        self._matrix.update(t, place, d)
+        self._matrix.update(t, place, d, self._state.memory.get(PINCHED))
         self._matrix.solve(correction)
         return correction
 

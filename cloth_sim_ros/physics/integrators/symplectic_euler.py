@@ -55,7 +55,7 @@ class SymplecticEuler(Integrator):
                 state.v += h * a
                 state.x += h * state.v
                 if plan.contact is not None:
-                    plan.contact.follow(t + (k + 1) * h, state)
+                    plan.contact.follow(t + (k + 1) * h, h, state)
             return steps
 
         return advance_fixed(self, run, plan, state, t, duration, self.step, book)

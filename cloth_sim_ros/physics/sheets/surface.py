@@ -28,7 +28,7 @@ Layout = Literal["left", "right", "alternating", "both"]
 LAYOUTS: tuple[Layout, ...] = ("left", "right", "alternating", "both")
 
 IndexArray = NDArray[np.int64]
-#: Of tables that are kept for as long as the cloth is there.
+#: For tables that stay in memory as long as the cloth exists: half the size.
 ShortIndexArray = NDArray[np.int32]
 
 

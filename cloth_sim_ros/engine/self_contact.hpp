@@ -1,0 +1,302 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Contact of the cloth with itself: who is near whom, and a run's part in it.
+#pragma once
+
+#include "self_law.hpp"
+#include "self_pairs.hpp"
+
+namespace cloth {
+
+/// Upper bound of how far any two particles have moved relative to each other: the diagonal of the box that holds all
+/// displacements. NaN where a displacement is not finite.
+class Spread {
+public:
+    CLOTH_INLINE void take(quad<double> way) {
+        low_ = smaller(way, low_);
+        high_ = larger(way, high_);
+        none_ = fma(way, quad<double>{}, none_);
+    }
+    double most() const {
+        const quad<double> w = high_ - low_ + none_;
+        return root(norm2(Vec3<double>{w[0], w[1], w[2]}));
+    }
+
+private:
+    quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, none_{};
+};
+
+/// What of a surface is near itself, kept from one call to the next. Positions are quads.
+class SelfContact {
+public:
+    Surface surface;
+    /// Of the last `find`: pairs that are near.
+    PairList triangles, edges;
+    std::vector<double> triangle_squares, edge_squares;
+    /// Least reach of a list of pairs, as a fraction of the shortest edge: neighbours of neighbours in a flat sheet are
+    /// beyond it.
+    static constexpr double usual = 0.6;
+    bool keeps = true;  ///< false makes a new list every time, for tests
+
+    std::array<Index, 4> triangle_corners(std::size_t k) const {
+        const auto& t = surface.triangles[triangles.second[k]];
+        return {triangles.first[k], t[0], t[1], t[2]};
+    }
+    std::array<Index, 4> edge_corners(std::size_t k) const {
+        const auto &a = surface.edges[edges.first[k]], &b = surface.edges[edges.second[k]];
+        return {a[0], a[1], b[0], b[1]};
+    }
+
+    /// Find the pairs of a particle and a triangle that are nearer than thickness + beyond [m], and the pairs of edges
+    /// that are nearer than thickness / 2 + beyond. False where a position is not finite, or where thickness + beyond
+    /// is at least four times the shortest edge.
+    bool find(const double* x, double thickness, double beyond) {
+        const double moved = since(x, near_.places);
+        if (!(moved < 1e30) || !(thickness + beyond < 4.0 * surface.shortest)) return false;
+        if (!keeps || !(beyond + moved <= near_.beyond) || thickness != thickness_) {
+            thickness_ = thickness;
+            take_near(x, beyond + often * thickness);
+        }
+        near_.pairs.triangle_squares(surface, x, all_);
+        choose(near_.pairs.triangles, thickness + beyond, triangles, &triangle_squares);
+        near_.pairs.edge_squares(surface, x, all_);
+        choose(near_.pairs.edges, 0.5 * thickness + beyond, edges, &edge_squares);
+        return true;
+    }
+
+private:
+    /// Extra reach of a list that is kept for several steps, as a fraction of the thickness.
+    static constexpr double often = 0.3;
+
+    /// Pairs, where particles were as they were found, and how far beyond the thickness they reach.
+    struct Found {
+        NearPairs pairs;
+        Array<double> places;
+        double beyond = -1.0;
+    };
+
+    /// How far particles have moved relative to each other since they were at some places, none of them known at first.
+    double since(const double* x, const Array<double>& places) const {
+        Spread spread;
+        if (static_cast<std::int64_t>(places.size()) == 4 * surface.count)
+            for (std::int64_t i = 0; i < surface.count; ++i) spread.take(load4(x + 4 * i) - load4(places.data() + 4 * i));
+        else
+            for (std::int64_t i = 0; i < surface.count; ++i) spread.take(load4(x + 4 * i));
+        return spread.most();
+    }
+    void take_near(const double* x, double beyond) {
+        const double wanted = thickness_ + beyond;
+        if (!keeps || !(wanted + since(x, far_.places) <= far_.pairs.reach)) {
+            far_.pairs.make(surface, x, larger(usual * surface.shortest, 1.5 * wanted));
+            far_.places.assign(x, x + 4 * surface.count);
+        }
+        far_.pairs.triangle_squares(surface, x, all_);
+        choose(far_.pairs.triangles, wanted, near_.pairs.triangles, nullptr);
+        far_.pairs.edge_squares(surface, x, all_);
+        choose(far_.pairs.edges, 0.5 * thickness_ + beyond, near_.pairs.edges, nullptr);
+        near_.places.assign(x, x + 4 * surface.count);
+        near_.beyond = beyond;
+    }
+    void choose(const PairList& from, double reach, PairList& to, std::vector<double>* squares) const {
+        to.clear();
+        if (squares) squares->clear();
+        for (std::size_t k = 0; k < from.size(); ++k)
+            if (all_[k] < reach * reach) {
+                to.add(from.first[k], from.second[k]);
+                if (squares) squares->push_back(all_[k]);
+            }
+    }
+    Found far_, near_;
+    double thickness_ = 0.0;
+    std::vector<double> all_;
+};
+
+/// Squared frequency [1/s^2] and damping rate [1/s].
+struct SelfRates {
+    double omega2 = 0.0, damping = 0.0;
+};
+
+/// What contact has taken up and will have to: energy per mass in units of U^2/2 of particles and of edges; and by how much
+/// stiffness over mass exceeds that of a single gap, at the particle that most acts on (Gershgorin: a pair's stiffness
+/// k g g' is at most 2 k |g_c| at each of its corners).
+class Demand {
+public:
+    /// Least stiffness over mass, relative to that of a single gap: two layers in contact push each other.
+    static constexpr double usual = 2.0;
+    double reached[2] = {}, gap = 1e30;
+
+    /// A particle's or a pair of edges' meeting at its closing speed.
+    template <class V>
+    void take(const Surface& s, const Meeting<V>& m) {
+        if (m.gaps.empty()) return;
+        gap = smaller(m.least(), gap);
+        enter(m.edges, m.closing(), value_of(m.shape));
+        for (const auto& g : m.gaps)
+            for (int k = 0; k < 4; ++k) {
+                const Index c = g.corner[k];
+                if ((!m.edges && k && c == g.corner[0]) || !s.moves[c]) continue;
+                const double weight = absolute(value_of(g.weight[k]));
+                add(m.edges, c, s.count, 2.0 * g.sign * m.mass * weight / s.masses[c]);
+            }
+    }
+    /// A gap that closes at a speed and holds an energy already. Where two masses meet, one may stand still: then all of
+    /// m w^2/2 goes into half of m U^2/2 b.
+    void enter(bool edges, double closing, double shape = 0.0) {
+        const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
+        reached[edges] = larger(shape + 2.0 * speed * speed, reached[edges]);
+    }
+    /// Take in a pair that is not in contact yet and comes into contact within a duration [s]: the step has to be short
+    /// enough for its closing speed before that.
+    void come(const std::array<Index, 4>& corner, bool edges, const SelfLaw<double>& law, const Quads& at,
+              const Quads& moving, double duration) {
+        Vec3<double> way, speed;
+        const Vec3<double> v[4] = {moving(corner[0]), moving(corner[1]), moving(corner[2]), moving(corner[3])};
+        if (edges) {
+            const auto n = near_segments(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3]));
+            way = n.away;
+            speed = v[0] + n.first * (v[1] - v[0]) - v[2] - n.second * (v[3] - v[2]);
+        } else {
+            const auto n = near_triangle(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3]));
+            way = n.away;
+            speed = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
+        }
+        const double away = root(norm2(way)), closing = -dot(way, speed) / away, left = away - law.thickness(edges);
+        if (left >= 0.0 && left < duration * closing) enter(edges, closing);
+    }
+    /// Look at what was added since the last time.
+    void close() {
+        for (int edges = 0; edges < 2; ++edges) {
+            for (const Index c : touched_[edges]) {
+                crowd_[edges] = larger(load_[edges][c], crowd_[edges]);
+                load_[edges][c] = 0.0;
+            }
+            touched_[edges].clear();
+        }
+    }
+    SelfRates rates(double thickness, double damping, double expected = 1.0) const {
+        SelfRates r;
+        for (int edges = 0; edges < 2; ++edges) {
+            if (!(reached[edges] > 0.0)) continue;
+            const double d = edges ? 0.5 * thickness : thickness, crowd = larger(crowd_[edges], usual);
+            const ContactLaw<double> law(d, damping);
+            const double at = stopping_gap(expected * reached[edges]) * d;
+            r.omega2 += crowd * law.stiffness(at);
+            r.damping += crowd * law.damping(at);
+        }
+        return r;
+    }
+
+private:
+    void add(bool edges, Index c, std::int64_t count, double load) {
+        auto& all = load_[edges];
+        if (all.empty()) all.assign(count, 0.0);
+        if (all[c] == 0.0) touched_[edges].push_back(c);
+        all[c] += load;
+    }
+    double crowd_[2] = {};
+    std::vector<double> load_[2];
+    std::vector<Index> touched_[2];
+};
+
+/// Call `particle(i, first, last)` with ranges of a particle's triangles, and `edge(k)` with each pair of edges, that
+/// `find` found.
+template <class P, class E>
+inline void for_each_near(const SelfContact& self, P&& particle, E&& edge) {
+    const PairList& t = self.triangles;
+    for (std::size_t first = 0, last; first < t.size(); first = last) {
+        for (last = first; last < t.size() && t.first[last] == t.first[first];) ++last;
+        particle(t.first[first], first, last);
+    }
+    for (std::size_t k = 0; k < self.edges.size(); ++k) edge(k);
+}
+
+/// Whether the two sides of a pair may have passed through each other during a step. `square` is their squared distance
+/// at the step's end [m^2], `way(c)` the displacement of a corner [m]. They have not if they moved less, relative to
+/// each other, than that distance. No point of a side moves further, relative to the first corner, than the side's
+/// corners.
+template <class F>
+inline bool may_pass(double square, const Index* corner, bool edges, F&& way) {
+    const Vec3<double> own = way(corner[0]);
+    const auto away = [&](int k) { return root(norm2(way(corner[k]) - own)); };
+    const double other = larger(away(2), away(3));
+    const double most = edges ? away(1) + other : larger(away(1), other);
+    return !(most < root(square));
+}
+
+/// The cloth's contact with itself over a run, by one thread.
+class SelfRun {
+public:
+    SelfRun(SelfContact& self, double thickness, double damping, double step)
+        : self_(self), law_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
+
+    /// Add the forces at positions x and velocities v to f, all quads, and what damping takes [W] to `lost`.
+    void add(const double* x, const double* v, double* f, double* lost) {
+        if (!look(x)) return;
+        const Surface& s = self_.surface;
+        const Quads at{x}, moving{v};
+        const auto push = [&](Index c, Vec3<double> force) {
+            f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
+        };
+        const auto done = [&] {
+            if (meeting_.gaps.empty()) return;
+            law_.forces(meeting_, push);
+            demand_.take(s, meeting_);
+            if (lost) *lost += meeting_.mass * (law_.damped(meeting_) - 1.0) * meeting_.rate;
+        };
+        const auto particle = [&](Index i, std::size_t first, std::size_t last) {
+            const Index* const triangles = self_.triangles.second.data();
+            law_.particle(s, i, triangles + first, triangles + last, at, moving, meeting_);
+            done();
+            for (std::size_t k = first; k < last; ++k)
+                if (self_.triangle_squares[k] >= thickness_ * thickness_)
+                    demand_.come(self_.triangle_corners(k), false, law_, at, moving, 2.0 * step_);
+        };
+        const auto edge = [&](std::size_t k) {
+            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, moving, meeting_);
+            done();
+            if (meeting_.gaps.empty()) demand_.come(self_.edge_corners(k), true, law_, at, moving, 2.0 * step_);
+        };
+        for_each_near(self_, particle, edge);
+        demand_.close();
+    }
+    /// The end of the run: whether nothing can have passed through anything on the way there.
+    bool finish(const double* x) { return look(x) && !passed_; }
+    double gap() const { return demand_.gap; }
+    SelfRates rates() const { return demand_.rates(thickness_, damping_); }
+
+private:
+    /// Find what is near, and look at the ways since the last time.
+    bool look(const double* x) {
+        if (passed_) return false;
+        const std::int64_t n = self_.surface.count;
+        double moved = 0.0;
+        if (!before_.empty()) {
+            Spread spread;
+            for (std::int64_t i = 0; i < n; ++i) spread.take(load4(x + 4 * i) - load4(before_.data() + 4 * i));
+            moved = spread.most();
+        }
+        // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
+        passed_ = !self_.find(x, thickness_, 2.0 * moved);
+        if (!passed_ && moved > 0.0) {
+            const Quads now{x}, earlier{before_.data()};
+            const auto way = [&](Index c) { return now(c) - earlier(c); };
+            const auto check = [&](double square, const std::array<Index, 4>& corner, bool edges) {
+                if (square <= moved * moved) passed_ = passed_ || may_pass(square, corner.data(), edges, way);
+            };
+            for (std::size_t k = 0; k < self_.triangles.size(); ++k) check(self_.triangle_squares[k], self_.triangle_corners(k), false);
+            for (std::size_t k = 0; k < self_.edges.size(); ++k) check(self_.edge_squares[k], self_.edge_corners(k), true);
+        }
+        before_.assign(x, x + 4 * n);
+        return !passed_;
+    }
+    SelfContact& self_;
+    SelfLaw<double> law_;
+    double thickness_, damping_, step_;
+    Meeting<double> meeting_;
+    Demand demand_;
+    Array<double> before_;
+    bool passed_ = false;
+};
+
+}  // namespace cloth

@@ -1,0 +1,207 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What the cloth does to itself: the law of contact on gaps between a particle and the surface about it, and between two
+// edges. docs/contact.md derives it. V is a number, or one with its derivative.
+#pragma once
+
+#include "contact_law.hpp"
+#include "self_near.hpp"
+#include "self_surface.hpp"
+
+namespace cloth {
+
+CLOTH_INLINE double value_of(double a) { return a; }
+CLOTH_INLINE double value_of(Dual a) { return a.value; }
+
+/// A gap between points of the surface: its vector is the sum of weights times corners' places, weights adding up to zero.
+template <class V>
+struct Gap {
+    double sign;  ///< 1 or -1: factor of this gap's energy in the sum
+    Index corner[4];
+    V weight[4];
+    Vec3<V> normal;
+    V gap, closing;
+};
+
+/// What adds to one energy: gaps, and for edges how it fades as they become parallel.
+template <class V>
+struct Meeting {
+    std::vector<Gap<V>> gaps;
+    double mass = 0.0;
+    /// Energy per mass in units of U^2/2, sum of the pushes, and the rate at which the energy grows [m^2/s^3].
+    V shape{}, push{}, rate{};
+    /// Of a pair of edges: what its energy is multiplied by, and the slope of that over the corners' places.
+    V faded{};
+    Vec3<V> slope[4];
+    bool edges = false;
+
+    void clear() {
+        gaps.clear();
+        shape = push = rate = V{};
+        edges = false;
+    }
+    double least() const {
+        double least = 1e30;
+        for (const auto& g : gaps) least = smaller(value_of(g.gap), least);
+        return least;
+    }
+    /// The largest speed with which one of its gaps closes.
+    double closing() const {
+        double most = 0.0;
+        for (const auto& g : gaps) most = larger(value_of(g.closing), most);
+        return most;
+    }
+};
+
+template <class V>
+class SelfLaw {
+public:
+    /// Edges keep half the thickness.
+    SelfLaw(double thickness, double damping)
+        : thickness_(thickness), damping_(damping), whole_(thickness, damping), half_(0.5 * thickness, damping) {}
+
+    double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
+
+    /// The energy of particle i with the surface, of which the triangles from `begin` to `end` are near. It counts
+    /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once, wherever
+    /// it is cut into triangles (Euler's formula; Li et al., Convergent IPC, 2023).
+    template <class X, class U>
+    void particle(const Surface& s, Index i, const Index* begin, const Index* end, X&& at, U&& moving,
+                  Meeting<V>& m) const {
+        m.clear();
+        m.mass = 0.5 * s.masses[i];
+        const Vec3<V> p = at(i);
+        for (const Index* triangle = begin; triangle != end; ++triangle) {
+            const auto& t = s.triangles[*triangle];
+            const Vec3<V> x[3] = {at(t[0]), at(t[1]), at(t[2])};
+            const OnTriangle<V> n = near_triangle(p, x[0], x[1], x[2]);
+            if (!(value_of(n.square) < thickness_ * thickness_)) continue;
+            const V one = splat<V>(1.0);
+            take({1.0, {i, t[0], t[1], t[2]}, {one, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
+                 moving, m);
+            for (int k = 0; k < 3; ++k) {
+                const int next = (k + 1) % 3;
+                const Index other = s.across[*triangle][k];
+                if (other >= 0 && (s.has(other, i) || *triangle < other)) {
+                    const OnSegment<V> e = near_segment(p, x[k], x[next]);
+                    if (value_of(e.square) < thickness_ * thickness_)
+                        take({-1.0, {i, t[k], t[next], i}, {one, e.share - one, -e.share, V{}}, e.away, e.square, V{}},
+                             moving, m);
+                }
+                if (s.inner[t[k]] && first_about(s, t[k], i) == *triangle) {
+                    const Vec3<V> away = p - x[k];
+                    const V square = norm2(away);
+                    if (value_of(square) < thickness_ * thickness_)
+                        take({1.0, {i, t[k], i, i}, {one, -one, V{}, V{}}, away, square, V{}}, moving, m);
+                }
+            }
+        }
+        for (const Gap<V>& g : m.gaps) {
+            const V push = splat<V>(g.sign) * whole_.elastic(g.gap);
+            m.push = m.push + push;
+            m.rate = m.rate + push * g.closing;
+            m.shape = m.shape + splat<V>(g.sign) * whole_.shape(g.gap);
+        }
+    }
+    /// The energy of two edges, from a to b and from c to e. It fades as they become parallel, where the nearest points
+    /// jump: by (2 - q) q, q = sin^2 of their angle over `parallel`, up to 1.
+    template <class X, class U>
+    void edges(const Surface& s, const std::array<Index, 2>& one_edge, const std::array<Index, 2>& other, X&& at,
+               U&& moving, Meeting<V>& m) const {
+        m.clear();
+        const Index corner[4] = {one_edge[0], one_edge[1], other[0], other[1]};
+        const Vec3<V> x[4] = {at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])};
+        const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
+        const double thickness = 0.5 * thickness_;
+        if (!(value_of(n.square) < thickness * thickness)) return;
+        m.edges = true;
+        m.mass = 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
+        const V one = splat<V>(1.0);
+        take({1.0, {corner[0], corner[1], corner[2], corner[3]},
+              {one - n.first, n.first, n.second - one, -n.second}, n.away, n.square, V{}}, moving, m);
+        fade(x[1] - x[0], x[3] - x[2], m);
+        const Gap<V>& g = m.gaps[0];
+        const V shape = half_.shape(g.gap);
+        m.push = m.faded * half_.elastic(g.gap);
+        m.shape = m.faded * shape;
+        m.rate = m.push * g.closing;
+        const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
+        for (int k = 0; k < 4; ++k) {
+            m.slope[k] = energy * m.slope[k];
+            m.rate = m.rate - dot(m.slope[k], moving(corner[k]));
+        }
+    }
+    /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
+    /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
+    V damped(const Meeting<V>& m) const {
+        const V one = splat<V>(1.0);
+        if (!(value_of(m.push) > 0.0)) return one;
+        const double gamma = 0.5 * ContactLaw<V>::speed / thickness(m.edges);
+        const V under = m.push * (one + splat<V>(damping_ / gamma) * m.push);
+        const V u = splat<V>(0.5 * damping_) * m.rate / under;
+        return u + root(fma(u, u, one));
+    }
+    /// Call `what` with each corner of a meeting and the force on it.
+    template <class F>
+    void forces(const Meeting<V>& m, F&& what) const {
+        const V scale = splat<V>(m.mass) * damped(m);
+        for (const Gap<V>& g : m.gaps) {
+            const V push = m.edges ? m.push : splat<V>(g.sign) * whole_.elastic(g.gap);
+            for (int k = 0; k < 4; ++k) {
+                if (!m.edges && k && g.corner[k] == g.corner[0]) continue;
+                Vec3<V> force = (push * g.weight[k]) * g.normal;
+                if (m.edges) force = force - m.slope[k];
+                what(g.corner[k], scale * force);
+            }
+        }
+    }
+    double energy(const Meeting<V>& m) const {
+        return m.mass * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * value_of(m.shape);
+    }
+    const ContactLaw<V>& law(bool edges) const { return edges ? half_ : whole_; }
+
+private:
+    /// sin^2 of the angle below which edges count as parallel: 1.8 degrees, as in IPC.
+    static constexpr double parallel = 1e-3;
+
+    /// The first triangle about a particle that does not have particle i.
+    static Index first_about(const Surface& s, Index particle, Index i) {
+        for (Index k = s.start[particle]; k < s.start[particle + 1]; ++k)
+            if (!s.has(s.fan[k], i)) return s.fan[k];
+        return -1;
+    }
+    /// Complete a gap and add it. On entry g.normal is the vector across the gap [m] and g.gap its squared length
+    /// [m^2].
+    template <class U>
+    void take(Gap<V> g, U&& moving, Meeting<V>& m) const {
+        g.gap = root(g.gap);
+        g.normal = (splat<V>(1.0) / g.gap) * g.normal;
+        Vec3<V> speed{};
+        for (int k = 0; k < 4; ++k)
+            if (!k || g.corner[k] != g.corner[0]) speed = fma(g.weight[k], moving(g.corner[k]), speed);
+        g.closing = -dot(g.normal, speed);
+        m.gaps.push_back(g);
+    }
+    void fade(Vec3<V> u, Vec3<V> v, Meeting<V>& m) const {
+        const V one = splat<V>(1.0), two = splat<V>(2.0);
+        const V uu = norm2(u), vv = norm2(v), uv = dot(u, v), over = one / (uu * vv);
+        const V square = norm2(cross(u, v)) * over, q = square * splat<V>(1.0 / parallel);
+        for (auto& slope : m.slope) slope = {};
+        m.faded = one;
+        if (!(value_of(q) < 1.0)) return;
+        m.faded = (two - q) * q;
+        // d(sin^2)/du = 2 (v.v u - u.v v) / (u.u v.v) - 2 sin^2 u / u.u.
+        const V steep = (two - two * q) * splat<V>(1.0 / parallel);
+        const auto along = [&](Vec3<V> a, V bb, Vec3<V> b, V aa) {
+            return steep * ((two * over) * (bb * a - uv * b) - (two * square / aa) * a);
+        };
+        const Vec3<V> first = along(u, vv, v, uu), second = along(v, uu, u, vv);
+        m.slope[0] = -first, m.slope[1] = first, m.slope[2] = -second, m.slope[3] = second;
+    }
+
+    double thickness_, damping_;
+    ContactLaw<V> whole_, half_;
+};
+
+}  // namespace cloth

@@ -1,0 +1,64 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What Python sees of the cloth's contact with itself; included by library.cpp.
+#pragma once
+
+/// The surface that is not to pass through itself: triangles (count, 3), its shortest edge at rest [m]. It keeps the
+/// thickness of cloth_plan_contact. Particles stand where cloth_plan_order put them.
+CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
+    return guarded([&] {
+        cloth::SelfContact self;
+        cloth::Surface& s = self.surface;
+        s.count = plan->count;
+        s.shortest = shortest;
+        s.masses.resize(plan->count);
+        s.moves.resize(plan->count);
+        for (std::int64_t i = 0; i < plan->count; ++i) {
+            s.masses[plan->rank[i]] = plan->masses[i];
+            s.moves[plan->rank[i]] = plan->inverse[i] > 0.0;
+        }
+        for (std::int64_t t = 0; t < count; ++t) {
+            const auto corner = [&](int k) { return static_cast<cloth::Index>(plan->rank[triangles[3 * t + k]]); };
+            s.triangles.push_back({corner(0), corner(1), corner(2)});
+        }
+        s.join();
+        plan->self = std::move(self);
+    });
+}
+/// Whether pairs that may come near are kept from one evaluation to the next. No bit depends on it.
+CLOTH_API int cloth_self_keeps(cloth::Plan* plan, std::int64_t keeps) {
+    return guarded([&] { plan->self->keeps = keeps != 0; });
+}
+/// Adds blocks that bound stiffness and damping.
+CLOTH_API int cloth_self_bounds(cloth::Plan* plan, const double* x, double* stiff, double* damp) {
+    return guarded([&] { cloth::add_self_bounds(*plan, x, stiff, damp); });
+}
+/// Number of contacts and the least gap [m].
+CLOTH_API int cloth_self_gaps(cloth::Plan* plan, const double* x, double* out) {
+    return guarded([&] { cloth::self_gaps(*plan, x, out); });
+}
+/// The first edge that passes through a triangle, see self_pierced.
+CLOTH_API int cloth_self_pierced(cloth::Plan* plan, const double* x, std::int64_t* out) {
+    return guarded([&] { cloth::self_pierced(*plan, x, out); });
+}
+/// Whether runs over a duration may leave it out, see SelfRest.
+CLOTH_API int cloth_self_rests(cloth::Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
+    return guarded([&] {
+        const cloth::SelfRest rest(*plan, duration, x, v);
+        *out = plan->self_rests ? 1 : 0;
+    });
+}
+/// Squared frequency and damping rate, see self_ahead.
+CLOTH_API int cloth_self_ahead(cloth::Plan* plan, double duration, double expected, const double* x, const double* v,
+                               double* out) {
+    return guarded([&] {
+        const cloth::SelfRates r = cloth::self_ahead(*plan, duration, expected, x, v);
+        out[0] = r.omega2;
+        out[1] = r.damping;
+    });
+}
+/// Whether anything passes through anything on straight ways from x0 to x1.
+CLOTH_API int cloth_self_crosses(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
+    return guarded([&] { *out = cloth::self_crosses(*plan, x0, x1) ? 1 : 0; });
+}

@@ -1,0 +1,80 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// The cloth's surface, as contact of the cloth with itself sees it: triangles and what neighbours what. Particles are
+// numbered as they stand inside runs.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+
+#include "storage.hpp"
+
+namespace cloth {
+
+using Index = std::int32_t;
+
+struct Surface {
+    std::int64_t count = 0;  ///< of particles
+    std::vector<double> masses;
+    std::vector<char> moves;
+    std::vector<std::array<Index, 3>> triangles;
+    /// Of each triangle, across its edges from corner 0 to 1, 1 to 2, 2 to 0: the next triangle, -1 at the border.
+    std::vector<std::array<Index, 3>> across;
+    std::vector<std::array<Index, 2>> edges;
+    /// Triangles about each particle in ascending order: from fan[start[i]] to before fan[start[i + 1]].
+    std::vector<Index> fan, start;
+    /// Particles that lie on no border.
+    std::vector<char> inner;
+    /// The shortest edge of the cloth at rest [m].
+    double shortest = 0.0;
+
+    bool has(std::int64_t triangle, Index particle) const {
+        const auto& t = triangles[triangle];
+        return t[0] == particle || t[1] == particle || t[2] == particle;
+    }
+    /// Edges and fans from triangles. An edge of more than two triangles counts as a border.
+    void join() {
+        struct Side {
+            Index low, high, triangle, which;
+        };
+        std::vector<Side> sides;
+        for (std::size_t t = 0; t < triangles.size(); ++t)
+            for (int k = 0; k < 3; ++k) {
+                const Index a = triangles[t][k], b = triangles[t][(k + 1) % 3];
+                sides.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), k});
+            }
+        std::stable_sort(sides.begin(), sides.end(), [](const Side& a, const Side& b) {
+            return a.low != b.low ? a.low < b.low : a.high < b.high;
+        });
+        across.assign(triangles.size(), {-1, -1, -1});
+        inner.assign(count, 1);
+        edges.clear();
+        for (std::size_t first = 0, last; first < sides.size(); first = last) {
+            for (last = first; last < sides.size() && sides[last].low == sides[first].low &&
+                               sides[last].high == sides[first].high;)
+                ++last;
+            edges.push_back({sides[first].low, sides[first].high});
+            if (last - first == 2) {
+                across[sides[first].triangle][sides[first].which] = sides[first + 1].triangle;
+                across[sides[first + 1].triangle][sides[first + 1].which] = sides[first].triangle;
+            } else {
+                inner[sides[first].low] = inner[sides[first].high] = 0;
+            }
+        }
+        start.assign(count + 1, 0);
+        for (const auto& t : triangles)
+            for (const Index corner : t) ++start[corner + 1];
+        for (std::int64_t i = 0; i < count; ++i) {
+            if (!start[i + 1]) inner[i] = 0;
+            start[i + 1] += start[i];
+        }
+        fan.resize(3 * triangles.size());
+        std::vector<Index> next(start.begin(), start.end() - 1);
+        for (std::size_t t = 0; t < triangles.size(); ++t)
+            for (const Index corner : triangles[t]) fan[next[corner]++] = static_cast<Index>(t);
+    }
+};
+
+}  // namespace cloth

@@ -1,0 +1,87 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What grippers hold, as a plan sees it: how they move is told to the engine, and what they do is asked of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import (
+    BOOKED_NUMBERS,
+    NOT_FINITE,
+    PATH_NUMBERS,
+    check,
+    doubles,
+    finite,
+    indices,
+    library,
+)
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.grips import Grips
+
+
+class Gripping:
+    """The grips of one plan.
+
+    Args:
+        handle: the engine's plan.
+        grips: the force.
+        particle_count: of the model.
+    """
+
+    def __init__(self, handle: int, grips: Grips, particle_count: int) -> None:
+        self._library, self._handle, self.force = library(), handle, grips
+        self._shape = (3, particle_count)
+        self._seen = self._moved = -1
+        #: Number of grippers.
+        self.count = grips.gripper_count
+        self._paths_shape = (self.count, PATH_NUMBERS)
+
+    def sync(self) -> None:
+        """Tell the engine what grippers hold and how they move, where that changed."""
+        grips = self.force
+        if grips.changes == self._seen and grips.moves == self._moved:
+            return
+        if grips.changes != self._seen:
+            self._hold()
+        paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
+        if paths.shape != self._paths_shape:
+            raise ValueError(f"paths have shape {paths.shape}; they must be {self._paths_shape}")
+        status = self._library.cloth_plan_paths(self._handle, doubles("paths", paths, self._paths_shape))
+        if status == NOT_FINITE:
+            raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
+        check(status)
+        self._seen, self._moved = grips.changes, grips.moves
+
+    def _hold(self) -> None:
+        grips = self.force
+        particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self._shape[1])
+        count = len(particles)
+        owners = np.ascontiguousarray(grips.owners(), dtype=np.int64)
+        if len(owners) != count:
+            raise ValueError(f"starts {grips.starts.tolist()} say that {len(owners)} particles are held, not {count}")
+        numbers = (
+            finite("offsets of grips", grips.offsets, (count, 3)),
+            finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
+            finite("damping of grips", grips.damping, (count,), least=0.0),
+        )
+        arrays = (array.ctypes.data for array in (particles, owners, *numbers))
+        check(self._library.cloth_plan_held(self._handle, self.count, count, *arrays))
+
+    def rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+        """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
+        (grippers, BOOKED_NUMBERS).
+        """
+        self.sync()
+        out = np.zeros((self.count, BOOKED_NUMBERS))
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        check(self._library.cloth_grip_rates(self._handle, t, *addresses, weight, out.ctypes.data))
+        return out
+
+    def add_bounds(self, stiff: Array, damped: Array) -> None:
+        """Add stiffness [N/m] and damping [N s/m] to blocks (6, n)."""
+        grips = self.force
+        # Several grippers may hold one particle: plain indexing would not add up.
+        for axis in range(3):
+            np.add.at(stiff[axis], grips.particles, grips.stiffness)
+            np.add.at(damped[axis], grips.particles, grips.damping)

@@ -1,0 +1,44 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Combinations of values that make no sheet."""
+
+from __future__ import annotations
+
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.sheets.raw import RawSprings
+from cloth_sim_ros.scene.build import Configuration, anchored_particles, grid_threads_of
+from cloth_sim_ros.scene.parameters import ParameterError
+
+
+def check_sheet(scene: Configuration) -> None:
+    """Refuse a sheet, its bending or its anchors that can't be.
+
+    Raises:
+        ParameterError: naming the parameter.
+    """
+    cloth, model, modulus = scene.cloth, scene.bending.model, scene.material.bending_modulus
+    if cloth.mesh and cloth.springs:
+        raise ParameterError(f"both cloth.mesh '{cloth.mesh}' and cloth.springs '{cloth.springs}' are set; set one")
+    for path in (cloth.mesh, cloth.springs, scene.initial_state):
+        if path and path not in scene.files:
+            raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
+    sheet = scene.sheet
+    if isinstance(sheet, GridSheet):
+        grid_threads_of(scene, sheet)
+    elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none"):
+        fitting = "none" if isinstance(sheet, RawSprings) else "none, opposite, crossed or altitude"
+        raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
+    anchored_particles(scene, sheet)
+    if (scene.wind.normal_drag or scene.wind.tangential_drag) and not len(sheet.triangles()):
+        raise ParameterError("wind.normal_drag and wind.tangential_drag need a surface; raw springs have none")
+    if model in ("axial", "opposite") and modulus:
+        from cloth_sim_ros.physics.sheets.bending import refuse_bending_modulus
+
+        try:
+            refuse_bending_modulus(model)
+        except ValueError as error:
+            raise ParameterError(f"material.bending_modulus is {modulus} N m: {error}") from error
+    if model in ("crossed", "altitude") and not modulus:
+        raise ParameterError(
+            f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
+        )

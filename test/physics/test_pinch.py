@@ -1,0 +1,280 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pinching: pads that a drive closes on a sheet, stepped with it, and what they hold by friction."""
+
+import numpy as np
+import pytest
+from support import laws
+from support.contact_scenes import THICKNESS, contact, still
+from support.pinch_scenes import COLUMNS, FRAME, HELD, MASS, SPACING, close, gravity, hanging, held, pads
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.verify.fine import Moving
+from cloth_sim_ros.verify.independent import dop853
+
+grids_and_lists = pytest.mark.parametrize("listed", [False, True])
+
+
+def advance(plan, state, integrator, frames, first=0, book=None):
+    """Advance by frames; return what the last one did."""
+    for k in range(first, first + frames):
+        done = integrator.advance(plan, state, k * FRAME, FRAME, book)
+    return done
+
+
+@grids_and_lists
+def test_pads_close_at_their_speed_until_their_force(listed):
+    own = pads(0.7, speed=0.08)
+    plan, state, integrator, force = hanging(own, listed=listed)
+    close(force)
+    advance(plan, state, integrator, 4)
+    way, rate = state.memory[PINCHED][0]
+    assert rate == pytest.approx(-0.08, rel=1e-6)
+    # It gets to that speed within a millisecond or two.
+    assert way == pytest.approx(0.01 - 4 * FRAME * 0.08, abs=0.08 * 2e-3)
+    book = Book(plan.gripper_count, obstacle_count=2)
+    advance(plan, state, integrator, 30, 4, book)
+    way, rate = state.memory[PINCHED][0]
+    assert abs(rate) < 1e-12
+    assert 0.5 * THICKNESS < way < THICKNESS
+    # What the cloth does to each pad, outward.
+    assert book.loads[:, 1] == pytest.approx([0.7, -0.7], rel=1e-9)
+    close(force, closed=False)
+    advance(plan, state, integrator, 30, 34)
+    way, rate = state.memory[PINCHED][0]
+    assert abs(rate) < 1e-12
+    assert way == pytest.approx(0.5 * own.opening, abs=0.1 * THICKNESS)
+
+
+def test_pads_that_close_on_nothing_stop_at_each_other():
+    plan, state, integrator, force = hanging()
+    far = still((0.0, 0.0, 1.0))
+    force.move(np.array([far, far]))
+    close(force)
+    flagged = sum(advance(plan, state, integrator, 1, k).flagged for k in range(40))
+    way, rate = state.memory[PINCHED][0]
+    assert 0.0 < way < 0.5 * THICKNESS
+    assert abs(rate) < 1e-12
+    assert flagged == 0
+
+
+def test_what_moves_pads_is_what_the_formulas_say():
+    """The force of each pad as of a box at its place, the drive's line, and stops out of reach."""
+    own = pads(0.7, friction=(0.6, 0.4), speed=0.2)
+    plan, state, _, force = hanging(own)
+    close(force)
+    way, rate = 0.8 * THICKNESS, -0.03
+    rng = np.random.default_rng(1)
+    state.v = rng.normal(size=state.x.shape) * 0.05
+    state.memory[PINCHED] = np.array([[way, rate]])
+    plan.contact.take(state)
+    boxes = [Obstacle(name=name, shape="box", size=own.size) for name in ("left", "right")]
+    paths = [still((0.0, side * (way + 0.5 * own.size[1]), 0.0)) for side in (1.0, -1.0)]
+    for path, side in zip(paths, (1.0, -1.0), strict=True):
+        path[4:7] = [0.0, side * rate, 0.0]
+    alone = [contact(box, paths=[path]) for box, path in zip(boxes, paths, strict=True)]
+    pushes = [laws.contact(0.0, state.x, state.v, one, plan.model.masses)[0].force for one in alone]
+    free = plan.model.inverse_masses > 0.0
+    outward = -pushes[0][1, free].sum() + pushes[1][1, free].sum()
+    expected = (outward - 2.0 * 0.7 * (1.0 + rate / 0.2)) / own.inertia
+    found = plan.contact.pad_accelerations(0.0, state.x, state.v)
+    assert outward > 0.1
+    # Friction acts along the surface: it does not move a pad along its axis.
+    assert found == pytest.approx([expected], rel=1e-9)
+
+
+@pytest.mark.parametrize("friction", [(0.0, 0.0), (0.5, 0.5)])
+def test_errors_are_within_the_tolerance_of_an_independent_integrator(friction):
+    own, start = pads(0.2, friction=friction), np.array([[1.3 * THICKNESS, -0.05]])
+    reference = None
+    for tolerance in (1e-3, 1e-4, 1e-5, 1e-6):
+        plan, state, integrator, force = hanging(own, tolerance=tolerance)
+        close(force)
+        state.memory[PINCHED] = start
+        state.v[1, COLUMNS:] = 0.02 * np.sin(3.0 + 40.0 * state.x[2, COLUMNS:])
+        if reference is None:
+            reference = dop853(plan, 0.0, 12 * FRAME, Moving(state.x, state.v, None, start))
+        advance(plan, state, integrator, 12)
+        assert np.abs(state.x - reference.x).max() < 12 * FRAME * tolerance
+        assert np.abs(state.memory[PINCHED] - reference.pinched)[0, 0] < 12 * FRAME * tolerance
+
+
+@grids_and_lists
+def test_no_bit_depends_on_threads(listed):
+    own = pads(0.5, friction=(0.6, 0.3))
+    plan, state, _, force = hanging(own, listed=listed)
+    path = still()
+    path[4:7], path[17:20] = [0.2, 0.1, -0.1], [0.0, 1.0, 0.5]
+    force.move(np.array([path, path]))
+    close(force)
+    state.memory[PINCHED] = np.array([[1.1 * THICKNESS, -0.05]])
+    runs = []
+    for threads in (1, 2, 3, 8):
+        plan.contact.take(state)
+        runs.append(plan.runs(0.0, 0.02, (state.x, state.v), [900], touches=True, threads=threads)[0][0])
+    assert np.abs(runs[0].touches[:, :3]).max(axis=1).min() > 0.0
+    assert runs[0].pinched[0, 0] < THICKNESS
+    for run in runs[1:]:
+        for one, other in zip(runs[0], run, strict=True):
+            assert np.array_equal(one, other)
+
+
+def test_grids_and_lists_move_pads_alike():
+    ends = []
+    for listed in (False, True):
+        plan, state, integrator, force = hanging(listed=listed)
+        close(force)
+        advance(plan, state, integrator, 15)
+        ends.append((state.x, state.memory[PINCHED]))
+    assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-7)
+    assert ends[0][1] == pytest.approx(ends[1][1], abs=1e-7)
+
+
+@grids_and_lists
+@pytest.mark.parametrize("mu", [0.2, 1.0])
+def test_a_sheet_is_held_from_its_weight_over_twice_the_friction_on(mu, listed):
+    plan, state, integrator, _ = held(0.99, mu, listed=listed)
+    before = state.x[2].mean()
+    gravity(plan, 9.81)
+    advance(plan, state, integrator, 60, HELD)
+    # It slides with a hundredth of g.
+    assert state.x[2].mean() - before < -0.01
+    plan, state, integrator, _ = held(1.01, mu, listed=listed)
+    kept = state.memory[ANCHORS]
+    before = state.x[2].mean()
+    gravity(plan, 9.81)
+    advance(plan, state, integrator, 60, HELD)
+    assert state.x[2].mean() == pytest.approx(before, abs=1e-7)
+    assert np.array_equal(state.memory[ANCHORS], kept)
+
+
+def test_twice_that_force_holds_without_any_slip_and_without_creep():
+    plan, state, integrator, _ = held(2.0)
+    gravity(plan, 9.81)
+    advance(plan, state, integrator, 60, HELD)
+    before, kept = state.x, state.memory[ANCHORS]
+    for k in range(10):
+        advance(plan, state, integrator, 60, HELD + 60 * (k + 1))
+        assert np.array_equal(state.memory[ANCHORS], kept)
+    # A micrometre in ten minutes would be 17 nanometres in these ten seconds.
+    assert np.abs(state.x - before).max() < 1e-12
+
+
+@pytest.mark.parametrize(("axis", "share"), [(0, 3.0), (1, 2.0), (2, 2.0)])
+def test_a_sheet_is_carried_at_a_metre_a_second_without_slip(axis, share):
+    """Sideways, in the sheet's plane, its inertia turns it about the pads, which loads their ends alone."""
+    plan, state, integrator, force = held(share)
+    gravity(plan, 9.81)
+    advance(plan, state, integrator, 60, HELD)
+    start, kept = state.x[:, : 2 * COLUMNS], state.memory[ANCHORS]
+    place, speed, most = 0.0, 0.0, 0.0
+    for s in range(210):
+        k = HELD + 60 + s
+        rise = 2.0 if s < 30 else -2.0 if 60 <= s < 90 else 0.0
+        path = still()
+        path[0], path[1 + axis], path[4 + axis], path[7 + axis] = k * FRAME, place, speed, 0.5 * rise
+        force.move(np.array([path, path]))
+        advance(plan, state, integrator, 1, k)
+        place, speed = place + speed * FRAME + 0.5 * rise * FRAME**2, speed + rise * FRAME
+        carried = state.x[:, : 2 * COLUMNS].copy()
+        carried[axis] -= place
+        most = max(most, float(np.abs(carried - start).max()))
+    assert place == pytest.approx(1.0)
+    assert most < SPACING / 100.0
+    assert np.abs(carried - start).max() < 1e-6
+    assert np.array_equal(state.memory[ANCHORS], kept)
+
+
+def test_the_balance_of_energy_has_the_work_of_pads_in_it():
+    plan, state, integrator, force = hanging(pads(0.3), tolerance=1e-6)
+    close(force)
+    state.memory[PINCHED] = np.array([[1.3 * THICKNESS, -0.05]])
+    balance = EnergyBalance(plan, state)
+    for k in range(12):
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        residual = balance.close((k + 1) * FRAME, state)
+    assert balance.work > 1e-5
+    assert abs(residual) < 1e-3 * balance.turned_over
+
+
+@pytest.mark.parametrize(
+    ("integrator", "tolerance"),
+    [("leapfrog", 1e-4), ("leapfrog", None), ("extrapolated", None), ("implicit", 1e-4), ("symplectic_euler", None)],
+)
+def test_every_integrator_closes_pads_until_their_force(integrator, tolerance):
+    plan, state, steps, force = hanging(pads(0.2), integrator=integrator, tolerance=tolerance)
+    close(force)
+    state.memory[PINCHED] = np.array([[1.2 * THICKNESS, -0.05]])
+    advance(plan, state, steps, 12)
+    loads = plan.contact.rates(12 * FRAME, state.x, state.v)
+    assert loads[:, 1] == pytest.approx([0.2, -0.2], rel=1e-3)
+
+
+def test_a_state_that_goes_on_from_its_bytes_has_the_same_bits():
+    plan, state, integrator, force = hanging()
+    close(force)
+    advance(plan, state, integrator, 11)
+    again = State.from_bytes(state.to_bytes())
+    other, steps = compile(plan.model), make_integrator("auto", tolerance=1e-5)
+    for k in range(11, 14):
+        advance(plan, state, integrator, 1, k)
+        advance(other, again, steps, 1, k)
+        assert state.digest() == again.digest()
+    twin = state.share()
+    twin.memory[PINCHED] = state.memory[PINCHED] + 1e-15
+    assert twin.digest() != state.digest()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"force": -1.0}, "force of the pads of 'hand' is -1.0 N; it must be above 0"),
+        ({"speed": 0.0}, "speed of the pads of 'hand' is 0.0 m/s; it must be above 0"),
+        ({"opening": float("nan")}, "opening of the pads of 'hand' is nan m; it must be above 0"),
+        ({"inertia": float("inf")}, "inertia of the pads of 'hand' is inf kg; it must be above 0"),
+        ({"size": (0.1, -0.1, 0.1)}, "y -0.1 m; it must be above 0"),
+        ({"friction": (0.2, 0.5)}, "has friction 0.2 at rest and 0.5 in motion"),
+    ],
+)
+def test_pads_that_can_not_be_are_refused(change, words):
+    values = {"force": 1.0, "speed": 0.05, "opening": 0.02, "inertia": 0.1} | change
+    with pytest.raises(ValueError, match=words.replace("(", r"\(")):
+        pads(**values)
+
+
+def test_the_mass_of_the_sheet_is_what_the_tests_take_it_for():
+    assert hanging()[0].model.mass == pytest.approx(MASS)
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0, 10.0])
+def test_the_step_limit_counts_pads_that_move_with_the_sheet(share):
+    """The bound is above the largest eigenvalue of sheet and pads together, for pads of any inertia."""
+    between = 2 * COLUMNS
+    masses = hanging()[0].model.masses[:between].sum()
+    plan, state, _, force = hanging(pads(friction=(0.0, 0.0), inertia=share * masses), anchored=False)
+    close(force)
+    x, still_ = state.x, np.zeros_like(state.x)
+    way, count = 0.6 * THICKNESS, x.size
+
+    def accelerations(place):
+        plan.contact.lay_pads(np.array([[place[-1], 0.0]]))
+        out, moved = np.empty_like(x), np.ascontiguousarray(place[:-1].reshape(x.shape))
+        plan.accelerations(0.0, moved, still_, out)
+        return np.concatenate([out.ravel(), plan.contact.pad_accelerations(0.0, moved, still_)])
+
+    at, step = np.concatenate([x.ravel(), [way]]), 1e-9
+    slopes = [(accelerations(at + step * e) - accelerations(at - step * e)) / (2.0 * step) for e in np.eye(count + 1)]
+    largest = -np.linalg.eigvals(np.array(slopes)).real.min()
+    plan.contact.lay_pads(np.array([[way, 0.0]]))
+    energy = plan.contact.energy_ahead(0.0, 0.0, x, still_)
+    bound = plan.contact.limits(energy)[0] + plan.rates(x)[0]
+    assert largest < 1.001 * bound
+    # A particle between two pads is in two contacts. The limit of one is hardly more than half of the eigenvalue.
+    alone = plan.contact.limits(plan.contact.held(way))[0]
+    assert largest > 1.9 * alone

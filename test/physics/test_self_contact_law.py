@@ -1,0 +1,162 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The cloth's contact with itself: its energy by every pair, forces, what flat layers do, bounds and derivatives."""
+
+import numpy as np
+import pytest
+from support import self_scenes as own
+
+from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import compile
+
+THICKNESS = 4e-3
+
+
+def layers(**options):
+    """Two rough layers deep in contact: the triangles, the plan, places (3, n) and masses."""
+    given = {"rough": 5e-4, "shift": (0.0031, 0.0057), **options}
+    triangles, rest, x, masses = own.sheets(0.0, 0.6 * THICKNESS, **given)
+    return triangles, compile(own.alone(triangles, rest, masses, THICKNESS)), np.ascontiguousarray(x.T), masses
+
+
+def forces(plan, x, v=None):
+    x = np.ascontiguousarray(x)
+    out = np.zeros_like(x)
+    plan.add_force(0.0, x, np.zeros_like(x) if v is None else np.ascontiguousarray(v), out)
+    return out
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_energy_is_that_of_every_pair(seed):
+    triangles, plan, x, masses = layers(rows=3, columns=4, seed=seed)
+    assert plan.energies(0.0, x, None)[1] == pytest.approx(own.energy(triangles, x.T, masses, THICKNESS), rel=1e-9)
+
+
+def test_the_force_is_minus_the_gradient_of_the_energy():
+    _, plan, x, _ = layers()
+    found, expected, step = forces(plan, x), np.zeros_like(x), 1e-7
+    for c in range(3):
+        for i in range(x.shape[1]):
+            ends = []
+            for sign in (1.0, -1.0):
+                y = x.copy()
+                y[c, i] += sign * step
+                ends.append(plan.energies(0.0, y, None)[1])
+            expected[c, i] = -(ends[0] - ends[1]) / (2.0 * step)
+    assert found == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_forces_make_neither_momentum_nor_angular_momentum(seed):
+    _, plan, x, _ = layers(seed=seed)
+    v = np.random.default_rng(seed).normal(size=x.shape)
+    f = forces(plan, x, v)
+    size = np.abs(f).max()
+    assert f.sum(axis=1) == pytest.approx(np.zeros(3), abs=1e-13 * f.shape[1] * size)
+    assert np.cross(x.T, f.T).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-14 * f.shape[1] * size)
+
+
+def test_a_flat_layer_has_no_ripples():
+    # A layer slides over another one, across edges and particles: it is pushed as by one plane. The lower one weighs
+    # nothing, so that its border, which moves along below the upper one, does not count.
+    triangles, rest, lower, _ = own.sheets(0.0, rows=9, columns=9)
+    more, _, upper, _ = own.sheets(0.7 * THICKNESS, rows=4, columns=4)
+    count = len(lower)
+    masses = np.concatenate([np.full(count, 1e-30), np.full(len(upper), 1e-3)])
+    triangles, rest = np.concatenate([triangles, more + count]), np.concatenate([rest, upper + 10.0])
+    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    push = 0.5e-3 * own.U**2 / (2.0 * THICKNESS) * 0.3**3 * (1.0 + 3.0 * 0.7) / 0.7**2
+    offsets = np.random.default_rng(0).uniform(0.03, 0.07, (100, 2))
+    for offset in [*offsets, [0.04, 0.04], [0.05, 0.05], [0.05, 0.04], [0.043, 0.04], [0.045, 0.045]]:
+        found = forces(plan, np.concatenate([lower, upper + np.append(offset, 0.0)]).T)[:, count:]
+        expected = np.zeros_like(found)
+        expected[2] = push
+        assert found == pytest.approx(expected, abs=1e-12 * push)
+
+
+def test_a_flat_sheet_that_is_squeezed_within_its_plane_has_no_contact_with_itself():
+    triangles, rest, x, masses = own.sheets(0.0)
+    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    squeezed = x * [0.15, 1.0, 1.0]
+    # The scale: about the force [N] between two such layers in contact.
+    scale = 0.5 * masses.max() * own.U**2 / THICKNESS
+    assert np.abs(forces(plan, squeezed.T)).max() < 1e-10 * scale
+    assert plan.energies(0.0, np.ascontiguousarray(squeezed.T), None)[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_nothing_acts_from_the_thickness_on():
+    for height, acts in ((1.0, False), (1.0 - 1e-4, True)):
+        triangles, rest, x, masses = own.sheets(0.0, height * THICKNESS)
+        plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+        assert forces(plan, x.T).any() == acts
+        assert (plan.contact.own_gaps(np.ascontiguousarray(x.T))[0] > 0) == acts
+
+
+def test_anchored_particles_push_and_are_not_pushed():
+    triangles, rest, x, masses = own.sheets(0.0, 0.6 * THICKNESS, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest, masses, THICKNESS, anchors=range(25)))
+    free = compile(own.alone(triangles, rest, masses, THICKNESS))
+    ends = [np.empty_like(x.T, order="C") for _ in range(2)]
+    for one, out in zip((plan, free), ends, strict=True):
+        one.accelerations(0.0, np.ascontiguousarray(x.T), np.zeros((3, len(x))), out)
+    assert not ends[0][:, :25].any()
+    assert np.array_equal(ends[0][:, 25:], ends[1][:, 25:])
+    assert ends[0][2, 25:].max() > 0.0
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_derivative_products_are_those_of_differences(seed):
+    _, plan, x, _ = layers(seed=seed)
+    rng, step = np.random.default_rng(seed), 1e-8
+    v, dx, dv = 0.5 * rng.normal(size=x.shape), rng.normal(size=x.shape), rng.normal(size=x.shape)
+    out = np.zeros_like(x)
+    plan.add_jacobian_product(0.0, x, v, dx, dv, out)
+    ends = [forces(plan, x + sign * step * dx, v + sign * step * dv) for sign in (1.0, -1.0)]
+    assert out == pytest.approx((ends[0] - ends[1]) / (2.0 * step), abs=1e-6 * np.abs(out).max())
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_damping_takes_what_it_says_and_never_gives(seed):
+    _, plan, x, _ = layers(seed=seed)
+    v = np.random.default_rng(seed).normal(size=x.shape)
+    lost = plan.dissipation(0.0, x, v)
+    assert lost == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
+    assert lost > 0.0
+    assert plan.dissipation(0.0, x, -v) > 0.0
+
+
+@pytest.mark.parametrize("seed", [9, 10])
+def test_bounds_are_above_the_largest_eigenvalue(seed):
+    _, plan, x, _ = layers(seed=seed, rows=3, columns=3)
+    blocks, rest = np.zeros((2, 6, x.shape[1]))
+    plan.add_bounds(x, blocks, rest)
+    size = x.size
+    stiffness, bound = np.zeros((size, size)), np.zeros((size, size))
+    for k in range(size):
+        dx, out = np.zeros(size), np.zeros_like(x)
+        dx[k] = 1.0
+        plan.add_jacobian_product(0.0, x, np.zeros_like(x), dx.reshape(x.shape), np.zeros_like(x), out)
+        stiffness[:, k] = -out.ravel()
+    for entry, (row, column) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
+        for i in range(x.shape[1]):
+            a, b = row * x.shape[1] + i, column * x.shape[1] + i
+            bound[a, b] = bound[b, a] = blocks[entry, i]
+    # The bound covers the stiffness along each pair's direction. The stiffness from that direction's turning is left
+    # out: it is small beside the other, and of either sign.
+    largest = np.linalg.eigvalsh(stiffness).max()
+    assert np.linalg.eigvalsh(bound - stiffness).min() > -1e-2 * largest
+    assert largest < np.linalg.eigvalsh(bound).max() < 4.0 * largest
+
+
+def test_refusals_name_the_value_the_limit_and_the_remedy():
+    triangles, rest, *_ = own.sheets(0.0)
+    with pytest.raises(
+        ValueError, match=r"0\.011 m, more than half the cloth's shortest edge, 0\.02 m.*take 0\.0098 m"
+    ):
+        OwnSurface(triangles, rest, thickness=0.011)
+    with pytest.raises(ValueError, match="without triangles"):
+        OwnSurface(np.zeros((0, 3), dtype=int), rest, thickness=1e-3)
+    surface = OwnSurface(triangles, rest, thickness=1e-3)
+    with pytest.raises(ValueError, match="has 25 particles, the model 30"):
+        compile(Model(np.ones(30), [Contact(thickness=1e-3, surface=surface)]))

@@ -1,0 +1,229 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of a cloth that touches itself: the same by every loop, with any list of pairs, and nothing passes anything."""
+
+import numpy as np
+import pytest
+from support import self_scenes as own
+from support.contact_scenes import drop, still
+from support.self_scenes import folded
+from test_contact_control import exact, furthest
+
+from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.forces.force import Force
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.state import State
+
+FRAME = 1.0 / 60.0
+THICKNESS = 4e-3
+TABLE = {"obstacles": [Obstacle(name="table", shape="plane")], "paths": [still((0.0, 0.0, -3e-3))]}
+both_loops = pytest.mark.parametrize("listed", [False, True])
+
+
+def start(model, places, velocities, **options):
+    """The plan, the state and the integrator of a sheet at places with velocities (n, 3)."""
+    plan, _, integrator = drop(model, places, **options)
+    return plan, State(places, velocities), integrator
+
+
+def arrays(places, velocities):
+    return np.ascontiguousarray(places.T), np.ascontiguousarray(velocities.T)
+
+
+@both_loops
+def test_a_run_is_that_of_the_forces(listed):
+    model, places, velocities = folded(10, radius=0.035, listed=listed, gravity=False, drag=False)
+    places[velocities[:, 2] < 0.0, 2] = 0.9 * THICKNESS
+    plan, (x, v) = compile(model), arrays(places, velocities)
+    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [100])
+    a, before, last, h = np.empty_like(x), None, None, 2e-5
+    y, w = x, v
+    plan.accelerations(0.0, y, w, a)
+    before = last = a.copy()
+    for _ in range(100):
+        y = y + 0.5 * h * w
+        plan.accelerations(0.0, y, w + 0.25 * h * (last + before), a)
+        w = w + h * a
+        y, last, before = y + 0.5 * h * w, a.copy(), last
+    assert run.gap < THICKNESS
+    assert run.own[0] > 0.0
+    assert run.x == pytest.approx(y, abs=1e-12)
+    assert run.v == pytest.approx(w, abs=1e-9)
+
+
+@both_loops
+def test_no_bit_depends_on_when_pairs_were_looked_for_or_on_threads(listed):
+    model, places, velocities = folded(12, listed=listed, **TABLE)
+    plan, state, integrator = start(model, places, velocities, tolerance=1e-3)
+    while not plan.contact.own_gaps(state.x)[0]:
+        integrator.advance(plan, state, 0.0, 5e-3)
+    start_at, ends = (state.x, state.v), []
+    for keeps, threads in ((True, 1), (False, 1), (True, 2), (True, 8)):
+        plan = compile(model)
+        plan.contact.keep_pairs(keeps)
+        (run,), _ = plan.runs(0.0, 5e-3, start_at, [400], threads=threads)
+        (run,), _ = plan.runs(5e-3, 5e-3, (run.x, run.v), [400], threads=threads)
+        ends.append(run)
+    assert 0.0 < ends[0].gap < THICKNESS
+    for run in ends[1:]:
+        assert np.array_equal(ends[0].x, run.x)
+        assert np.array_equal(ends[0].v, run.v)
+        assert ends[0].gap == run.gap
+        assert ends[0].own == run.own
+
+
+@both_loops
+def test_a_run_of_which_steps_are_too_long_to_see_what_passes_has_no_result(listed):
+    # A layer of 4 mm, twice, at 20 m/s: in 0.4 ms it is 8 mm further.
+    model, places, velocities = folded(10, radius=0.035, speed=20.0, listed=listed, gravity=False, drag=False)
+    places[velocities[:, 2] < 0.0, 2] = 5e-3
+    plan, (x, v) = compile(model), arrays(places, velocities)
+    (run,), (_, _, told) = plan.runs(0.0, 1.6e-3, (x, v), [4], weights=[1.0])
+    assert np.isnan(run.x).all()
+    assert not told.finite
+    (fine,), (_, _, told) = plan.runs(0.0, 1.6e-3, (x, v), [400], weights=[1.0])
+    assert told.finite
+    assert 0.0 < fine.gap < THICKNESS
+
+
+@pytest.mark.parametrize("rise", [5e-3, 9e-3])
+def test_what_is_on_the_other_side_after_a_step_was_not_run(rise):
+    # A layer that is 5 or 9 mm above another one and 16 mm lower a step later, beyond the reach of any force.
+    triangles, rest, x, masses = own.sheets(0.0, rise, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    v = np.zeros_like(x)
+    v[25:, 2] = -20.0
+    (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2])
+    assert np.isnan(run.x).all()
+    v[25:, 2] = 20.0
+    (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2])
+    assert run.x[2, 25:] == pytest.approx(np.full(25, rise + 0.032), abs=1e-12)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+def test_a_sheet_that_falls_on_itself_keeps_its_tolerance(tolerance):
+    model, places, velocities = folded(12, **TABLE)
+    plan, state, integrator = start(model, places, velocities, tolerance=tolerance)
+    end = exact(plan, state, 8 * FRAME)
+    kick = 1e-8 * np.random.default_rng(0).standard_normal(state.x.shape)
+    kicked = exact(plan, State((state.x + kick).T, state.v.T), 8 * FRAME)
+    growth = furthest(end, kicked) / furthest(kick, np.zeros_like(kick))
+    flagged, met = 0, 0
+    for k in range(8):
+        flagged += integrator.advance(plan, state, k * FRAME, FRAME).flagged
+        met += plan.contact.own_gaps(state.x)[0]
+    assert met > 10
+    assert not flagged
+    assert furthest(state.x, end) <= tolerance * max(1.0, growth)
+
+
+@both_loops
+@pytest.mark.parametrize("tolerance", [1e-3, None])
+def test_layers_that_meet_at_20_metres_per_second_pass_through_nothing(listed, tolerance):
+    model, places, velocities = folded(12, radius=0.03, speed=20.0, listed=listed, drag=False)
+    plan, state, integrator = start(model, places, velocities, tolerance=tolerance, work=0.0)
+    energy, least = plan.energy(0.0, state.x, state.v), np.inf
+    balance = EnergyBalance(plan, state)
+    for k in range(4):
+        before = state.x.copy()
+        done = integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        assert done.integrator != "implicit"
+        least = min(least, plan.contact.own_gaps(state.x)[1])
+        assert least > 0.0
+        now = plan.energy(0.0, state.x, state.v)
+        assert now <= energy * (1.0 + 2e-3)
+        energy = min(energy, now)
+        assert not np.array_equal(before, state.x)
+    assert least < THICKNESS
+
+
+def test_the_balance_of_energy_holds_what_contact_loses():
+    model, places, velocities = folded(12, drag=False)
+    plan, state, integrator = start(model, places, velocities, tolerance=1e-5)
+    balance = EnergyBalance(plan, state)
+    for k in range(6):
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        residual = balance.close((k + 1) * FRAME, state)
+    assert residual <= 1e-3 * balance.turned_over
+    # Beside what threads lose by their own damping.
+    assert balance.lost > 0.0
+
+
+def test_implicit_steps_go_through_nothing():
+    model, places, velocities = folded(10, radius=0.035, speed=2.0)
+    plan, state, integrator = start(model, places, velocities, integrator="implicit", tolerance=1e-3)
+    energy, met = plan.energy(0.0, state.x, state.v), 0
+    for k in range(8):
+        start_at = state.x.copy()
+        integrator.advance(plan, state, k * FRAME, FRAME)
+        assert np.isfinite(state.x).all()
+        assert not np.array_equal(start_at, state.x)
+        met += plan.contact.own_gaps(state.x)[0]
+        assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
+    assert met > 0
+
+
+def test_straight_ways_through_the_cloth_are_found():
+    triangles, rest, x, masses = own.sheets(0.0, 3e-3, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    ends = {}
+    for rise in (-2e-3, -4e-3, 30e-3):
+        end = x.copy()
+        end[25:, 2] += rise
+        ends[rise] = plan.contact.passes(np.ascontiguousarray(x.T), np.ascontiguousarray(end.T))
+    assert ends == {-2e-3: False, -4e-3: True, 30e-3: False}
+    # Edges that cross far from any particle.
+    rods = np.array([[0, 1, 2], [3, 4, 5]])
+    places = np.array([[-1, 0, 0], [1, 0, 0], [0, 9, 0], [0, -1, 0.1], [0, 1, 0.1], [0, 0, 9]], dtype=float)
+    plan = compile(own.alone(rods, places, np.ones(6), 0.05))
+    end = places.copy()
+    end[3:, 2] -= 0.2
+    assert plan.contact.passes(np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
+
+
+@both_loops
+@pytest.mark.parametrize("speed", [0.02, 3.0])
+def test_a_frame_in_which_nothing_gets_near_leaves_it_out_and_changes_no_bit(listed, speed):
+    # At 0.02 m/s it is certain beforehand that nothing can get near, and runs leave contact out. At 3 m/s it is not.
+    model, places, _ = folded(8, radius=0.06, thickness=3e-3, listed=listed, gravity=False)
+    velocities = np.zeros_like(places)
+    velocities[:, 0] = speed * np.sin(20.0 * places[:, 1])
+    plain, _, _ = folded(8, radius=0.06, thickness=3e-3, listed=listed, gravity=False)
+    without = Model(plain.masses, [force for force in plain.forces if force.name != "contact"])
+    ends = []
+    for one in (model, without):
+        plan = compile(one)
+        (run,), _ = plan.runs(0.0, 5e-3, arrays(places, velocities), [60])
+        ends.append(run)
+    plan = compile(model)
+    assert plan.contact.rests(5e-3, *arrays(places, velocities)) == (speed < 1.0)
+    assert ends[0].gap > 1.0
+    assert ends[0].own == (0.0, 0.0)
+    assert np.array_equal(ends[0].x, ends[1].x)
+    assert np.array_equal(ends[0].v, ends[1].v)
+
+
+class Push(Force):
+    """A force in numpy: some particles are accelerated downwards."""
+
+    name = "push"
+
+    def __init__(self, who, masses, acceleration):
+        self._weights = np.where(who, masses * acceleration, 0.0)
+
+    def add_force(self, t, x, v, f):
+        f[2] -= self._weights
+
+
+def test_a_frame_that_turns_out_faster_is_run_again_with_contact():
+    # At rest, 60 mm apart; the upper half is thrown down within the frame.
+    model, places, velocities = folded(10, radius=0.03, size=0.25, gravity=False, drag=False)
+    push = Push(velocities[:, 2] < 0.0, model.masses, 4000.0)
+    plan = compile(Model(model.masses, [*model.forces, push]))
+    start_at = arrays(places, np.zeros_like(places))
+    assert plan.contact.rests(6e-3, *start_at)
+    (run,), _ = plan.runs(0.0, 6e-3, start_at, [3000])
+    assert 0.0 < run.gap < THICKNESS
+    assert run.own[0] > 0.0

@@ -1,0 +1,117 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A cloth that touches itself in scenes: `contact.self`."""
+
+import numpy as np
+import pytest
+from support.self_scenes import alone, folded, intersections, sheets
+
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.simulation.simulation import Simulation
+
+GIVEN = {
+    "cloth.resolution": [12, 12],
+    "cloth.size": [0.3, 0.3],
+    "cloth.anchors": [""],
+    "contact.self": True,
+    "contact.thickness": 0.004,
+    "obstacles": ["table"],
+    "table.shape": "plane",
+    "table.position": [0.0, 0.0, -0.003],
+}
+
+
+def scene(**values):
+    return Scene.from_parameters({**GIVEN, **{name.replace("__", "."): value for name, value in values.items()}})
+
+
+def fold(wanted):
+    """A simulation of a scene that starts folded, and comes down on itself."""
+    _, places, velocities = folded(12)
+    state = Simulation(wanted).state.copy()
+    state.x, state.v = State(places, velocities).x, State(places, velocities).v
+    return Simulation(wanted, state)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_sheet_that_comes_down_on_itself_passes_through_itself_only_where_it_may(own):
+    simulation, watch = fold(scene(contact__self=own)), fold(scene())
+    met = passed = 0
+    for _ in range(30):
+        before = simulation.state.x
+        simulation.advance()
+        met += simulation.plan.contact.own_gaps(simulation.state.x)[0]
+        passed += watch.plan.contact.passes(before, simulation.state.x)
+    assert bool(met) == own
+    assert bool(passed) != own
+
+
+def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
+    simulation = fold(scene())
+    for _ in range(8):
+        simulation.advance()
+    again = Simulation(simulation.scene, State.from_bytes(simulation.state.to_bytes()))
+    for _ in range(6):
+        simulation.advance()
+        again.advance()
+    assert simulation.state.digest() == again.state.digest()
+
+
+def test_without_obstacles_there_is_nothing_else_to_tell():
+    alone = scene(obstacles=[""])
+    simulation = fold(alone)
+    frame = simulation.advance()
+    assert frame.loads.shape == (0, 6)
+    assert len(simulation.gaps()) == 0
+    assert not any("contact" in sentence for sentence in without_effect(alone, ["contact.thickness", "contact.self"]))
+    off = scene(obstacles=[""], contact__self=False)
+    assert any("contact.self is false" in sentence for sentence in without_effect(off, ["contact.thickness"]))
+
+
+def test_what_can_not_be_is_refused():
+    with pytest.raises(ParameterError, match=r"contact\.thickness is 0\.02 m, more than half .* shortest edge"):
+        scene(obstacles=[""], contact__thickness=0.02)
+    with pytest.raises(ParameterError, match=r"contact\.self is 1, of type int; it must be bool"):
+        scene(contact__self=1)
+    with pytest.raises(ParameterError, match=r"contact\.self can't change"):
+        fold(scene()).scene.changed({"contact.self": False})
+
+
+def test_the_parameter_goes_with_the_others():
+    values = scene().parameters()
+    assert values["contact.self"] is True
+    assert Scene.from_parameters(values).contact.self_
+    assert not np.isnan(values["contact.thickness"])
+
+
+def test_a_cloth_that_starts_through_itself_is_refused_with_the_place(tmp_path):
+    places = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (2, 0.5, 1), (0.3, 0.5, -0.5)]
+    lines = [f"v {x} {y} {z}" for x, y, z in places] + ["f 1 2 3", "f 2 4 3", "f 2 5 4", "f 2 6 5"]
+    path = tmp_path / "through.obj"
+    path.write_text("\n".join(lines) + "\n")
+    given = {"cloth.mesh": str(path), "bending.model": "none", "cloth.anchors": [""], "cloth.position": [0.0, 0.0, 0.0]}
+    with pytest.raises(
+        ValueError, match=r"the cloth passes through itself at \[.*\]: the edge from particle 4 to 5 goes"
+    ):
+        Simulation(Scene.from_parameters({**given, "contact.self": True}))
+    Simulation(Scene.from_parameters(given))
+    path.write_text("\n".join(lines).replace("0.3 0.5 -0.5", "0.3 0.5 1.5") + "\n")
+    Simulation(Scene.from_parameters({**given, "contact.self": True}))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_whether_a_surface_passes_through_itself_is_what_every_edge_and_triangle_say(seed):
+    triangles, rest, x, masses = sheets(0.0, 0.0, shift=(0.003, 0.004), rough=[1e-3, 1e-9, 3e-3][seed], seed=seed)
+    x[25:, 2] += [3e-3, 1e-3, 1e-3][seed]
+    plan = compile(alone(triangles, rest, masses, 4e-3))
+    crossing = intersections(triangles, x)
+    assert bool(crossing) == (seed == 2)
+    if crossing:
+        with pytest.raises(ValueError, match="passes through itself"):
+            plan.contact.check_clear(np.ascontiguousarray(x.T))
+    else:
+        plan.contact.check_clear(np.ascontiguousarray(x.T))
