@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import itertools
 import os
 import re
 import shutil
@@ -24,14 +25,22 @@ ROOT = Path(__file__).resolve().parent.parent
 # Discovery takes up to 2.6 s, a first import some seconds on a busy machine.
 PATIENCE = 60.0
 
+#: ROS domains that the tests use, from 1 on, and the order in which this process tries them: workers begin apart.
+_DOMAINS = 100
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+_WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+_CANDIDATES = itertools.cycle([(_WORKER * _DOMAINS // _WORKERS + i) % _DOMAINS + 1 for i in range(_DOMAINS)])
+
 
 def _reserve_domain() -> tuple[int, socket.socket]:
     """A ROS domain that no other test process on this machine uses, and the socket that reserves it.
 
     The way of ROS 2's own `domain_coordinator`: whoever can bind port 32768 + id owns domain id, so that these tests
-    stay apart from each other's workers and from other packages' tests. The system frees the port when we end.
+    stay apart from each other's workers and from other packages' tests. The system frees the port when we end. Each
+    call begins behind the last one's id: nodes that were killed stay in a domain's graph for some seconds.
     """
-    for domain in range(1, 101):
+    for _ in range(_DOMAINS):
+        domain = next(_CANDIDATES)
         reservation = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             reservation.bind(("", 32768 + domain))
@@ -39,7 +48,7 @@ def _reserve_domain() -> tuple[int, socket.socket]:
             reservation.close()
         else:
             return domain, reservation
-    raise RuntimeError("all ROS domains 1 to 100 are reserved by other tests on this machine; end some of them")
+    raise RuntimeError(f"all ROS domains 1 to {_DOMAINS} are reserved by other tests on this machine; end some of them")
 
 
 # At import, before any test module can make a ROS context: each pytest process (each worker too) has its own domain,

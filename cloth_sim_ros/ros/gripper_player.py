@@ -213,14 +213,13 @@ class GripperPlayer:
         return {f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces()}
 
     def _is_served(self) -> bool:
-        """Whether the node is there and ready: it serves more than what rclpy makes with the node itself."""
-        namespace, _, name = self._target.rpartition("/")
-        try:
-            services = self._node.get_service_names_and_types_by_node(name, namespace or "/")
-        except RuntimeError:
-            # It is not there, or not any more.
-            return False
-        return any(not service.endswith(_OF_RCLPY) for service, _ in services)
+        """Whether the node is there and ready: it serves more than what rclpy makes with the node itself.
+
+        By the services' names: asked for by the node's name, the graph answers for one node of that name, and one that
+        was killed stays in it for some seconds beside the one that took its place.
+        """
+        of_node = (name for name, _ in self._node.get_service_names_and_types() if name.startswith(f"{self._target}/"))
+        return any(not name.endswith(_OF_RCLPY) and self._node.count_services(name) for name in of_node)
 
     def _what_is_missing(self, limit: float) -> str:
         if self._target in self._node_names():
@@ -231,14 +230,9 @@ class GripperPlayer:
         return f"no node {self._target} came within {limit:g} s; is it running, in this ROS_DOMAIN_ID?"
 
     def _known_grippers(self) -> list[str]:
-        namespace, _, name = self._target.rpartition("/")
-        try:
-            topics = self._node.get_subscriber_names_and_types_by_node(name, namespace or "/")
-        except RuntimeError:
-            return []
         prefix, suffix = f"{self._target}/", "/grasp"
         return sorted(
             topic[len(prefix) : -len(suffix)]
-            for topic, _ in topics
-            if topic.startswith(prefix) and topic.endswith(suffix)
+            for topic, _ in self._node.get_topic_names_and_types()
+            if topic.startswith(prefix) and topic.endswith(suffix) and self._node.count_subscribers(topic)
         )

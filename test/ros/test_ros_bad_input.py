@@ -77,6 +77,15 @@ def test_gripper_names_those_that_are_there(ros_domain: int, start_process: Call
     assert "/cloth_sim has no gripper 'middle'; it has left, right" in gripper.output
 
 
+def test_gripper_finds_the_node_beside_another_of_its_name(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    # As one that was killed stays in the graph for some seconds: a name without services.
+    with Client("cloth_sim"):
+        start_cloth(start_process, "grippers:=[left, right]")
+        gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--gripper", "middle"])
+        assert gripper.wait() == 1
+    assert "/cloth_sim has no gripper 'middle'; it has left, right" in gripper.output
+
+
 def test_gripper_without_a_node_gives_up(ros_domain: int, start_process: Callable[..., Any]) -> None:
     # Of a name that no test gives its node: one that an earlier test killed stays in the graph for some seconds.
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--node", "/nowhere", "--wait", "0.5"])
