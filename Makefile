@@ -86,6 +86,7 @@ format: $(DEV)
 soak: export CLOTH_SIM_ROS_SOAK_SECONDS ?= 3600
 soak: $(DEV) engine
 	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
+	@$(BIN)/python -m pytest -m hypothesis --hypothesis-profile random $(ARGS)
 	@$(BIN)/python test/soak_session_kills.py --count 500
 	@$(BIN)/python test/soak_verify.py --sessions 200
 	@$(BIN)/python test/soak_accuracy.py --sessions 30

@@ -75,6 +75,15 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
         report.longrepr = (str(collector.path), 1, f"Skipped: {missing[-1]} is not installed")
 
 
+# What `make test` finds it finds each time: the tests' text alone decides what is drawn. `make soak` draws at random.
+with contextlib.suppress(ImportError):
+    from hypothesis import settings
+
+    settings.register_profile("repeated", derandomize=True)
+    settings.register_profile("random", print_blob=True)
+    settings.load_profile("repeated")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _ros_log_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
