@@ -62,11 +62,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signals = StopSignals()
     signals.install()
     try:
-        script = GripperScript.from_file(options.script)
+        scripts = [GripperScript.from_file(path) for path in options.script]
         with _domain():
             rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
             try:
-                return _play(options, script, signals)
+                return _play(options, max(script.duration for script in scripts), signals)
             finally:
                 rclpy.try_shutdown()
     except (DemoError, ScriptError) as error:
@@ -78,7 +78,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make run", description="A live cloth, grasped through topics and recorded.")
     parser.add_argument("--folder", default="sessions", help="where the session is recorded (default: %(default)s)")
     parser.add_argument("--params", default=config_file("cloth_sim.yaml"), help="parameter file of the cloth")
-    parser.add_argument("--script", default=config_file("grasp.yaml"), help="script of the gripper")
+    parser.add_argument("--script", nargs="+", default=[config_file("grasp.yaml")], help="a script for each gripper")
     return parser.parse_args(arguments)
 
 
@@ -102,7 +102,7 @@ def _domain() -> Iterator[None]:
     raise DemoError("ROS domains 1 to 100 are all taken on this machine; set ROS_DOMAIN_ID")
 
 
-def _play(options: argparse.Namespace, script: GripperScript, signals: StopSignals) -> int:
+def _play(options: argparse.Namespace, duration: float, signals: StopSignals) -> int:
     node = Node("cloth_demo")
     seen = Seen()
 
@@ -143,9 +143,12 @@ def _play(options: argparse.Namespace, script: GripperScript, signals: StopSigna
                 return 130
         print(f"first cloud after {time.monotonic() - begun:.1f} s; grasping ...", flush=True)
         gripper = children.enter_context(
-            _Child("cloth_gripper", Path(logs), "cloth_sim_ros.ros.gripper_main", str(options.script), "--node", _NODE)
-        )
-        if not _watch(cloth, gripper, script.duration, seen, spin):
+            _Child(
+                "cloth_gripper", Path(logs), "cloth_sim_ros.ros.gripper_main",
+                *map(str, options.script), "--node", _NODE,
+            )
+        )  # fmt: skip
+        if not _watch(cloth, gripper, duration, seen, spin):
             return 130
         status = cloth.stop(spin)
         if status != 0:
@@ -154,7 +157,7 @@ def _play(options: argparse.Namespace, script: GripperScript, signals: StopSigna
 
 
 def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: Any) -> bool:
-    """Spin until the gripper has played and the cloth has settled; False if a signal came."""
+    """Spin until the grippers have played and the cloth has settled; False if a signal came."""
     begun = time.monotonic()
     total = duration + _SETTLING
     bar = tqdm(

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_gripper`: plays a scripted grasp into the command topics of a cloth."""
+"""The command `cloth_gripper`: plays scripted grasps into the command topics of a cloth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
-from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer, Hold
+from cloth_sim_ros.ros.gripper_hand import Hold
+from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.locations import config_file
 from cloth_sim_ros.ros.stopping import StopSignals
@@ -22,7 +23,7 @@ from cloth_sim_ros.session.words import counted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Play a script.
+    """Play a script, or several together.
 
     Returns:
         Exit status: 0 when it was played, 1 if it could not be or a grasp held nothing, 130 if a signal ended it.
@@ -40,27 +41,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _play(options: argparse.Namespace) -> int:
     try:
-        script = GripperScript.from_file(options.script or config_file("grasp.yaml"))
+        scripts = [GripperScript.from_file(path) for path in options.scripts or [config_file("grasp.yaml")]]
     except ScriptError as error:
         return _refuse(str(error))
     if options.gripper:
-        script = attrs.evolve(script, gripper=options.gripper)
-    if not script.gripper.isidentifier():
-        return _refuse(f"gripper name '{script.gripper}' is no ROS name; use letters, digits and _, a letter first")
+        if len(scripts) > 1:
+            return _refuse("--gripper names one gripper, for one script; several scripts name their own")
+        scripts = [attrs.evolve(scripts[0], gripper=options.gripper)]
+    names = [script.gripper for script in scripts]
+    for name in names:
+        if not name.isidentifier():
+            return _refuse(f"gripper name '{name}' is no ROS name; use letters, digits and _, a letter first")
+        if names.count(name) > 1:
+            return _refuse(f"{names.count(name)} scripts are for the gripper '{name}'; a gripper plays one")
     signals = StopSignals()
     signals.install()
     node = Node("cloth_gripper")
-    player = GripperPlayer(node, script, target=options.node, proceed=lambda: signals.requested is None)
+    player = GripperPlayer(node, scripts, target=options.node, proceed=lambda: signals.requested is None)
+    log = node.get_logger()
+    named = f"gripper{'s' if names[1:] else ''} {', '.join(map(repr, names))} of {options.node}"
     try:
-        node.get_logger().info(f"waiting for gripper '{script.gripper}' of {options.node}")
-        if not player.wait_for_gripper(options.wait):
+        log.info(f"waiting for {named}")
+        if not player.wait_for_grippers(options.wait):
             return 130
-        node.get_logger().info(f"playing {script.duration:g} s to gripper '{script.gripper}' of {options.node}")
+        log.info(f"playing {max(script.duration for script in scripts):g} s to {named}")
         if not player.play():
             return 130
-        node.get_logger().info(f"played; {player.targets_sent} targets sent; {describe_holds(player.holds)}")
-        if not all(hold.held for hold in player.holds):
-            return _refuse(f"gripper '{script.gripper}' of {options.node}: {describe_holds(player.holds)}")
+        for hand in player.hands:
+            what = f"{hand.targets_sent} targets sent; {describe_holds(hand.holds)}"
+            log.info(f"played; {what}" if not names[1:] else f"played '{hand.script.gripper}'; {what}")
+        for hand in player.hands:
+            if not all(hold.held for hold in hand.holds):
+                return _refuse(f"gripper '{hand.script.gripper}' of {options.node}: {describe_holds(hand.holds)}")
     except GripperError as error:
         return _refuse(str(error))
     except ExternalShutdownException:
@@ -86,9 +98,14 @@ def _in_words(hold: Hold) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cloth_gripper",
-        description="Plays a scripted grasp (YAML: times, poses, close, open) into a cloth's command topics.",
+        description="Plays scripted grasps (YAML: times, poses, close, open) into a cloth's command topics.",
     )
-    parser.add_argument("script", nargs="?", help="the script; config/grasp.yaml where left out")
+    parser.add_argument(
+        "scripts",
+        nargs="*",
+        metavar="script",
+        help="a script, or one for each of several grippers, which begin together; config/grasp.yaml where left out",
+    )
     parser.add_argument("--gripper", help="name of the gripper, instead of the script's")
     parser.add_argument("--node", default="/cloth_sim", help="full name of the cloth's node (default: %(default)s)")
     parser.add_argument(

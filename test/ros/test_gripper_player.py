@@ -7,10 +7,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import attrs
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from cloth_sim_ros.ros import gripper_player
+from cloth_sim_ros.ros import gripper_hand, gripper_player
 from cloth_sim_ros.ros.gripper_main import describe_holds
 from cloth_sim_ros.ros.gripper_script import GripperScript
 
@@ -32,33 +33,32 @@ class Cloth:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, held: int = 3, answers_after: float = 0.02) -> None:
         #: What is sent and when [s]: x of targets, and grasps.
         self.sent: list[tuple[float, Any]] = []
+        #: To which gripper each of these was sent.
+        self.to: list[str] = []
         self.time = 0.0
         #: When the player is put aside by the system, and for how long [s].
         self.held_up_at, self.held_up_for = 0.0, 0.0
         self._held = held
         self._answers_after = answers_after
         #: What the gripper will say, and when [s].
-        self._answers: list[tuple[float, bool]] = []
-        self._hear: Any = None
+        self._answers: list[tuple[float, str, bool]] = []
+        self._hear: dict[str, Any] = {}
         # The middleware acknowledges nothing in time: what counts is what the node says.
-        publisher = SimpleNamespace(
-            publish=self._publish, wait_for_all_acked=lambda _: False, get_subscription_count=lambda: 1
-        )
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.time * 1e9)))
         self.node: Any = SimpleNamespace(
-            create_publisher=lambda *_: publisher, create_subscription=self._subscribe, get_clock=lambda: clock
+            create_publisher=self._create_publisher, create_subscription=self._subscribe, get_clock=lambda: clock
         )
         executor = SimpleNamespace(add_node=lambda _: None, spin_once=self._spin_once)
         monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
         monkeypatch.setattr(gripper_player, "time", SimpleNamespace(monotonic=lambda: self.time))
 
-    def say(self, closed: bool) -> None:
+    def say(self, closed: bool, gripper: str = "gripper") -> None:
         """Say what the gripper is, as the node does to those who come later."""
         values = {"closed": str(closed).lower(), "held": str(self._held if closed else 0)}
-        self._hear(DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+        self._hear[gripper](DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
 
     def play(self) -> gripper_player.GripperPlayer:
-        player = gripper_player.GripperPlayer(self.node, SCRIPT, target="/cloth_sim")
+        player = gripper_player.GripperPlayer(self.node, [SCRIPT], target="/cloth_sim")
         assert player.play()
         return player
 
@@ -71,16 +71,27 @@ class Cloth:
         if before < self.held_up_at <= self.time:
             self.time += self.held_up_for
         while self._answers and self.time >= self._answers[0][0]:
-            self.say(self._answers.pop(0)[1])
+            _, gripper, closed = self._answers.pop(0)
+            self.say(closed, gripper)
 
-    def _publish(self, message: Any) -> None:
+    def _create_publisher(self, _kind: Any, topic: str, _qos: Any) -> Any:
+        _, gripper, _ = topic.strip("/").split("/")
+        return SimpleNamespace(
+            publish=lambda message: self._publish(gripper, message),
+            wait_for_all_acked=lambda _: False,
+            get_subscription_count=lambda: 1,
+        )
+
+    def _publish(self, gripper: str, message: Any) -> None:
+        self.to.append(gripper)
         self.sent.append((self.time, message.data if hasattr(message, "data") else message.pose.position.x))
         if hasattr(message, "data"):
-            self._answers.append((self.time + self._answers_after, message.data))
+            self._answers.append((self.time + self._answers_after, gripper, message.data))
 
     def _subscribe(self, _kind: Any, topic: str, hear: Any, _qos: Any) -> None:
-        assert topic == "/cloth_sim/gripper/state"
-        self._hear = hear
+        node, gripper, leaf = topic.strip("/").split("/")
+        assert (node, leaf) == ("cloth_sim", "state")
+        self._hear[gripper] = hear
 
 
 @pytest.mark.parametrize(("at", "for_long"), [(0.5, 0.0), (0.95, 0.7), (0.3, 30.0), (1.8, 5.0)])
@@ -100,7 +111,7 @@ def test_grasps_happen_where_the_script_has_them(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("held", [0, 3])
 def test_what_was_held_is_known(monkeypatch: pytest.MonkeyPatch, held: int) -> None:
-    assert [hold.held for hold in Cloth(monkeypatch, held=held).play().holds] == [held]
+    assert [hold.held for hold in Cloth(monkeypatch, held=held).play().hands[0].holds] == [held]
 
 
 def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,38 +120,54 @@ def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.Mo
     player = cloth.play()
     closed, opened = (cloth.sent[k][0] for k in cloth.grasps())
     assert opened - closed >= 2.5
-    assert [hold.held for hold in player.holds] == [3]
+    assert [hold.held for hold in player.hands[0].holds] == [3]
 
 
 def test_it_begins_when_the_node_says_that_the_gripper_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=2.5)
-    player = gripper_player.GripperPlayer(cloth.node, SCRIPT, target="/cloth_sim")
+    player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
     # What it was before somebody asked is no answer.
     cloth.say(False)
-    assert player.wait_for_gripper(10.0)
+    assert player.wait_for_grippers(10.0)
     assert [what for _, what in cloth.sent] == [False]
     assert 2.5 <= cloth.time < 3.0
 
 
 def test_a_node_that_does_not_say_that_the_gripper_is_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=1e9)
-    player = gripper_player.GripperPlayer(cloth.node, SCRIPT, target="/cloth_sim")
+    player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
     cloth.say(False)
     with pytest.raises(gripper_player.GripperError, match="does not say that it is open"):
-        player.wait_for_gripper(10.0)
+        player.wait_for_grippers(10.0)
 
 
 def test_a_node_that_does_not_answer_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=1e9)
     player = cloth.play()
     assert len(cloth.grasps()) == 2
-    (hold,) = player.holds
+    (hold,) = player.hands[0].holds
     assert hold.held is None
     assert "did not answer within" in hold.words
-    assert "not known" in describe_holds(player.holds)
+    assert "not known" in describe_holds(player.hands[0].holds)
+
+
+def test_scripts_of_several_grippers_begin_and_are_delayed_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = Cloth(monkeypatch)
+    cloth.held_up_at, cloth.held_up_for = 0.95, 0.7
+    scripts = [attrs.evolve(SCRIPT, gripper=name) for name in ("left", "right")]
+    player = gripper_player.GripperPlayer(cloth.node, scripts, target="/cloth_sim")
+    for name in ("left", "right"):
+        cloth.say(False, name)
+    assert player.wait_for_grippers(10.0)
+    cloth.sent.clear()
+    cloth.to.clear()
+    assert player.play()
+    of = {name: [sent for to, sent in zip(cloth.to, cloth.sent, strict=True) if to == name] for name in set(cloth.to)}
+    assert of["left"] == of["right"]
+    assert [[hold.held for hold in hand.holds] for hand in player.hands] == [[3], [3]]
 
 
 def test_what_was_held_is_told_in_words() -> None:
-    holds = [gripper_player.Hold(1, ""), gripper_player.Hold(0, "")]
+    holds = [gripper_hand.Hold(1, ""), gripper_hand.Hold(0, "")]
     assert describe_holds(holds) == "held 1 particle; held nothing (the node's log says why)"
     assert describe_holds([]) == "the script closes nothing"

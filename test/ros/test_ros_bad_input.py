@@ -93,6 +93,16 @@ def test_gripper_without_a_node_gives_up(ros_domain: int, start_process: Callabl
     assert "no node /nowhere came within 0.5 s" in gripper.output
 
 
+def test_gripper_plays_one_script_for_each_gripper(start_process: Callable[..., Any], tmp_path: Path) -> None:
+    script = tmp_path / "script.yaml"
+    script.write_text("steps: [{time: 0.0, position: [0.0, 0.0, 0.0]}]")
+    command = ["-m", "cloth_sim_ros.ros.gripper_main", script, script]
+    twice, renamed = start_process(command), start_process([*command, "--gripper", "left"])
+    assert (twice.wait(), renamed.wait()) == (1, 1)
+    assert "2 scripts are for the gripper 'gripper'; a gripper plays one" in twice.output
+    assert "--gripper names one gripper, for one script" in renamed.output
+
+
 def test_gripper_waits_for_the_node_and_not_for_its_middleware(
     ros_domain: int, start_process: Callable[..., Any]
 ) -> None:
