@@ -4,8 +4,7 @@
 // Contact of the cloth with itself: who is near whom, and a run's part in it.
 #pragma once
 
-#include "self_law.hpp"
-#include "self_pairs.hpp"
+#include "self_gaps.hpp"
 
 namespace cloth {
 
@@ -52,22 +51,44 @@ public:
     /// that are nearer than thickness / 2 + beyond. False where a position is not finite, or where thickness + beyond
     /// is at least four times the shortest edge.
     bool find(const double* x, double thickness, double beyond) {
-        const double moved = since(x, near_.places);
-        if (!(moved < 1e30) || !(thickness + beyond < 4.0 * surface.shortest)) return false;
-        if (!keeps || !(beyond + moved <= near_.beyond) || thickness != thickness_) {
-            thickness_ = thickness;
-            take_near(x, beyond + often * thickness);
+        if (!sees(x, thickness, beyond)) return false;
+        const bool often = beyond <= usually * thickness;
+        if (often)
+            take_middle(x, beyond);
+        else
+            take_far(x, beyond);
+        const NearPairs& from = often ? middle_.pairs : far_.pairs;
+        from.triangle_squares(surface, x, all_);
+        choose(from.triangles, thickness + beyond, triangles, &triangle_squares);
+        from.edge_squares(surface, x, all_);
+        choose(from.edges, 0.5 * thickness + beyond, edges, &edge_squares);
+        return true;
+    }
+    /// The same for a run, in every step: `gaps` in place of triangles. `moved` is how far particles have moved relative to
+    /// each other since the last call [m], at most; after anything else than that it is infinite.
+    bool follow(const double* x, double thickness, double beyond, double moved) {
+        if (!(thickness + beyond < 4.0 * surface.shortest)) return false;
+        way_ += moved;
+        if (!keeps || thickness != thickness_ || !(beyond + way_ <= near_.beyond)) {
+            if (!sees(x, thickness, beyond)) return false;
+            way_ = since(x, near_.places);
+            if (!keeps || !(beyond + way_ <= near_.beyond)) {
+                take_near(x, beyond);
+                way_ = 0.0;
+            }
         }
-        near_.pairs.triangle_squares(surface, x, all_);
-        choose(near_.pairs.triangles, thickness + beyond, triangles, &triangle_squares);
+        gaps.find(x, thickness, thickness + beyond);
         near_.pairs.edge_squares(surface, x, all_);
         choose(near_.pairs.edges, 0.5 * thickness + beyond, edges, &edge_squares);
         return true;
     }
+    /// What `follow` found.
+    SelfGaps gaps;
 
 private:
-    /// Extra reach of a list that is kept for several steps, as a fraction of the thickness.
-    static constexpr double often = 0.3;
+    /// Extra reach of a list that is looked at in some steps, as a fraction of the thickness, and of one that is looked at
+    /// in every step: as many times the way that is looked ahead, but no less than a fraction of the thickness.
+    static constexpr double usually = 0.3, steps = 6.0, least = 0.02;
 
     /// Pairs, where particles were as they were found, and how far beyond the thickness they reach.
     struct Found {
@@ -85,18 +106,38 @@ private:
             for (std::int64_t i = 0; i < surface.count; ++i) spread.take(load4(x + 4 * i));
         return spread.most();
     }
-    void take_near(const double* x, double beyond) {
+    /// Whether pairs so near can be found where particles are. Lists of another thickness are forgotten.
+    bool sees(const double* x, double thickness, double beyond) {
+        if (!(since(x, far_.places) < 1e30) || !(thickness + beyond < 4.0 * surface.shortest)) return false;
+        if (thickness != thickness_) middle_.beyond = near_.beyond = -1.0;
+        thickness_ = thickness;
+        return true;
+    }
+    void take_far(const double* x, double beyond) {
         const double wanted = thickness_ + beyond;
-        if (!keeps || !(wanted + since(x, far_.places) <= far_.pairs.reach)) {
-            far_.pairs.make(surface, x, larger(usual * surface.shortest, 1.5 * wanted));
-            far_.places.assign(x, x + 4 * surface.count);
-        }
-        far_.pairs.triangle_squares(surface, x, all_);
-        choose(far_.pairs.triangles, wanted, near_.pairs.triangles, nullptr);
-        far_.pairs.edge_squares(surface, x, all_);
-        choose(far_.pairs.edges, 0.5 * thickness_ + beyond, near_.pairs.edges, nullptr);
-        near_.places.assign(x, x + 4 * surface.count);
-        near_.beyond = beyond;
+        if (keeps && wanted + since(x, far_.places) <= far_.pairs.reach) return;
+        far_.pairs.make(surface, x, larger(usual * surface.shortest, 1.2 * wanted));
+        far_.places.assign(x, x + 4 * surface.count);
+    }
+    void take_middle(const double* x, double beyond) {
+        if (keeps && beyond + since(x, middle_.places) <= middle_.beyond) return;
+        take_far(x, beyond + usually * thickness_);
+        narrow(x, far_.pairs, beyond + usually * thickness_, middle_);
+    }
+    void take_near(const double* x, double beyond) {
+        beyond += smaller(larger(steps * beyond, least * thickness_), usually * thickness_);
+        take_middle(x, beyond);
+        narrow(x, middle_.pairs, beyond, near_);
+        gaps.offer(surface, near_.pairs.triangles, x, thickness_ + beyond);
+    }
+    /// Those of some pairs that are within the thickness and beyond.
+    void narrow(const double* x, const NearPairs& from, double beyond, Found& to) {
+        from.triangle_squares(surface, x, all_);
+        choose(from.triangles, thickness_ + beyond, to.pairs.triangles, nullptr);
+        from.edge_squares(surface, x, all_);
+        choose(from.edges, 0.5 * thickness_ + beyond, to.pairs.edges, nullptr);
+        to.places.assign(x, x + 4 * surface.count);
+        to.beyond = beyond;
     }
     void choose(const PairList& from, double reach, PairList& to, std::vector<double>* squares) const {
         to.clear();
@@ -107,8 +148,9 @@ private:
                 if (squares) squares->push_back(all_[k]);
             }
     }
-    Found far_, near_;
-    double thickness_ = 0.0;
+    /// Each a part of the one before.
+    Found far_, middle_, near_;
+    double thickness_ = 0.0, way_ = 0.0;
     std::vector<double> all_;
 };
 
@@ -145,6 +187,35 @@ public:
     void enter(bool edges, double closing, double shape = 0.0) {
         const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
         reached[edges] = larger(shape + 2.0 * speed * speed, reached[edges]);
+    }
+    /// Take in particles' gaps, evaluated, and the largest speed of those that come into contact within a duration [s].
+    void take(const Surface& s, const SelfGaps& gaps, double thickness, double duration) {
+        double coming = 0.0;
+        auto& load = load_[0];
+        load.resize(s.count + lanes<double>);
+        for (std::size_t k = 0; k < gaps.size; ++k) {
+            const double left = gaps.gap(k) - thickness, closing = gaps.closing(k);
+            if (left < 0.0) {
+                gap = smaller(gaps.gap(k), gap);
+                const Index i = gaps.corner[0][k];
+                const double size = gaps.sign(k) * s.masses[i];
+                load[i] += size * s.inverse[i];
+                for (int j = 0; j < 3; ++j) {
+                    const Index c = gaps.corner[j + 1][k];
+                    load[c] += size * absolute(gaps.weight[j][k]) * s.inverse[c];
+                }
+            } else if (left < duration * closing) {
+                coming = larger(closing, coming);
+            }
+        }
+        if (coming > 0.0) enter(false, coming);
+        using V = vec<double>;
+        V most{};
+        for (std::int64_t i = 0; i < s.count; i += lanes<double>) {
+            most = larger(load_as<V>(load.data() + i), most);
+            store_as(load.data() + i, V{});
+        }
+        for (int lane = 0; lane < lanes<double>; ++lane) crowd_[0] = larger(most[lane], crowd_[0]);
     }
     /// Take in a pair that is not in contact yet and comes into contact within a duration [s]: the step has to be short
     /// enough for its closing speed before that.
@@ -228,36 +299,27 @@ inline bool may_pass(double square, const Index* corner, bool edges, F&& way) {
 class SelfRun {
 public:
     SelfRun(SelfContact& self, double thickness, double damping, double step)
-        : self_(self), law_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
+        : self_(self), law_(thickness, damping), wide_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
 
     /// Add the forces at positions x and velocities v to f, all quads, and what damping takes [W] to `lost`.
     void add(const double* x, const double* v, double* f, double* lost) {
         if (!look(x)) return;
+        add_particles(v, f, lost);
         const Surface& s = self_.surface;
         const Quads at{x}, moving{v};
         const auto push = [&](Index c, Vec3<double> force) {
             f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
         };
-        const auto done = [&] {
-            if (meeting_.gaps.empty()) return;
+        for (std::size_t k = 0; k < self_.edges.size(); ++k) {
+            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, moving, meeting_);
+            if (meeting_.gaps.empty()) {
+                demand_.come(self_.edge_corners(k), true, law_, at, moving, 2.0 * step_);
+                continue;
+            }
             law_.forces(meeting_, push);
             demand_.take(s, meeting_);
             if (lost) *lost += meeting_.mass * (law_.damped(meeting_) - 1.0) * meeting_.rate;
-        };
-        const auto particle = [&](Index i, std::size_t first, std::size_t last) {
-            const Index* const triangles = self_.triangles.second.data();
-            law_.particle(s, i, triangles + first, triangles + last, at, moving, meeting_);
-            done();
-            for (std::size_t k = first; k < last; ++k)
-                if (self_.triangle_squares[k] >= thickness_ * thickness_)
-                    demand_.come(self_.triangle_corners(k), false, law_, at, moving, 2.0 * step_);
-        };
-        const auto edge = [&](std::size_t k) {
-            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, moving, meeting_);
-            done();
-            if (meeting_.gaps.empty()) demand_.come(self_.edge_corners(k), true, law_, at, moving, 2.0 * step_);
-        };
-        for_each_near(self_, particle, edge);
+        }
         demand_.close();
     }
     /// The end of the run: whether nothing can have passed through anything on the way there.
@@ -266,35 +328,108 @@ public:
     SelfRates rates() const { return demand_.rates(thickness_, damping_); }
 
 private:
+    /// What adds to one particle's energy, see Meeting, and the largest speed with which one of its gaps closes.
+    struct Sum {
+        Index particle;
+        double push, rate, shape, closing, scale;
+        Vec3<double> force;
+    };
+
+    /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
+    void add_particles(const double* v, double* f, double* lost) {
+        SelfGaps& gaps = self_.gaps;
+        if (!gaps.size) return;
+        const Surface& s = self_.surface;
+        gaps.evaluate(wide_, v);
+        demand_.take(s, gaps, thickness_, 2.0 * step_);
+        sums_.clear();
+        place_.resize(s.count);
+        own_.resize(gaps.size);
+        for (std::size_t k = 0; k < gaps.size; ++k) {
+            own_[k] = -1;
+            if (!(gaps.gap(k) < thickness_)) continue;
+            const Index i = gaps.corner[0][k];
+            if (k < gaps.ends[0]) {
+                if (sums_.empty() || sums_.back().particle != i) {
+                    place_[i] = static_cast<Index>(sums_.size());
+                    sums_.push_back({i, 0.0, 0.0, 0.0, 0.0, 0.0, {0.0, 0.0, 0.0}});
+                }
+            } else if (place_[i] < 0 || static_cast<std::size_t>(place_[i]) >= sums_.size() || sums_[place_[i]].particle != i) {
+                continue;  // an edge of a triangle that is as far away as the thickness but for a rounding
+            }
+            own_[k] = place_[i];
+            Sum& sum = sums_[place_[i]];
+            const double push = gaps.sign(k) * gaps.push(k);
+            sum.push += push;
+            sum.rate = cloth::fma(push, gaps.closing(k), sum.rate);
+            sum.shape = cloth::fma(gaps.sign(k), gaps.shape(k), sum.shape);
+            sum.closing = larger(gaps.closing(k), sum.closing);
+        }
+        for (Sum& sum : sums_) {
+            const double mass = 0.5 * s.masses[sum.particle], damped = law_.damped(sum.push, sum.rate, false);
+            demand_.enter(false, sum.closing, sum.shape);
+            sum.scale = mass * damped;
+            if (lost) *lost += mass * (damped - 1.0) * sum.rate;
+        }
+        for (std::size_t k = 0; k < gaps.size; ++k) {
+            if (own_[k] < 0) continue;
+            Sum& sum = sums_[own_[k]];
+            const Vec3<double> force = (sum.scale * (gaps.sign(k) * gaps.push(k))) * gaps.normal(k);
+            sum.force = sum.force + force;
+            const quad<double> all{force.x, force.y, force.z, 0.0};
+            const int corners = k < gaps.ends[0] ? 3 : k < gaps.ends[1] ? 2 : 1;
+            for (int j = 0; j < corners; ++j) {
+                double* const to = f + 4 * static_cast<std::int64_t>(gaps.corner[j + 1][k]);
+                const double w = gaps.weight[j][k];
+                store4(to, cloth::fma(quad<double>{w, w, w, w}, all, load4(to)));
+            }
+        }
+        for (const Sum& sum : sums_) {
+            double* const to = f + 4 * static_cast<std::int64_t>(sum.particle);
+            store4(to, quad<double>(load4(to) + quad<double>{sum.force.x, sum.force.y, sum.force.z, 0.0}));
+        }
+    }
     /// Find what is near, and look at the ways since the last time.
     bool look(const double* x) {
         if (passed_) return false;
         const std::int64_t n = self_.surface.count;
-        double moved = 0.0;
-        if (!before_.empty()) {
+        double moved = 0.0, since = std::numeric_limits<double>::infinity();
+        if (before_.empty()) {
+            before_.assign(x, x + 4 * n);
+        } else {
             Spread spread;
             for (std::int64_t i = 0; i < n; ++i) spread.take(load4(x + 4 * i) - load4(before_.data() + 4 * i));
-            moved = spread.most();
+            since = moved = spread.most();
         }
         // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
-        passed_ = !self_.find(x, thickness_, 2.0 * moved);
-        if (!passed_ && moved > 0.0) {
-            const Quads now{x}, earlier{before_.data()};
-            const auto way = [&](Index c) { return now(c) - earlier(c); };
-            const auto check = [&](double square, const std::array<Index, 4>& corner, bool edges) {
-                if (square <= moved * moved) passed_ = passed_ || may_pass(square, corner.data(), edges, way);
-            };
-            for (std::size_t k = 0; k < self_.triangles.size(); ++k) check(self_.triangle_squares[k], self_.triangle_corners(k), false);
-            for (std::size_t k = 0; k < self_.edges.size(); ++k) check(self_.edge_squares[k], self_.edge_corners(k), true);
-        }
-        before_.assign(x, x + 4 * n);
+        passed_ = !self_.follow(x, thickness_, 2.0 * moved, since);
+        if (!passed_ && moved > 0.0) check(x, moved);
+        std::memcpy(before_.data(), x, 4 * n * sizeof(double));
         return !passed_;
+    }
+    /// Whether anything may have passed through anything on the way from the last step to x; nothing has moved further than
+    /// `moved` [m] relative to anything.
+    void check(const double* x, double moved) {
+        const Quads now{x}, earlier{before_.data()};
+        const auto way = [&](Index c) { return now(c) - earlier(c); };
+        const SelfGaps& gaps = self_.gaps;
+        for (std::size_t k = 0; k < gaps.ends[0]; ++k) {
+            if (gaps.square[k] > moved * moved) continue;
+            const Index corner[4] = {gaps.corner[0][k], gaps.corner[1][k], gaps.corner[2][k], gaps.corner[3][k]};
+            passed_ = passed_ || may_pass(gaps.square[k], corner, false, way);
+        }
+        for (std::size_t k = 0; k < self_.edges.size(); ++k)
+            if (self_.edge_squares[k] <= moved * moved)
+                passed_ = passed_ || may_pass(self_.edge_squares[k], self_.edge_corners(k).data(), true, way);
     }
     SelfContact& self_;
     SelfLaw<double> law_;
+    ContactLaw<vec<double>> wide_;
     double thickness_, damping_, step_;
     Meeting<double> meeting_;
     Demand demand_;
+    std::vector<Sum> sums_;
+    std::vector<Index> place_, own_;
     Array<double> before_;
     bool passed_ = false;
 };

@@ -89,7 +89,7 @@ public:
                         take({-1.0, {i, t[k], t[next], i}, {one, e.share - one, -e.share, V{}}, e.away, e.square, V{}},
                              moving, m);
                 }
-                if (s.inner[t[k]] && first_about(s, t[k], i) == *triangle) {
+                if (s.inner[t[k]] && s.first_about(t[k], i) == *triangle) {
                     const Vec3<V> away = p - x[k];
                     const V square = norm2(away);
                     if (value_of(square) < thickness_ * thickness_)
@@ -134,12 +134,13 @@ public:
     }
     /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
     /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
-    V damped(const Meeting<V>& m) const {
+    V damped(const Meeting<V>& m) const { return damped(m.push, m.rate, m.edges); }
+    V damped(V push, V rate, bool edges) const {
         const V one = splat<V>(1.0);
-        if (!(value_of(m.push) > 0.0)) return one;
-        const double gamma = 0.5 * ContactLaw<V>::speed / thickness(m.edges);
-        const V under = m.push * (one + splat<V>(damping_ / gamma) * m.push);
-        const V u = splat<V>(0.5 * damping_) * m.rate / under;
+        if (!(value_of(push) > 0.0)) return one;
+        const double gamma = 0.5 * ContactLaw<V>::speed / thickness(edges);
+        const V under = push * (one + splat<V>(damping_ / gamma) * push);
+        const V u = splat<V>(0.5 * damping_) * rate / under;
         return u + root(fma(u, u, one));
     }
     /// Call `what` with each corner of a meeting and the force on it.
@@ -165,12 +166,6 @@ private:
     /// sin^2 of the angle below which edges count as parallel: 1.8 degrees, as in IPC.
     static constexpr double parallel = 1e-3;
 
-    /// The first triangle about a particle that does not have particle i.
-    static Index first_about(const Surface& s, Index particle, Index i) {
-        for (Index k = s.start[particle]; k < s.start[particle + 1]; ++k)
-            if (!s.has(s.fan[k], i)) return s.fan[k];
-        return -1;
-    }
     /// Complete a gap and add it. On entry g.normal is the vector across the gap [m] and g.gap its squared length
     /// [m^2].
     template <class U>

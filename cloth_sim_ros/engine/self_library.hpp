@@ -14,9 +14,11 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
         s.shortest = shortest;
         s.masses.resize(plan->count);
         s.moves.resize(plan->count);
+        s.inverse.resize(plan->count);
         for (std::int64_t i = 0; i < plan->count; ++i) {
             s.masses[plan->rank[i]] = plan->masses[i];
             s.moves[plan->rank[i]] = plan->inverse[i] > 0.0;
+            s.inverse[plan->rank[i]] = plan->inverse[i];
         }
         for (std::int64_t t = 0; t < count; ++t) {
             const auto corner = [&](int k) { return static_cast<cloth::Index>(plan->rank[triangles[3 * t + k]]); };

@@ -17,7 +17,7 @@ using Index = std::int32_t;
 
 struct Surface {
     std::int64_t count = 0;  ///< of particles
-    std::vector<double> masses;
+    std::vector<double> masses, inverse;  ///< [kg], and one over it, zero where anchored
     std::vector<char> moves;
     std::vector<std::array<Index, 3>> triangles;
     /// Of each triangle, across its edges from corner 0 to 1, 1 to 2, 2 to 0: the next triangle, -1 at the border.
@@ -33,6 +33,12 @@ struct Surface {
     bool has(std::int64_t triangle, Index particle) const {
         const auto& t = triangles[triangle];
         return t[0] == particle || t[1] == particle || t[2] == particle;
+    }
+    /// The first triangle about a particle that does not have particle i.
+    Index first_about(Index particle, Index i) const {
+        for (Index k = start[particle]; k < start[particle + 1]; ++k)
+            if (!has(fan[k], i)) return fan[k];
+        return -1;
     }
     /// Edges and fans from triangles. An edge of more than two triangles counts as a border.
     void join() {

@@ -1,0 +1,170 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// The gaps between particles and the surface about them, as runs meet them: in every step, so a vector of them at a time.
+// The law is that of self_law.hpp. No bit depends on the width of vectors, nor on which candidates there are beyond those
+// within reach: lanes do what a single number would do, and sums are taken in the order of the candidates.
+#pragma once
+
+#include "self_law.hpp"
+#include "self_pairs.hpp"
+
+namespace cloth {
+
+/// Corners of gaps: the particle, then those of what it meets. What has fewer has the particle in their place.
+struct Corners {
+    std::vector<Index> of[4];
+    std::size_t size() const { return of[0].size(); }
+    void clear() {
+        for (auto& all : of) all.clear();
+    }
+    void add(Index a, Index b, Index c, Index e) {
+        of[0].push_back(a), of[1].push_back(b), of[2].push_back(c), of[3].push_back(e);
+    }
+    std::array<Index, 4> at(std::size_t k) const { return {of[0][k], of[1][k], of[2][k], of[3][k]}; }
+    void move(std::size_t from, std::size_t to) {
+        for (auto& all : of) all[to] = all[from];
+    }
+    void shorten(std::size_t size) {
+        for (auto& all : of) all.resize(size);
+    }
+};
+
+/// Where a particle is nearest to what it meets: weights of the further corners, the way from there, its square.
+template <class V>
+struct NearGap {
+    V weight[3], square;
+    Vec3<V> away;
+};
+/// To a triangle, an edge or a particle: of 3, 2 or 1 corners.
+template <int Size, class V>
+CLOTH_INLINE NearGap<V> near_gap(const Vec3<V>* at) {
+    const V zero{}, one = splat<V>(1.0);
+    if constexpr (Size == 3) {
+        const OnTriangle<V> n = near_triangle(at[0], at[1], at[2], at[3]);
+        return {{-n.weight[0], -n.weight[1], -n.weight[2]}, n.square, n.away};
+    } else if constexpr (Size == 2) {
+        const OnSegment<V> n = near_segment(at[0], at[1], at[2]);
+        return {{n.share - one, -n.share, zero}, n.square, n.away};
+    } else {
+        const Vec3<V> away = at[0] - at[1];
+        return {{-one, zero, zero}, norm2(away), away};
+    }
+}
+
+class SelfGaps {
+public:
+    /// What particles may meet within a reach [m] at positions x: triangles, and what of them counts beside them.
+    void offer(const Surface& s, const PairList& triangles, const double* x, double reach) {
+        for (auto& all : offered_) all.clear();
+        for (std::size_t k = 0; k < triangles.size(); ++k) {
+            const Index i = triangles.first[k], triangle = triangles.second[k];
+            const auto& t = s.triangles[triangle];
+            offered_[0].add(i, t[0], t[1], t[2]);
+            for (int j = 0; j < 3; ++j) {
+                // An edge between two triangles and a particle within the sheet, by the first one that has it.
+                const Index other = s.across[triangle][j];
+                if (other >= 0 && (s.has(other, i) || triangle < other)) offered_[1].add(i, t[j], t[(j + 1) % 3], i);
+                if (s.inner[t[j]] && s.first_about(t[j], i) == triangle) offered_[2].add(i, t[j], i, i);
+            }
+        }
+        keep<2>(offered_[1], x, reach * reach);
+        keep<1>(offered_[2], x, reach * reach);
+    }
+    /// Find what is nearer than the thickness, and triangles that are nearer than a reach, which is at least that.
+    void find(const double* x, double thickness, double reach) {
+        const std::size_t most = offered_[0].size() + offered_[1].size() + offered_[2].size() + lanes<double>;
+        if (square.size() < most) {
+            for (auto& all : corner) all.resize(most);
+            for (auto& all : weight) all.resize(most);
+            for (auto& all : away) all.resize(most);
+            square.resize(most);
+            for (auto& all : law_) all.resize(most);
+        }
+        size = 0;
+        sift<3>(offered_[0], x, reach * reach);
+        ends[0] = size;
+        sift<2>(offered_[1], x, thickness * thickness);
+        ends[1] = size;
+        sift<1>(offered_[2], x, thickness * thickness);
+    }
+    double sign(std::size_t k) const { return k >= ends[0] && k < ends[1] ? -1.0 : 1.0; }
+    double gap(std::size_t k) const { return law_[0][k]; }
+    double closing(std::size_t k) const { return law_[1][k]; }
+    double push(std::size_t k) const { return law_[2][k]; }
+    double shape(std::size_t k) const { return law_[3][k]; }
+    Vec3<double> normal(std::size_t k) const { return {away[0][k], away[1][k], away[2][k]}; }
+
+    /// Evaluate the law at what was found: gaps, the speeds with which they close, pushes per mass without damping, b, and
+    /// `away` becomes its direction.
+    void evaluate(const ContactLaw<vec<double>>& law, const double* v) {
+        using V = vec<double>;
+        for (std::size_t k = 0; k < size; k += lanes<double>) {
+            Vec3<V> moving[4];
+            gather<4>(corner, k, size, v, moving);
+            const V gap = root(load(square.data() + k)), over = splat<V>(1.0) / gap;
+            Vec3<V> speed = moving[0];
+            for (int j = 0; j < 3; ++j) speed = fma(load(weight[j].data() + k), moving[j + 1], speed);
+            const Vec3<V> n{over * load(away[0].data() + k), over * load(away[1].data() + k), over * load(away[2].data() + k)};
+            store(away[0].data() + k, n.x), store(away[1].data() + k, n.y), store(away[2].data() + k, n.z);
+            store(law_[0].data() + k, gap);
+            store(law_[1].data() + k, V(-dot(n, speed)));
+            store(law_[2].data() + k, law.elastic(gap));
+            store(law_[3].data() + k, law.shape(gap));
+        }
+    }
+
+    /// What was found: triangles, edges from ends[0] on, particles from ends[1] on; each by ascending particles.
+    std::size_t size = 0, ends[2] = {};
+    std::vector<Index> corner[4];
+    std::vector<double> weight[3], away[3], square;
+
+private:
+    template <int Count>
+    static CLOTH_INLINE void gather(const std::vector<Index>* corner, std::size_t k, std::size_t end, const double* x,
+                                    Vec3<vec<double>>* at) {
+        quad<double> rows[lanes<double>];
+        for (int j = 0; j < Count; ++j) {
+            for (int lane = 0; lane < lanes<double>; ++lane)
+                rows[lane] = load4(x + 4 * static_cast<std::int64_t>(corner[j][std::min(k + lane, end - 1)]));
+            apart(rows, at[j].x, at[j].y, at[j].z);
+        }
+    }
+    template <int Size>
+    void keep(Corners& list, const double* x, double below) {
+        double squares[lanes<double>];
+        std::size_t kept = 0;
+        for (std::size_t k = 0; k < list.size(); k += lanes<double>) {
+            Vec3<vec<double>> at[Size + 1];
+            gather<Size + 1>(list.of, k, list.size(), x, at);
+            store(squares, near_gap<Size>(at).square);
+            for (std::size_t lane = k; lane < std::min(k + lanes<double>, list.size()); ++lane)
+                if (squares[lane - k] < below) list.move(lane, kept++);
+        }
+        list.shorten(kept);
+    }
+    template <int Size>
+    void sift(const Corners& from, const double* x, double below) {
+        using V = vec<double>;
+        double kept[7][lanes<double>];
+        for (std::size_t k = 0; k < from.size(); k += lanes<double>) {
+            Vec3<V> at[Size + 1];
+            gather<Size + 1>(from.of, k, from.size(), x, at);
+            const NearGap<V> n = near_gap<Size>(at);
+            const V numbers[7] = {n.weight[0], n.weight[1], n.weight[2], n.away.x, n.away.y, n.away.z, n.square};
+            for (int j = 0; j < 7; ++j) store(kept[j], numbers[j]);
+            const std::size_t many = std::min<std::size_t>(lanes<double>, from.size() - k);
+            for (std::size_t lane = 0; lane < many; ++lane) {
+                if (!(kept[6][lane] < below)) continue;
+                for (int j = 0; j < 4; ++j) corner[j][size] = from.of[j][k + lane];
+                for (int j = 0; j < 3; ++j) weight[j][size] = kept[j][lane], away[j][size] = kept[j + 3][lane];
+                square[size++] = kept[6][lane];
+            }
+        }
+    }
+
+    Corners offered_[3];
+    std::vector<double> law_[4];
+};
+
+}  // namespace cloth
