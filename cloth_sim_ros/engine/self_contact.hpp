@@ -185,42 +185,21 @@ public:
     /// A gap that closes at a speed and holds an energy already. Where two masses meet, one may stand still: then all of
     /// m w^2/2 goes into half of m U^2/2 b.
     void enter(bool edges, double closing, double shape = 0.0) {
-        const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
-        reached[edges] = larger(shape + 2.0 * speed * speed, reached[edges]);
+        reach(edges, energy_to_stop(closing, shape));
     }
-    /// Take in particles' gaps, evaluated, and the largest speed of those that come into contact within a duration [s].
-    void take(const Surface& s, const SelfGaps& gaps, double thickness, double duration) {
-        double coming = 0.0;
-        auto& load = load_[0];
-        load.resize(s.count + lanes<double>);
-        for (std::size_t k = 0; k < gaps.size; ++k) {
-            const double left = gaps.gap(k) - thickness, closing = gaps.closing(k);
-            if (left < 0.0) {
-                gap = smaller(gaps.gap(k), gap);
-                const Index i = gaps.corner[0][k];
-                const double size = gaps.sign(k) * s.masses[i];
-                load[i] += size * s.inverse[i];
-                for (int j = 0; j < 3; ++j) {
-                    const Index c = gaps.corner[j + 1][k];
-                    load[c] += size * absolute(gaps.weight[j][k]) * s.inverse[c];
-                }
-            } else if (left < duration * closing) {
-                coming = larger(closing, coming);
-            }
+    void reach(bool edges, double energy) { reached[edges] = larger(energy, reached[edges]); }
+    /// Take in what stiffness adds up to at particles, over that of a single gap, and forget it: the fourth number of
+    /// each of so many quads, times one over the mass.
+    void gather(const Surface& s, double* f) {
+        for (std::int64_t i = 0; i < s.count; ++i) {
+            crowd_[0] = larger(f[4 * i + 3] * s.inverse[i], crowd_[0]);
+            f[4 * i + 3] = 0.0;
         }
-        if (coming > 0.0) enter(false, coming);
-        using V = vec<double>;
-        V most{};
-        for (std::int64_t i = 0; i < s.count; i += lanes<double>) {
-            most = larger(load_as<V>(load.data() + i), most);
-            store_as(load.data() + i, V{});
-        }
-        for (int lane = 0; lane < lanes<double>; ++lane) crowd_[0] = larger(most[lane], crowd_[0]);
     }
     /// Take in a pair that is not in contact yet and comes into contact within a duration [s]: the step has to be short
-    /// enough for its closing speed before that.
+    /// enough for its closing speed before that. What closes slower than `from` [m/s] does not count.
     void come(const std::array<Index, 4>& corner, bool edges, const SelfLaw<double>& law, const Quads& at,
-              const Quads& moving, double duration) {
+              const Quads& moving, double duration, double from = 0.0) {
         Vec3<double> way, speed;
         const Vec3<double> v[4] = {moving(corner[0]), moving(corner[1]), moving(corner[2]), moving(corner[3])};
         if (edges) {
@@ -233,7 +212,7 @@ public:
             speed = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
         }
         const double away = root(norm2(way)), closing = -dot(way, speed) / away, left = away - law.thickness(edges);
-        if (left >= 0.0 && left < duration * closing) enter(edges, closing);
+        if (left >= 0.0 && left < duration * closing && closing >= from) enter(edges, closing);
     }
     /// Look at what was added since the last time.
     void close() {
@@ -328,66 +307,27 @@ public:
     SelfRates rates() const { return demand_.rates(thickness_, damping_); }
 
 private:
-    /// What adds to one particle's energy, see Meeting, and the largest speed with which one of its gaps closes.
-    struct Sum {
-        Index particle;
-        double push, rate, shape, closing, scale;
-        Vec3<double> force;
-    };
-
     /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
     void add_particles(const double* v, double* f, double* lost) {
         SelfGaps& gaps = self_.gaps;
         if (!gaps.size) return;
-        const Surface& s = self_.surface;
         gaps.evaluate(wide_, v);
-        demand_.take(s, gaps, thickness_, 2.0 * step_);
-        sums_.clear();
-        place_.resize(s.count);
-        own_.resize(gaps.size);
+        sums_.begin(self_.surface.count, gaps.size);
+        double coming = 0.0;
         for (std::size_t k = 0; k < gaps.size; ++k) {
-            own_[k] = -1;
-            if (!(gaps.gap(k) < thickness_)) continue;
-            const Index i = gaps.corner[0][k];
-            if (k < gaps.ends[0]) {
-                if (sums_.empty() || sums_.back().particle != i) {
-                    place_[i] = static_cast<Index>(sums_.size());
-                    sums_.push_back({i, 0.0, 0.0, 0.0, 0.0, 0.0, {0.0, 0.0, 0.0}});
-                }
-            } else if (place_[i] < 0 || static_cast<std::size_t>(place_[i]) >= sums_.size() || sums_[place_[i]].particle != i) {
-                continue;  // an edge of a triangle that is as far away as the thickness but for a rounding
-            }
-            own_[k] = place_[i];
-            Sum& sum = sums_[place_[i]];
-            const double push = gaps.sign(k) * gaps.push(k);
-            sum.push += push;
-            sum.rate = cloth::fma(push, gaps.closing(k), sum.rate);
-            sum.shape = cloth::fma(gaps.sign(k), gaps.shape(k), sum.shape);
-            sum.closing = larger(gaps.closing(k), sum.closing);
-        }
-        for (Sum& sum : sums_) {
-            const double mass = 0.5 * s.masses[sum.particle], damped = law_.damped(sum.push, sum.rate, false);
-            demand_.enter(false, sum.closing, sum.shape);
-            sum.scale = mass * damped;
-            if (lost) *lost += mass * (damped - 1.0) * sum.rate;
-        }
-        for (std::size_t k = 0; k < gaps.size; ++k) {
-            if (own_[k] < 0) continue;
-            Sum& sum = sums_[own_[k]];
-            const Vec3<double> force = (sum.scale * (gaps.sign(k) * gaps.push(k))) * gaps.normal(k);
-            sum.force = sum.force + force;
-            const quad<double> all{force.x, force.y, force.z, 0.0};
-            const int corners = k < gaps.ends[0] ? 3 : k < gaps.ends[1] ? 2 : 1;
-            for (int j = 0; j < corners; ++j) {
-                double* const to = f + 4 * static_cast<std::int64_t>(gaps.corner[j + 1][k]);
-                const double w = gaps.weight[j][k];
-                store4(to, cloth::fma(quad<double>{w, w, w, w}, all, load4(to)));
+            const double gap = gaps.gap(k), closing = gaps.closing(k);
+            if (gap < thickness_) {
+                demand_.gap = smaller(gap, demand_.gap);
+                sums_.take(k, gaps, k < gaps.ends[0]);
+            } else if (gap - thickness_ < 2.0 * step_ * closing) {
+                coming = larger(closing, coming);
             }
         }
-        for (const Sum& sum : sums_) {
-            double* const to = f + 4 * static_cast<std::int64_t>(sum.particle);
-            store4(to, quad<double>(load4(to) + quad<double>{sum.force.x, sum.force.y, sum.force.z, 0.0}));
-        }
+        if (coming > 0.0) demand_.enter(false, coming);
+        sums_.close(self_.surface, law_, lost);
+        if (sums_.most > 0.0) demand_.reach(false, sums_.most);
+        sums_.push(self_.surface, gaps, f);
+        demand_.gather(self_.surface, f);
     }
     /// Find what is near, and look at the ways since the last time.
     bool look(const double* x) {
@@ -428,8 +368,7 @@ private:
     double thickness_, damping_, step_;
     Meeting<double> meeting_;
     Demand demand_;
-    std::vector<Sum> sums_;
-    std::vector<Index> place_, own_;
+    SelfSums sums_;
     Array<double> before_;
     bool passed_ = false;
 };

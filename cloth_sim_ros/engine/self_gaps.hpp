@@ -167,4 +167,88 @@ private:
     std::vector<double> law_[4];
 };
 
+/// What adds to the energies of particles, by the particle (see Meeting), and the forces of that.
+class SelfSums {
+public:
+    /// The largest energy that one has to take up, see energy_to_stop.
+    double most = 0.0;
+
+    void begin(std::int64_t count, std::size_t gaps) {
+        size_ = gaps_ = 0;
+        place_.resize(count, 0);
+        if (of_.size() >= gaps + lanes<double>) return;
+        for (auto* all : {&push_, &rate_, &shape_, &closing_, &scale_}) all->resize(gaps + lanes<double>);
+        own_.resize(4 * (gaps + lanes<double>));
+        particle_.resize(gaps + lanes<double>);
+        of_.resize(gaps + lanes<double>);
+        which_.resize(gaps + lanes<double>);
+    }
+    /// Take in a gap below the thickness. Triangles come first, and each particle's together.
+    void take(std::size_t k, const SelfGaps& gaps, bool triangle) {
+        const Index i = gaps.corner[0][k];
+        if (triangle && (!size_ || particle_[size_ - 1] != i)) {
+            push_[size_] = rate_[size_] = shape_[size_] = closing_[size_] = 0.0;
+            particle_[size_] = i;
+            place_[i] = static_cast<Index>(size_++);
+        }
+        const auto place = static_cast<std::size_t>(place_[i]);
+        // An edge of a triangle that is as far away as the thickness but for a rounding.
+        if (place >= size_ || particle_[place] != i) return;
+        which_[gaps_] = static_cast<Index>(k);
+        of_[gaps_++] = static_cast<Index>(place);
+        const double sign = gaps.sign(k), push = sign * gaps.push(k);
+        push_[place] += push;
+        rate_[place] = cloth::fma(push, gaps.closing(k), rate_[place]);
+        shape_[place] = cloth::fma(sign, gaps.shape(k), shape_[place]);
+        closing_[place] = larger(gaps.closing(k), closing_[place]);
+    }
+    /// What damping multiplies forces by, and what it takes [W].
+    void close(const Surface& s, const SelfLaw<double>& law, double* lost) {
+        using V = vec<double>;
+        most = 0.0;
+        for (std::size_t k = 0; k < size_; k += lanes<double>) {
+            const V push = load(push_.data() + k), rate = load(rate_.data() + k);
+            const V damped = select(push > V{}, law.quotient(push, rate, false), splat<V>(1.0));
+            store(scale_.data() + k, damped);
+            double energies[lanes<double>];
+            store(energies, energy_to_stop(load(closing_.data() + k), load(shape_.data() + k)));
+            // What is left behind the last one does not count.
+            for (std::size_t lane = 0; lane < std::min<std::size_t>(lanes<double>, size_ - k); ++lane)
+                most = larger(energies[lane], most);
+        }
+        for (std::size_t k = 0; k < size_; ++k) {
+            const double mass = 0.5 * s.masses[particle_[k]];
+            if (lost) *lost += mass * (scale_[k] - 1.0) * rate_[k];
+            scale_[k] *= mass;
+        }
+    }
+    /// Add forces to quads f; and as their fourth number the mass of what pushes times its weights, see Demand.
+    void push(const Surface& s, const SelfGaps& gaps, double* f) {
+        std::fill(own_.begin(), own_.begin() + 4 * static_cast<std::ptrdiff_t>(size_), 0.0);
+        for (std::size_t at = 0; at < gaps_; ++at) {
+            const std::size_t k = which_[at], place = of_[at];
+            const double sign = gaps.sign(k), force = scale_[place] * (sign * gaps.push(k));
+            const Vec3<double> n = gaps.normal(k);
+            const quad<double> all{force * n.x, force * n.y, force * n.z, sign * s.masses[particle_[place]]};
+            double* const own = own_.data() + 4 * place;
+            store4(own, quad<double>(load4(own) + all));
+            const int corners = k < gaps.ends[0] ? 3 : k < gaps.ends[1] ? 2 : 1;
+            for (int j = 0; j < corners; ++j) {
+                double* const to = f + 4 * static_cast<std::int64_t>(gaps.corner[j + 1][k]);
+                const double w = gaps.weight[j][k];
+                store4(to, cloth::fma(quad<double>{w, w, w, absolute(w)}, all, load4(to)));
+            }
+        }
+        for (std::size_t k = 0; k < size_; ++k) {
+            double* const to = f + 4 * static_cast<std::int64_t>(particle_[k]);
+            store4(to, quad<double>(load4(to) + load4(own_.data() + 4 * k)));
+        }
+    }
+
+private:
+    std::size_t size_ = 0, gaps_ = 0;
+    std::vector<double> push_, rate_, shape_, closing_, scale_, own_;
+    std::vector<Index> particle_, place_, of_, which_;
+};
+
 }  // namespace cloth

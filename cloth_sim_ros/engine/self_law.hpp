@@ -24,6 +24,14 @@ struct Gap {
     V gap, closing;
 };
 
+/// What a gap that closes at a speed [m/s] and holds an energy already has to take up, per mass in units of U^2/2. Where
+/// two masses meet, one may stand still: then all of m w^2/2 goes into half of m U^2/2 b.
+template <class V>
+CLOTH_INLINE V energy_to_stop(V closing, V shape) {
+    const V speed = larger(closing, V{}) * splat<V>(1.0 / ContactLaw<V>::speed);
+    return shape + splat<V>(2.0) * speed * speed;
+}
+
 /// What adds to one energy: gaps, and for edges how it fades as they become parallel.
 template <class V>
 struct Meeting {
@@ -136,11 +144,16 @@ public:
     /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
     V damped(const Meeting<V>& m) const { return damped(m.push, m.rate, m.edges); }
     V damped(V push, V rate, bool edges) const {
-        const V one = splat<V>(1.0);
-        if (!(value_of(push) > 0.0)) return one;
+        if (!(value_of(push) > 0.0)) return splat<V>(1.0);
+        return quotient<V>(push, rate, edges);
+    }
+    /// The same of pushes above zero, a vector of them where W is one.
+    template <class W>
+    CLOTH_INLINE W quotient(W push, W rate, bool edges) const {
+        const W one = splat<W>(1.0);
         const double gamma = 0.5 * ContactLaw<V>::speed / thickness(edges);
-        const V under = push * (one + splat<V>(damping_ / gamma) * push);
-        const V u = splat<V>(0.5 * damping_) * rate / under;
+        const W under = push * (one + splat<W>(damping_ / gamma) * push);
+        const W u = splat<W>(0.5 * damping_) * rate / under;
         return u + root(fma(u, u, one));
     }
     /// Call `what` with each corner of a meeting and the force on it.
