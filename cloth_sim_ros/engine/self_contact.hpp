@@ -115,8 +115,10 @@ private:
     }
     void take_far(const double* x, double beyond) {
         const double wanted = thickness_ + beyond;
-        if (keeps && wanted + since(x, far_.places) <= far_.pairs.reach) return;
-        far_.pairs.make(surface, x, larger(usual * surface.shortest, 1.2 * wanted));
+        if (keeps && thickness_ == far_thickness_ && wanted + since(x, far_.places) <= far_.pairs.reach) return;
+        far_thickness_ = thickness_;
+        // Edges keep half the thickness.
+        far_.pairs.make(surface, x, larger(usual * surface.shortest, 1.2 * wanted), 0.5 * thickness_);
         far_.places.assign(x, x + 4 * surface.count);
     }
     void take_middle(const double* x, double beyond) {
@@ -150,7 +152,7 @@ private:
     }
     /// Each a part of the one before.
     Found far_, middle_, near_;
-    double thickness_ = 0.0, way_ = 0.0;
+    double thickness_ = 0.0, far_thickness_ = 0.0, way_ = 0.0;
     std::vector<double> all_;
 };
 
@@ -317,13 +319,15 @@ private:
         for (std::size_t k = 0; k < gaps.size; ++k) {
             const double gap = gaps.gap(k), closing = gaps.closing(k);
             if (gap < thickness_) {
-                demand_.gap = smaller(gap, demand_.gap);
-                sums_.take(k, gaps, k < gaps.ends[0]);
+                sums_.take(k, gaps);
             } else if (gap - thickness_ < 2.0 * step_ * closing) {
                 coming = larger(closing, coming);
             }
         }
         if (coming > 0.0) demand_.enter(false, coming);
+        double least = 1e30;
+        for (const double square : gaps.square) least = smaller(square, least);
+        if (least < thickness_ * thickness_) demand_.gap = smaller(root(least), demand_.gap);
         sums_.close(self_.surface, law_, lost);
         if (sums_.most > 0.0) demand_.reach(false, sums_.most);
         sums_.push(self_.surface, gaps, f);
@@ -353,11 +357,9 @@ private:
         const Quads now{x}, earlier{before_.data()};
         const auto way = [&](Index c) { return now(c) - earlier(c); };
         const SelfGaps& gaps = self_.gaps;
-        for (std::size_t k = 0; k < gaps.ends[0]; ++k) {
-            if (gaps.square[k] > moved * moved) continue;
-            const Index corner[4] = {gaps.corner[0][k], gaps.corner[1][k], gaps.corner[2][k], gaps.corner[3][k]};
-            passed_ = passed_ || may_pass(gaps.square[k], corner, false, way);
-        }
+        for (std::size_t k = 0; k < gaps.square.size(); ++k)
+            if (gaps.square[k] <= moved * moved)
+                passed_ = passed_ || may_pass(gaps.square[k], gaps.corners(k).data(), false, way);
         for (std::size_t k = 0; k < self_.edges.size(); ++k)
             if (self_.edge_squares[k] <= moved * moved)
                 passed_ = passed_ || may_pass(self_.edge_squares[k], self_.edge_corners(k).data(), true, way);

@@ -57,37 +57,84 @@ public:
     /// What particles may meet within a reach [m] at positions x: triangles, and what of them counts beside them.
     void offer(const Surface& s, const PairList& triangles, const double* x, double reach) {
         for (auto& all : offered_) all.clear();
-        for (std::size_t k = 0; k < triangles.size(); ++k) {
-            const Index i = triangles.first[k], triangle = triangles.second[k];
-            const auto& t = s.triangles[triangle];
-            offered_[0].add(i, t[0], t[1], t[2]);
-            for (int j = 0; j < 3; ++j) {
-                // An edge between two triangles and a particle within the sheet, by the first one that has it.
-                const Index other = s.across[triangle][j];
-                if (other >= 0 && (s.has(other, i) || triangle < other)) offered_[1].add(i, t[j], t[(j + 1) % 3], i);
-                if (s.inner[t[j]] && s.first_about(t[j], i) == triangle) offered_[2].add(i, t[j], i, i);
+        beside_.clear();
+        for (std::size_t first = 0, last; first < triangles.size(); first = last) {
+            const Index i = triangles.first[first];
+            for (last = first; last < triangles.size() && triangles.first[last] == i;) ++last;
+            const Index *const own = triangles.second.data(), *const begin = own + first, *const end = own + last;
+            for (const Index* triangle = begin; triangle != end; ++triangle) {
+                const auto& t = s.triangles[*triangle];
+                offered_[0].add(i, t[0], t[1], t[2]);
+                for (int j = 0; j < 3; ++j) {
+                    // An edge between two triangles and a particle within the sheet, by the first one that has it.
+                    const Index other = s.across[*triangle][j];
+                    if (other >= 0 && (s.has(other, i) || *triangle < other)) {
+                        const Index* const there = std::lower_bound(begin, end, other);
+                        Beside b{{static_cast<Index>(triangle - own), -1}, {(j + 2) % 3, 0}};
+                        if (there != end && *there == other) {
+                            b.triangle[1] = static_cast<Index>(there - own);
+                            for (int k = 1; k < 3; ++k) {
+                                const Index corner = s.triangles[other][k];
+                                if (corner != t[j] && corner != t[(j + 1) % 3]) b.opposite[1] = k;
+                            }
+                        }
+                        beside_.push_back(b);
+                        offered_[1].add(i, t[j], t[(j + 1) % 3], i);
+                    }
+                    if (s.inner[t[j]] && s.first_about(t[j], i) == *triangle) offered_[2].add(i, t[j], i, i);
+                }
             }
         }
-        keep<2>(offered_[1], x, reach * reach);
-        keep<1>(offered_[2], x, reach * reach);
+        measure<2>(1, x);
+        std::size_t kept = 0;
+        for (std::size_t k = 0; k < offered_[1].size(); ++k) {
+            if (!(seen_[1][6][k] < reach * reach)) continue;
+            beside_[kept] = beside_[k];
+            offered_[1].move(k, kept++);
+        }
+        offered_[1].shorten(kept);
     }
-    /// Find what is nearer than the thickness, and triangles that are nearer than a reach, which is at least that.
+    /// Find what is nearer than the thickness, and triangles that are nearer than a reach, which is at least that. Where a
+    /// triangle is nearest on one of its edges both have the same gap, and their energies and forces are equal and
+    /// opposite: such pairs are left out.
     void find(const double* x, double thickness, double reach) {
+        const double below = thickness * thickness;
+        measure<3>(0, x);
+        measure<2>(1, x);
+        measure<1>(2, x);
+        square.assign(seen_[0][6].begin(), seen_[0][6].begin() + static_cast<std::ptrdiff_t>(offered_[0].size()));
         const std::size_t most = offered_[0].size() + offered_[1].size() + offered_[2].size() + lanes<double>;
-        if (square.size() < most) {
+        if (law_[0].size() < most) {
             for (auto& all : corner) all.resize(most);
-            for (auto& all : weight) all.resize(most);
-            for (auto& all : away) all.resize(most);
-            square.resize(most);
+            for (auto* of : {weight, away})
+                for (int j = 0; j < 3; ++j) of[j].resize(most);
             for (auto& all : law_) all.resize(most);
         }
+        left_.clear();
+        const auto& triangles = seen_[0];
+        gone_.assign(offered_[0].size(), 0);
+        for (std::size_t k = 0; k < offered_[1].size(); ++k) {
+            if (!(seen_[1][6][k] < below)) continue;
+            const Beside& b = beside_[k];
+            bool cancels = false;
+            for (int side = 0; side < 2 && !cancels; ++side) {
+                const Index t = b.triangle[side];
+                cancels = t >= 0 && !gone_[t] && triangles[6][t] < below && triangles[b.opposite[side]][t] == 0.0;
+                if (cancels) gone_[t] = 1;
+            }
+            if (!cancels) left_.push_back(static_cast<Index>(k));
+        }
         size = 0;
-        sift<3>(offered_[0], x, reach * reach);
+        for (std::size_t k = 0; k < offered_[0].size(); ++k)
+            if (triangles[6][k] < reach * reach && !gone_[k]) add(0, k);
         ends[0] = size;
-        sift<2>(offered_[1], x, thickness * thickness);
+        for (const Index k : left_) add(1, k);
         ends[1] = size;
-        sift<1>(offered_[2], x, thickness * thickness);
+        for (std::size_t k = 0; k < offered_[2].size(); ++k)
+            if (seen_[2][6][k] < below) add(2, k);
     }
+    /// The triangles that were looked at, beside `square`.
+    std::array<Index, 4> corners(std::size_t k) const { return offered_[0].at(k); }
     double sign(std::size_t k) const { return k >= ends[0] && k < ends[1] ? -1.0 : 1.0; }
     double gap(std::size_t k) const { return law_[0][k]; }
     double closing(std::size_t k) const { return law_[1][k]; }
@@ -102,7 +149,7 @@ public:
         for (std::size_t k = 0; k < size; k += lanes<double>) {
             Vec3<V> moving[4];
             gather<4>(corner, k, size, v, moving);
-            const V gap = root(load(square.data() + k)), over = splat<V>(1.0) / gap;
+            const V gap = root(load(law_[0].data() + k)), over = splat<V>(1.0) / gap;
             Vec3<V> speed = moving[0];
             for (int j = 0; j < 3; ++j) speed = fma(load(weight[j].data() + k), moving[j + 1], speed);
             const Vec3<V> n{over * load(away[0].data() + k), over * load(away[1].data() + k), over * load(away[2].data() + k)};
@@ -117,7 +164,9 @@ public:
     /// What was found: triangles, edges from ends[0] on, particles from ends[1] on; each by ascending particles.
     std::size_t size = 0, ends[2] = {};
     std::vector<Index> corner[4];
-    std::vector<double> weight[3], away[3], square;
+    std::vector<double> weight[3], away[3];
+    /// Squared distances of all triangles that were looked at [m^2].
+    std::vector<double> square;
 
 private:
     template <int Count>
@@ -130,41 +179,40 @@ private:
             apart(rows, at[j].x, at[j].y, at[j].z);
         }
     }
+    /// Weights, ways across and squared distances of all that are offered of one kind.
     template <int Size>
-    void keep(Corners& list, const double* x, double below) {
-        double squares[lanes<double>];
-        std::size_t kept = 0;
-        for (std::size_t k = 0; k < list.size(); k += lanes<double>) {
-            Vec3<vec<double>> at[Size + 1];
-            gather<Size + 1>(list.of, k, list.size(), x, at);
-            store(squares, near_gap<Size>(at).square);
-            for (std::size_t lane = k; lane < std::min(k + lanes<double>, list.size()); ++lane)
-                if (squares[lane - k] < below) list.move(lane, kept++);
-        }
-        list.shorten(kept);
-    }
-    template <int Size>
-    void sift(const Corners& from, const double* x, double below) {
+    void measure(int kind, const double* x) {
         using V = vec<double>;
-        double kept[7][lanes<double>];
+        const Corners& from = offered_[kind];
+        auto& seen = seen_[kind];
+        if (seen[6].size() < from.size() + lanes<double>)
+            for (auto& all : seen) all.resize(from.size() + lanes<double>);
         for (std::size_t k = 0; k < from.size(); k += lanes<double>) {
             Vec3<V> at[Size + 1];
             gather<Size + 1>(from.of, k, from.size(), x, at);
             const NearGap<V> n = near_gap<Size>(at);
             const V numbers[7] = {n.weight[0], n.weight[1], n.weight[2], n.away.x, n.away.y, n.away.z, n.square};
-            for (int j = 0; j < 7; ++j) store(kept[j], numbers[j]);
-            const std::size_t many = std::min<std::size_t>(lanes<double>, from.size() - k);
-            for (std::size_t lane = 0; lane < many; ++lane) {
-                if (!(kept[6][lane] < below)) continue;
-                for (int j = 0; j < 4; ++j) corner[j][size] = from.of[j][k + lane];
-                for (int j = 0; j < 3; ++j) weight[j][size] = kept[j][lane], away[j][size] = kept[j + 3][lane];
-                square[size++] = kept[6][lane];
-            }
+            for (int j = 0; j < 7; ++j) store(seen[j].data() + k, numbers[j]);
         }
     }
+    void add(int kind, std::size_t k) {
+        const auto& seen = seen_[kind];
+        for (int j = 0; j < 4; ++j) corner[j][size] = offered_[kind].of[j][k];
+        for (int j = 0; j < 3; ++j) weight[j][size] = seen[j][k], away[j][size] = seen[j + 3][k];
+        law_[0][size++] = seen[6][k];
+    }
 
+    /// The triangles on either side of an edge that is offered, by their place, -1 where it is not; and which of their
+    /// corners is not on the edge.
+    struct Beside {
+        Index triangle[2];
+        int opposite[2];
+    };
     Corners offered_[3];
-    std::vector<double> law_[4];
+    std::vector<Beside> beside_;
+    std::vector<double> seen_[3][7], law_[4];
+    std::vector<Index> left_;
+    std::vector<char> gone_;
 };
 
 /// What adds to the energies of particles, by the particle (see Meeting), and the forces of that.
@@ -183,17 +231,16 @@ public:
         of_.resize(gaps + lanes<double>);
         which_.resize(gaps + lanes<double>);
     }
-    /// Take in a gap below the thickness. Triangles come first, and each particle's together.
-    void take(std::size_t k, const SelfGaps& gaps, bool triangle) {
+    /// Take in a gap below the thickness.
+    void take(std::size_t k, const SelfGaps& gaps) {
         const Index i = gaps.corner[0][k];
-        if (triangle && (!size_ || particle_[size_ - 1] != i)) {
-            push_[size_] = rate_[size_] = shape_[size_] = closing_[size_] = 0.0;
-            particle_[size_] = i;
-            place_[i] = static_cast<Index>(size_++);
+        auto place = static_cast<std::size_t>(place_[i]);
+        if (place >= size_ || particle_[place] != i) {
+            place = size_++;
+            push_[place] = rate_[place] = shape_[place] = closing_[place] = 0.0;
+            particle_[place] = i;
+            place_[i] = static_cast<Index>(place);
         }
-        const auto place = static_cast<std::size_t>(place_[i]);
-        // An edge of a triangle that is as far away as the thickness but for a rounding.
-        if (place >= size_ || particle_[place] != i) return;
         which_[gaps_] = static_cast<Index>(k);
         of_[gaps_++] = static_cast<Index>(place);
         const double sign = gaps.sign(k), push = sign * gaps.push(k);

@@ -127,8 +127,8 @@ public:
     PairList edges;      ///< edge, later edge
     double reach = -1.0;
 
-    /// All pairs within a reach [m] at positions x, quads.
-    void make(const Surface& s, const double* x, double wanted) {
+    /// All pairs within a reach [m] at positions x, quads; of edges those within a reach that is `less` [m] shorter.
+    void make(const Surface& s, const double* x, double wanted, double less = 0.0) {
         reach = wanted;
         triangles.clear();
         edges.clear();
@@ -138,7 +138,7 @@ public:
         for (const auto& e : s.edges) length = larger(norm2(at(e[0]) - at(e[1])), length);
         length = root(length);
         find_triangles(s, at, length);
-        find_edges(s, at, length);
+        find_edges(s, at, length, wanted - less);
     }
     /// Squares of the distances of pairs in a list, and whether a vector of them fits behind.
     void triangle_squares(const Surface& s, const double* x, std::vector<double>& out) const {
@@ -187,8 +187,8 @@ private:
         }
     };
 
-    /// Keep those of a list that are within reach.
-    void keep(PairList& list, const std::vector<double>& squares) {
+    /// Keep those of a list that are within a reach.
+    static void keep(PairList& list, const std::vector<double>& squares, double reach) {
         std::size_t kept = 0;
         for (std::size_t k = 0; k < list.size(); ++k) {
             list.first[kept] = list.first[k];
@@ -213,9 +213,9 @@ private:
         triangles.sort(s.count);
         std::vector<double> all;
         triangle_squares(s, at.from, all);
-        keep(triangles, all);
+        keep(triangles, all, reach);
     }
-    void find_edges(const Surface& s, const Quads& at, double length) {
+    void find_edges(const Surface& s, const Quads& at, double length, double reach) {
         const std::int64_t count = static_cast<std::int64_t>(s.edges.size());
         std::vector<Box> boxes;
         boxes.reserve(count);
@@ -223,11 +223,20 @@ private:
             boxes.emplace_back(at(e[0]));
             boxes.back().take(at(e[1]));
         }
+        // Edges stand in their middles' cells; none reaches further than half the largest extent along an axis.
+        Vec3<double> half{};
+        for (const Box& box : boxes) {
+            const Vec3<double> extent = 0.5 * (box.high - box.low);
+            half = {larger(extent.x, half.x), larger(extent.y, half.y), larger(extent.z, half.z)};
+        }
         Cells cells(count, length + reach);
         cells.fill([&](std::int64_t e) { return 0.5 * (boxes[e].low + boxes[e].high); });
         std::vector<Index> found;
         for (std::int64_t e = 0; e < count; ++e) {
-            const Box box = boxes[e].grown(reach), wide = box.grown(0.5 * length);
+            const Box box = boxes[e].grown(reach);
+            Box wide = box;
+            wide.low = box.low - half;
+            wide.high = box.high + half;
             found.clear();
             cells.each(wide.low, wide.high, [&](Index other) {
                 if (other <= e || !box.meets(boxes[other])) return;
@@ -239,7 +248,7 @@ private:
         }
         std::vector<double> all;
         edge_squares(s, at.from, all);
-        keep(edges, all);
+        keep(edges, all, reach);
     }
 };
 
