@@ -1,6 +1,7 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contact with obstacles against theory: slopes, weight, a strip over a drum, impacts, drift, and what it costs.
+"""Contact with obstacles against theory: slopes, weight, a strip over a drum, impacts, drift, and what it costs; and
+what the cloth's contact with itself costs.
 
 Sheets of 0.3 m of the default material, contact.thickness 2 mm, without air. Nothing sleeps.
 """
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cloth_sim_ros.bench import contact_self
 from cloth_sim_ros.bench.contact_scenes import BORNE, FRAME, SHEET, THICKNESS, Capstan, Motion, downhill, sheet, slope
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.bench.speed_turns import take_turns
@@ -23,7 +25,7 @@ from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 
-PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "cost")
+PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "cost", "folds", "hanging")
 G = 9.81
 #: Angles off that of friction at which a sheet must stick or slip, and at which its acceleration is measured [degrees].
 NEAR, BEYOND = 0.1, 5.0
@@ -37,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--drift", type=float, default=600.0, metavar="SECONDS", help="that a sheet lies on a slope (600)"
     )
+    parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
     parser.add_argument("--seconds", type=float, default=20.0, help="that each comparison of costs takes (20)")
 
 
@@ -300,4 +303,6 @@ _MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "impacts": impacts,
     "order": order,
     "cost": cost,
+    "folds": contact_self.folds,
+    "hanging": contact_self.hanging,
 }

@@ -8,6 +8,7 @@
 
 #include "contact_run.hpp"
 #include "list_forces.hpp"
+#include "self_run.hpp"
 
 namespace cloth {
 

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Contact of the cloth with itself: who is near whom, and a run's part in it.
+// Contact of the cloth with itself: who is near whom, and what steps have to follow.
 #pragma once
 
 #include "self_gaps.hpp"
@@ -51,12 +51,15 @@ public:
     /// that are nearer than thickness / 2 + beyond. False where a position is not finite, or where thickness + beyond
     /// is at least four times the shortest edge.
     bool find(const double* x, double thickness, double beyond) {
-        if (!sees(x, thickness, beyond)) return false;
+        if (!(thickness + beyond < 4.0 * surface.shortest)) return false;
         const bool often = beyond <= usually * thickness;
-        if (often)
-            take_middle(x, beyond);
-        else
-            take_far(x, beyond);
+        if (!(often ? holds_middle(x, thickness, beyond) : holds_far(x, thickness, beyond))) {
+            if (!sees(x, thickness)) return false;
+            if (often)
+                take_middle(x, beyond);
+            else
+                take_far(x, beyond);
+        }
         const NearPairs& from = often ? middle_.pairs : far_.pairs;
         from.triangle_squares(surface, x, all_);
         choose(from.triangles, thickness + beyond, triangles, &triangle_squares);
@@ -70,7 +73,7 @@ public:
         if (!(thickness + beyond < 4.0 * surface.shortest)) return false;
         way_ += moved;
         if (!keeps || thickness != thickness_ || !(beyond + way_ <= near_.beyond)) {
-            if (!sees(x, thickness, beyond)) return false;
+            if (!sees(x, thickness)) return false;
             way_ = since(x, near_.places);
             if (!keeps || !(beyond + way_ <= near_.beyond)) {
                 take_near(x, beyond);
@@ -106,23 +109,29 @@ private:
             for (std::int64_t i = 0; i < surface.count; ++i) spread.take(load4(x + 4 * i));
         return spread.most();
     }
-    /// Whether pairs so near can be found where particles are. Lists of another thickness are forgotten.
-    bool sees(const double* x, double thickness, double beyond) {
-        if (!(since(x, far_.places) < 1e30) || !(thickness + beyond < 4.0 * surface.shortest)) return false;
-        if (thickness != thickness_) middle_.beyond = near_.beyond = -1.0;
+    /// Whether particles are where pairs can be found. Lists of another thickness are forgotten.
+    bool sees(const double* x, double thickness) {
+        if (!(since(x, far_.places) < 1e30)) return false;
+        if (thickness != thickness_) far_.pairs.reach = middle_.beyond = near_.beyond = -1.0;
         thickness_ = thickness;
         return true;
     }
+    /// Whether a list has all pairs within the thickness and beyond. It has none for positions that are not finite.
+    bool holds_far(const double* x, double thickness, double beyond) const {
+        return keeps && thickness == thickness_ && thickness + beyond + since(x, far_.places) <= far_.pairs.reach;
+    }
+    bool holds_middle(const double* x, double thickness, double beyond) const {
+        return keeps && thickness == thickness_ && beyond + since(x, middle_.places) <= middle_.beyond;
+    }
     void take_far(const double* x, double beyond) {
-        const double wanted = thickness_ + beyond;
-        if (keeps && thickness_ == far_thickness_ && wanted + since(x, far_.places) <= far_.pairs.reach) return;
-        far_thickness_ = thickness_;
+        if (holds_far(x, thickness_, beyond)) return;
         // Edges keep half the thickness.
-        far_.pairs.make(surface, x, larger(usual * surface.shortest, 1.2 * wanted), 0.5 * thickness_);
+        const double reach = larger(usual * surface.shortest, 1.2 * (thickness_ + beyond));
+        far_.pairs.make(surface, x, reach, 0.5 * thickness_);
         far_.places.assign(x, x + 4 * surface.count);
     }
     void take_middle(const double* x, double beyond) {
-        if (keeps && beyond + since(x, middle_.places) <= middle_.beyond) return;
+        if (holds_middle(x, thickness_, beyond)) return;
         take_far(x, beyond + usually * thickness_);
         narrow(x, far_.pairs, beyond + usually * thickness_, middle_);
     }
@@ -152,7 +161,7 @@ private:
     }
     /// Each a part of the one before.
     Found far_, middle_, near_;
-    double thickness_ = 0.0, far_thickness_ = 0.0, way_ = 0.0;
+    double thickness_ = 0.0, way_ = 0.0;
     std::vector<double> all_;
 };
 
@@ -262,117 +271,5 @@ inline void for_each_near(const SelfContact& self, P&& particle, E&& edge) {
     }
     for (std::size_t k = 0; k < self.edges.size(); ++k) edge(k);
 }
-
-/// Whether the two sides of a pair may have passed through each other during a step. `square` is their squared distance
-/// at the step's end [m^2], `way(c)` the displacement of a corner [m]. They have not if they moved less, relative to
-/// each other, than that distance. No point of a side moves further, relative to the first corner, than the side's
-/// corners.
-template <class F>
-inline bool may_pass(double square, const Index* corner, bool edges, F&& way) {
-    const Vec3<double> own = way(corner[0]);
-    const auto away = [&](int k) { return root(norm2(way(corner[k]) - own)); };
-    const double other = larger(away(2), away(3));
-    const double most = edges ? away(1) + other : larger(away(1), other);
-    return !(most < root(square));
-}
-
-/// The cloth's contact with itself over a run, by one thread.
-class SelfRun {
-public:
-    SelfRun(SelfContact& self, double thickness, double damping, double step)
-        : self_(self), law_(thickness, damping), wide_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
-
-    /// Add the forces at positions x and velocities v to f, all quads, and what damping takes [W] to `lost`.
-    void add(const double* x, const double* v, double* f, double* lost) {
-        if (!look(x)) return;
-        add_particles(v, f, lost);
-        const Surface& s = self_.surface;
-        const Quads at{x}, moving{v};
-        const auto push = [&](Index c, Vec3<double> force) {
-            f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
-        };
-        for (std::size_t k = 0; k < self_.edges.size(); ++k) {
-            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, moving, meeting_);
-            if (meeting_.gaps.empty()) {
-                demand_.come(self_.edge_corners(k), true, law_, at, moving, 2.0 * step_);
-                continue;
-            }
-            law_.forces(meeting_, push);
-            demand_.take(s, meeting_);
-            if (lost) *lost += meeting_.mass * (law_.damped(meeting_) - 1.0) * meeting_.rate;
-        }
-        demand_.close();
-    }
-    /// The end of the run: whether nothing can have passed through anything on the way there.
-    bool finish(const double* x) { return look(x) && !passed_; }
-    double gap() const { return demand_.gap; }
-    SelfRates rates() const { return demand_.rates(thickness_, damping_); }
-
-private:
-    /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
-    void add_particles(const double* v, double* f, double* lost) {
-        SelfGaps& gaps = self_.gaps;
-        if (!gaps.size) return;
-        gaps.evaluate(wide_, v);
-        sums_.begin(self_.surface.count, gaps.size);
-        double coming = 0.0;
-        for (std::size_t k = 0; k < gaps.size; ++k) {
-            const double gap = gaps.gap(k), closing = gaps.closing(k);
-            if (gap < thickness_) {
-                sums_.take(k, gaps);
-            } else if (gap - thickness_ < 2.0 * step_ * closing) {
-                coming = larger(closing, coming);
-            }
-        }
-        if (coming > 0.0) demand_.enter(false, coming);
-        double least = 1e30;
-        for (const double square : gaps.square) least = smaller(square, least);
-        if (least < thickness_ * thickness_) demand_.gap = smaller(root(least), demand_.gap);
-        sums_.close(self_.surface, law_, lost);
-        if (sums_.most > 0.0) demand_.reach(false, sums_.most);
-        sums_.push(self_.surface, gaps, f);
-        demand_.gather(self_.surface, f);
-    }
-    /// Find what is near, and look at the ways since the last time.
-    bool look(const double* x) {
-        if (passed_) return false;
-        const std::int64_t n = self_.surface.count;
-        double moved = 0.0, since = std::numeric_limits<double>::infinity();
-        if (before_.empty()) {
-            before_.assign(x, x + 4 * n);
-        } else {
-            Spread spread;
-            for (std::int64_t i = 0; i < n; ++i) spread.take(load4(x + 4 * i) - load4(before_.data() + 4 * i));
-            since = moved = spread.most();
-        }
-        // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
-        passed_ = !self_.follow(x, thickness_, 2.0 * moved, since);
-        if (!passed_ && moved > 0.0) check(x, moved);
-        std::memcpy(before_.data(), x, 4 * n * sizeof(double));
-        return !passed_;
-    }
-    /// Whether anything may have passed through anything on the way from the last step to x; nothing has moved further than
-    /// `moved` [m] relative to anything.
-    void check(const double* x, double moved) {
-        const Quads now{x}, earlier{before_.data()};
-        const auto way = [&](Index c) { return now(c) - earlier(c); };
-        const SelfGaps& gaps = self_.gaps;
-        for (std::size_t k = 0; k < gaps.square.size(); ++k)
-            if (gaps.square[k] <= moved * moved)
-                passed_ = passed_ || may_pass(gaps.square[k], gaps.corners(k).data(), false, way);
-        for (std::size_t k = 0; k < self_.edges.size(); ++k)
-            if (self_.edge_squares[k] <= moved * moved)
-                passed_ = passed_ || may_pass(self_.edge_squares[k], self_.edge_corners(k).data(), true, way);
-    }
-    SelfContact& self_;
-    SelfLaw<double> law_;
-    ContactLaw<vec<double>> wide_;
-    double thickness_, damping_, step_;
-    Meeting<double> meeting_;
-    Demand demand_;
-    SelfSums sums_;
-    Array<double> before_;
-    bool passed_ = false;
-};
 
 }  // namespace cloth

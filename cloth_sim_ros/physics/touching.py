@@ -265,6 +265,8 @@ class Touching:
         """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite where a
         particle is inside an obstacle.
         """
+        if not self.count:
+            return 0.0
         self.sync()
         out = np.empty(1)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
@@ -273,6 +275,8 @@ class Touching:
 
     def limits(self, energy: float) -> tuple[float, float]:
         """Return squared frequency and damping rate of contact that has taken up an energy per mass, in U^2/2."""
+        if not self.count:
+            return 0.0, 0.0
         out = np.empty(2)
         check(self._library.cloth_contact_limits(self._handle, energy, address(out)))
         return float(out[0]), float(out[1])
