@@ -3,15 +3,20 @@
 """The measurement of contact: a short sample of it, and that it tells what is not met."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cloth_sim_ros.bench import contact
+from cloth_sim_ros.bench import contact, contact_self
 from cloth_sim_ros.bench.contact_scenes import FRAME, SHEET, Capstan
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import ros_yaml
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def test_a_strip_over_a_turning_drum_pulls_by_the_exponential_of_friction_and_angle():
@@ -36,3 +41,46 @@ def test_what_is_not_met_is_told(capsys, monkeypatch):
     monkeypatch.setattr(contact, "NEAR", -5.0)
     assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 1
     assert "NOT MET" in capsys.readouterr().out
+
+
+def test_the_fold_is_that_of_the_configuration():
+    given = ros_yaml.load((CONFIG / "fold.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+    names = {}
+    for name, value in given.items():
+        names |= (
+            {f"{name}.{inner}": each for inner, each in value.items()} if isinstance(value, dict) else {name: value}
+        )
+    for name, value in contact_self.FOLD.items():
+        assert names[name] == value
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        steps = ros_yaml.load((CONFIG / f"fold_{side}.yaml").read_text(encoding="utf-8"))["steps"]
+        poses = {step["time"]: tuple(step["position"]) for step in steps}
+        assert poses == {t: (sign * contact_self.ASIDE, y, z) for t, y, z in contact_self.POSES}
+        closes = [(step["time"], step["close"]) for step in steps if "close" in step]
+        assert closes == [(contact_self.CLOSES, True), (contact_self.OPENS, False)]
+
+
+def test_grippers_of_the_fold_close_on_the_towel():
+    told = [event for events in contact_self.events(300) for event in events]
+    assert [event.closed for event in told if isinstance(event, Grasp)] == [True, True, False, False]
+    assert contact_self.place(0.0) == (-0.22, 0.1)
+    assert contact_self.place(2.3) == pytest.approx((-0.085, 0.16))
+    assert contact_self.place(9.0) == (0.21, 0.12)
+
+
+def test_what_the_cloths_contact_with_itself_costs_is_told(capsys, monkeypatch):
+    monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
+    monkeypatch.setattr(contact_self, "HUNG", (6,))
+    # What it costs depends on the machine.
+    main(["contact", "--parts", "folds", "hanging", "--fold", "0.2", "--seconds", "0.1"])
+    out = capsys.readouterr().out
+    assert "12 x 12" in out
+    assert "6 x 6" in out
+
+
+def test_the_worst_second_of_a_fold():
+    seconds = [0.01] * 100 + [0.05] * 60 + [0.02] * 40
+    folded = contact_self.Folded(seconds, [1] * 200, [0] * 200, 900)
+    assert folded.worst == 100
+    assert folded.speed(folded.worst, 60) == pytest.approx(1.0 / 3.0)
+    assert folded.speed() == pytest.approx(200.0 / 60.0 / 4.8)
