@@ -18,19 +18,21 @@ from cloth_sim_ros.engine.binding import (
 )
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.owner import Owner
 
 
 class Gripping:
     """The grips of one plan.
 
     Args:
-        handle: the engine's plan.
+        owner: of the engine's plan.
         grips: the force.
         particle_count: of the model.
     """
 
-    def __init__(self, handle: int, grips: Grips, particle_count: int) -> None:
-        self._library, self._handle, self.force = library(), handle, grips
+    def __init__(self, owner: Owner, grips: Grips, particle_count: int) -> None:
+        self._owner, self.force = owner, grips
+        self._library, self._handle = library(), owner.handle
         self._shape = (3, particle_count)
         self._seen = self._moved = -1
         #: Number of grippers.

@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import os
 import threading
-import weakref
 from collections.abc import Sequence
 from ctypes import addressof
 from math import isfinite
@@ -40,6 +39,7 @@ from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.gripping import Gripping
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.own_forces import OwnForces
+from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.runs import Run, Told, booked_size
 from cloth_sim_ros.physics.turn import one_at_a_time
 
@@ -87,19 +87,16 @@ class Plan:
         self._newest: tuple[Array | None, Array | None] = (None, None)
         self._newest_at = 0
         self._frame_at = ctypes.byref(self._frame)
-        count, masses = model.particle_count, (model.masses.ctypes.data, model.inverse_masses.ctypes.data)
-        self._handle = self._library.cloth_plan_new(count, *masses)
-        if not self._handle:
-            check(2)
-        # Not at exit: a daemon's thread may still be at work with it.
-        weakref.finalize(self, self._library.cloth_plan_free, self._handle).atexit = False
+        count = model.particle_count
+        self._owner = Owner(model)
+        self._handle = self._owner.handle
         parts.hand_over(self._handle)
-        self._gripping = None if parts.grips is None else Gripping(self._handle, parts.grips, count)
+        self._gripping = None if parts.grips is None else Gripping(self._owner, parts.grips, count)
         self.contact: Touching | None = None
         if parts.contact is not None:
             from cloth_sim_ros.physics.touching import Touching
 
-            self.contact = Touching(self._handle, parts.contact, count)
+            self.contact = Touching(self._owner, parts.contact, count)
         self._called = OwnForces(self._own, self._shape) if self._own else None
         if self._called is not None:
             check(self._library.cloth_plan_callback(self._handle, self._called.callback))

@@ -25,6 +25,7 @@ from cloth_sim_ros.engine.binding import (
 from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
@@ -39,13 +40,14 @@ class Touching:
     """The contact of one plan.
 
     Args:
-        handle: the engine's plan.
+        owner: of the engine's plan.
         contact: the force.
         particle_count: of the model.
     """
 
-    def __init__(self, handle: int, contact: Contact, particle_count: int) -> None:
-        self._library, self._handle, self.force = library(), handle, contact
+    def __init__(self, owner: Owner, contact: Contact, particle_count: int) -> None:
+        self._owner, self.force = owner, contact
+        self._library, self._handle = library(), owner.handle
         self._shape = (3, particle_count)
         self._seen = self._moved = self._heard = -1
         self._taken: Array | None = None

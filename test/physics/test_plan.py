@@ -4,8 +4,12 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
+from support.contact_scenes import contact, still
 from support.plan_scenes import FILES, SCENES, listed, stir
 
 from cloth_sim_ros.physics.arrays import combine
@@ -204,6 +208,23 @@ def test_a_model_that_makes_no_plan_is_refused_by_name():
     two.name = "more grips"
     with pytest.raises(ValueError, match="two forces hold particles, 'grips' and 'more grips'"):
         compile(Model(np.ones(6), [one, two]))
+
+
+def test_what_a_plan_hands_out_keeps_the_engines_plan_until_it_goes_too():
+    force, places = contact("sphere", paths=[still()]), np.full((3, 4), 0.2)
+    plan = compile(Model(np.ones(4), [force, Grips(1)]))
+    owner, touching, gripping = weakref.ref(plan._owner), plan.contact, plan._gripping
+    del plan
+    gc.collect()
+    # The ball's radius is 0.2 m, the particles are at 0.2 sqrt(3) m from its centre.
+    assert touching.gaps(0.0, places)[0, 1] == pytest.approx(0.2 * (np.sqrt(3.0) - 1.0))
+    del touching
+    gc.collect()
+    assert gripping.rates(0.0, places, np.zeros((3, 4))).shape == (1, 8)
+    assert owner() is not None
+    del gripping
+    gc.collect()
+    assert owner() is None
 
 
 def test_a_run_of_no_step_is_refused():
