@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the same scenes give the same bits whatever the processor, C library, numpy or compiler. Run by `make bits`.
 
-Small scenes, which together use every force, both precisions, several orders and all integrators, run in processes that
-differ in what bits must not depend on. Each frame's state and wrenches are compared. For 64-bit ARM the engine is built
-by a cross compiler, and makes the engine's calls of a few frames again in an emulator (bits_trace.py, bits_replay.cpp).
+Small scenes (bits_scenes.py), which together use every force, contact, both precisions, several orders and all
+integrators, run in processes that differ in what bits must not depend on. Each frame's state, wrenches and loads are
+compared. For 64-bit ARM the engine is built by a cross compiler, and makes the engine's calls of a few frames again in
+an emulator (bits_trace.py, bits_replay.cpp).
 Exit status 1 tells that something differs, in which scene and from which frame or call on.
 """
 
@@ -20,11 +21,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from bits_scenes import SCENES, frames_of
 
 ROOT = Path(__file__).resolve().parent.parent
 ENGINE = ROOT / "cloth_sim_ros" / "engine"
@@ -35,49 +37,6 @@ _ARM = "aarch64-linux-gnu"
 _HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX,-AVX512F,-AVX2_Usable,-FMA_Usable"
 #: Fresh memory is filled with a pattern: what reads it unwritten shows.
 _PERTURB = "glibc.malloc.perturb=165"
-
-_GRID = {
-    "cloth.resolution": [9, 8],
-    "cloth.size": [0.4, 0.35],
-    "cloth.position": [0.1, -0.3, 1.7],
-    "cloth.orientation": [0.61, 0.07, -0.13, 0.77],
-    "gripper.radius": 0.08,
-}
-_BENT = {"material.bending_modulus": 1e-4, "material.stretch_modulus": 100.0, "material.shear_modulus": 10.0}
-#: Parameters of each scene. Positions and turns come from fractions, not from sines: what is asked is what the package
-#: computes, not what the test's own numbers are.
-SCENES: dict[str, dict[str, Any]] = {
-    "axial springs": _GRID,
-    "opposite springs": {**_GRID, "bending.model": "opposite", "bending.stiffness": 0.5},
-    "crossed springs": {**_GRID, **_BENT, "bending.model": "crossed"},
-    "altitude springs": {**_GRID, **_BENT, "bending.model": "altitude", "bending.rest_angle": 0.4},
-    "wind on a surface": {
-        **_GRID,
-        "wind.velocity": [3.0, 1.0, 0.3],
-        "wind.normal_drag": 1.0,
-        "wind.tangential_drag": 0.05,
-        "diagnostics.energy": True,
-    },
-    "implicit": {
-        **_GRID,
-        "cloth.resolution": [6, 7],
-        "integrator": "implicit",
-        "material.stretch_modulus": 3e4,
-        "material.shear_modulus": 3e3,
-    },
-    "loose tolerance": {**_GRID, "cloth.resolution": [24, 24], "cloth.size": [1.0, 1.0], "tolerance": 3e-3},
-    "tight tolerance": {**_GRID, "cloth.resolution": [6, 6], "tolerance": 1e-9},
-    "mesh": {
-        "cloth.mesh": "sheet.obj",
-        "cloth.anchors": ["0", "6"],
-        "bending.model": "opposite",
-        "gripper.radius": 0.1,
-    },
-    "raw springs": {"cloth.springs": "net.yaml", "cloth.anchors": ["0"], "bending.model": "none"},
-    "two threads": {**_GRID, "cloth.resolution": [64, 64], "cloth.size": [1.0, 1.0], "tolerance": 0.0},
-}
-#: Share of the frames that a scene runs where a frame of it takes longer.
-_SHARE = {"two threads": 0.2, "tight tolerance": 0.5}
 
 
 class Way(NamedTuple):
@@ -100,70 +59,6 @@ class Difference(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.scene}: {self.way} differs from frame {self.frame} on"
-
-
-def sheet() -> bytes:
-    """A triangle mesh of 7 x 7 vertices, none exactly where a grid's would be."""
-    lines = []
-    for row in range(7):
-        for column in range(7):
-            away = ((5 * row + 3 * column) % 7 - 3) / 200.0
-            lines.append(f"v {column / 15.0 + away!r} {row / 15.0 - 0.7 * away!r} 0.0")
-    for row in range(6):
-        for column in range(6):
-            a = 7 * row + column + 1
-            lines += [f"f {a} {a + 1} {a + 8}", f"f {a} {a + 8} {a + 7}"]
-    return "\n".join(lines).encode()
-
-
-def net() -> bytes:
-    """Springs in two strands that joints hold together, as a springs file."""
-    places = [[k / 10.0, 0.0, 0.0] for k in range(12)] + [[k / 10.0, 0.1, (k % 3) / 30.0] for k in range(12)]
-    strands = [[k, k + 1] for k in range(11)] + [[k, k + 1] for k in range(12, 23)]
-    cross = [[k, 12 + k] for k in range(1, 12, 2)]
-    joints = [[0, 12], [10, 22]]
-    tables = {
-        "positions": places,
-        "masses": 0.01,
-        "springs": strands + cross + joints,
-        "rest_lengths": [0.1] * (len(strands) + len(cross)) + [0.0] * len(joints),
-        "stiffness": 20.0,
-        "k_d0": 0.1,
-        "velocities": [[0.0, 0.0, k / 50.0] for k in range(24)],
-    }
-    return json.dumps(tables).encode()
-
-
-FILES: dict[str, Callable[[], bytes]] = {"sheet.obj": sheet, "net.yaml": net}
-
-
-def frames_of(scene: str, frames: int) -> Iterator[str]:
-    """Run a scene here; the digest of state and wrenches after each frame."""
-    import xxhash
-
-    from cloth_sim_ros.scene.scene import Scene
-    from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
-    from cloth_sim_ros.simulation.simulation import Simulation
-
-    values = SCENES[scene]
-    files = {name: FILES[name]() for name in values.values() if isinstance(name, str) and name in FILES}
-    simulation = Simulation(Scene.from_parameters(values, files=files))
-    held = simulation.positions[-1]
-    count = max(1, round(frames * _SHARE.get(scene, 1.0)))
-    for k in range(count):
-        share = k / count
-        aside = (-0.3 * share, -0.35 * share, 0.3 * share * (1.0 - share))
-        place = tuple(float(a + b) for a, b in zip(held, aside, strict=True))
-        events: list[Event] = [Target("gripper", place, (share / 3.0, 0.0, share, 1.0))]
-        if k == count // 8:
-            events.append(Grasp("gripper", True))
-        if k == count // 2:
-            events.append(SetParameters({"air.drag": 0.7, "wind.velocity": [0.5, 1.0, 0.0]}))
-        if k == 7 * count // 8:
-            events.append(Grasp("gripper", False))
-        frame = simulation.advance(events)
-        wrenches = xxhash.xxh3_64_hexdigest(frame.wrenches.tobytes())
-        yield f"{simulation.state.digest()} {wrenches}"
 
 
 def run_here(scenes: Sequence[str], frames: int) -> None:
@@ -248,6 +143,11 @@ def built_by_other_compilers(folder: Path) -> list[Way]:
     return found
 
 
+def traced(scene: str) -> str:
+    """How many frames of a scene are made again in the emulator: where there is contact, until all touch."""
+    return "24" if "contact.thickness" in SCENES[scene] else "4"
+
+
 def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iterator[tuple[str, bool]]:
     """Have an emulated 64-bit ARM processor make the engine's calls again; a line to tell for each scene, and whether
     its bits are the same.
@@ -267,7 +167,7 @@ def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iter
     trace = folder / "trace"
     replay = [emulator, "-L", f"/usr/{_ARM}", str(folder / "replay"), str(folder / "_neon.so"), str(trace)]
     for scene in scenes:
-        record = [sys.executable, str(ROOT / "scripts" / "bits_trace.py"), str(trace), "--frames", "4", scene]
+        record = [sys.executable, str(ROOT / "scripts" / "bits_trace.py"), str(trace), "--frames", traced(scene), scene]
         subprocess.run(record, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
         done = subprocess.run(replay, check=False, capture_output=True, text=True)
         trace.unlink()

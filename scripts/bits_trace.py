@@ -54,6 +54,18 @@ def _fixed(size: int) -> Size:
     return lambda _a, _p: size
 
 
+def _obstacles(factor: int) -> Size:
+    return lambda _, plan: factor * plan["obstacles"]
+
+
+def _pinches(factor: int) -> Size:
+    return lambda _, plan: factor * plan["pinches"]
+
+
+def _anchors(plan: dict[str, Any]) -> int:
+    return binding.ANCHOR_NUMBERS * plan["obstacles"] * plan["n"]
+
+
 def _matrix(count: int, width: int) -> Size:
     return lambda a, _: 3 * a[count] * binding.library()["cloth_band_stride"](a[width])
 
@@ -80,6 +92,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         ),
     ),
     "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),
+    "cloth_plan_air": ("i", ("h", _fixed(5))),
     "cloth_plan_order": ("i", ("h", _particles(1))),
     "cloth_plan_held": (
         "i",
@@ -95,6 +108,53 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         ),
     ),
     "cloth_plan_paths": ("i", ("h", _PATHS)),
+    "cloth_plan_contact": (
+        "i",
+        (
+            "h",
+            "i",
+            _given(1, 1),
+            _given(3, 1),
+            _given(1, 1),
+            _given(2, 1),
+            _given(binding.PATH_NUMBERS, 1),
+            "d",
+            "d",
+            "d",
+        ),
+    ),
+    "cloth_plan_contact_paths": ("i", ("h", _obstacles(binding.PATH_NUMBERS))),
+    "cloth_plan_pinches": ("i", ("h", "i", _given(2, 1), _given(binding.DRIVE_NUMBERS, 1))),
+    "cloth_plan_self": ("i", ("h", "i", _given(3, 1), "d")),
+    "cloth_contact_pinched": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
+    "cloth_contact_anchors": ("i", ("h", lambda _, plan: _anchors(plan))),
+    "cloth_contact_settle": (
+        "i",
+        (
+            "h",
+            "d",
+            _X,
+            _X,
+            "i",
+            _given(1, 4),
+            lambda a, plan: a[4] * _anchors(plan),
+            lambda _, plan: _anchors(plan),
+        ),
+    ),
+    "cloth_pinch_accelerations": ("i", ("h", "d", _X, _X, _pinches(1))),
+    "cloth_contact_rates": ("i", ("h", "d", _X, _X, "d", _obstacles(binding.BOOKED_NUMBERS))),
+    "cloth_contact_gaps": ("i", ("h", "d", _X, _obstacles(2))),
+    "cloth_contact_bounds": ("i", ("h", "d", _X, _B, _B)),
+    "cloth_contact_ahead": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_contact_crosses": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),
+    "cloth_self_keeps": ("i", ("h", "i")),
+    "cloth_self_bounds": ("i", ("h", _X, _B, _B)),
+    "cloth_self_gaps": ("i", ("h", _X, _fixed(2))),
+    "cloth_self_pierced": ("i", ("h", _X, _fixed(5))),
+    "cloth_self_rests": ("i", ("h", "d", _X, _X, _fixed(1))),
+    "cloth_self_ahead": ("i", ("h", "d", "d", _X, _X, _fixed(2))),
+    "cloth_self_crosses": ("i", ("h", _X, _X, _fixed(1))),
     "cloth_frame": ("i", ("h", "f")),
     "cloth_accelerations": ("i", ("h", "d", _X, _X, _X)),
     "cloth_energy": ("i", ("h", "d", _X, _X, _fixed(2))),
@@ -105,7 +165,8 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     ),
     "cloth_rates": ("i", ("h", _X, _B, _B, _fixed(2))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
-    "cloth_product": ("i", ("h", _X, _X, _X, _X, _X)),
+    "cloth_eigenvalues": ("i", (_given(6, 1), "i", _given(1, 1))),
+    "cloth_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),
     "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
     "cloth_paths": (
         "i",
@@ -185,11 +246,24 @@ class Traced:
 
     def _remember(self, name: str, arguments: tuple[Any, ...], plan: dict[str, Any], result: Any) -> None:
         if name == "cloth_plan_new":
-            self._plans[result] = {"n": arguments[0], "grippers": 0, "lists": []}
+            self._plans[result] = {
+                "n": arguments[0],
+                "grippers": 0,
+                "obstacles": 0,
+                "pinches": 0,
+                "met": 0,
+                "lists": [],
+            }
         elif name == "cloth_plan_list":
             plan["lists"].append(arguments[2])
         elif name == "cloth_plan_held":
             plan["grippers"] = arguments[1]
+        elif name == "cloth_plan_contact":
+            plan["obstacles"], plan["met"] = arguments[1], binding.TOUCHED_NUMBERS
+        elif name == "cloth_plan_self":
+            plan["met"] = binding.TOUCHED_NUMBERS
+        elif name == "cloth_plan_pinches":
+            plan["pinches"] = arguments[1]
 
     def _part(self, kind: Any, value: Any, arguments: tuple[Any, ...], plan: dict[str, Any]) -> Callable[[], bytes]:
         """Return a function that gives an argument's bytes after the call; memory is read before and after it."""
@@ -231,8 +305,10 @@ class Traced:
             "v0": 3 * n,
             "out": 6 * n * runs,
             "result": 6 * n,
-            "notes": runs * (binding.BOOKED_NUMBERS * plan["grippers"] + 2),
-            "told": 3,
+            "notes": runs * (binding.BOOKED_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),
+            "told": 6,
+            "anchors": runs * _anchors(plan),
+            "pinched": runs * binding.PINCH_NUMBERS * plan["pinches"],
         }
         names = [name for name, *_ in binding.Frame._fields_]
         raw = bytes(frame)

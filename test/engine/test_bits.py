@@ -20,8 +20,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 import bits  # noqa: E402
+import bits_scenes  # noqa: E402
 
 FRAMES = 40
+#: Scenes whose trace is made again: of one frame, and of as many as contact takes.
+_PLAIN = ["axial springs", "implicit", "crossed springs", "raw springs"]
+_CONTACT = ["obstacles", "pinch", "cloth on itself"]
 #: A scene's, where none is given [m/s^2].
 GRAVITY = -9.81
 
@@ -71,6 +75,35 @@ def test_scenes_move_and_use_both_precisions_and_all_integrators(monkeypatch: py
     assert integrators == {"leapfrog", "extrapolated", "implicit"}
 
 
+def test_scenes_with_contact_touch_in_every_way() -> None:
+    touched, own, pinched = set(), set(), set()
+    for scene in (name for name in bits.SCENES if "contact.thickness" in bits.SCENES[name]):
+        for _, simulation in bits_scenes.run(scene, 24):
+            gaps, contact = simulation.gaps(), simulation.plan.contact
+            names = [obstacle.name for obstacle in contact.force.obstacles]
+            touched |= {(scene, name) for name, (count, _) in zip(names, gaps.tolist(), strict=True) if count}
+            own |= {scene} if contact.own_gaps(simulation.state.x)[0] else set()
+            pinched |= {scene} if simulation.held(0) and simulation.pinching else set()
+    by_scene = {scene: {name for other, name in touched if other == scene} for scene, _ in touched}
+    assert len(by_scene["obstacles"]) >= 3
+    assert {"table"} <= by_scene["friction"] & by_scene["friction, implicit"]
+    assert by_scene["pinch"] == {"gripper.left_pad", "gripper.right_pad"}
+    assert own == {"cloth on itself", "mesh on itself"}
+    assert pinched == {"pinch"}
+
+
+def test_a_trace_has_a_place_for_every_function_of_the_engine() -> None:
+    import bits_trace
+
+    from cloth_sim_ros.engine.binding import _SIGNATURES
+
+    untold = {"cloth_plan_callback"}  # it calls Python, which an emulator hasn't
+    assert _SIGNATURES.keys() - bits_trace.CALLS.keys() == untold
+    for name, (_, *arguments) in _SIGNATURES.items():
+        if name not in untold:
+            assert len(bits_trace.CALLS[name][1]) == len(arguments), name
+
+
 def test_the_first_frame_that_differs_is_told(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,12 +135,19 @@ def replay(tmp_path: Path) -> Path:
     return program
 
 
-@pytest.mark.parametrize("scene", ["axial springs", "implicit", "crossed springs", "raw springs"])
+@pytest.mark.parametrize("scene", [*_PLAIN, *_CONTACT])
 def test_a_trace_of_the_engine_is_made_again(replay: Path, tmp_path: Path, scene: str) -> None:
     from cloth_sim_ros.engine.instruction_set import libraries
 
     trace = tmp_path / "trace"
-    recorder = [sys.executable, ROOT / "scripts" / "bits_trace.py", trace, "--frames", "1", scene]
+    recorder = [
+        sys.executable,
+        ROOT / "scripts" / "bits_trace.py",
+        trace,
+        "--frames",
+        bits.traced(scene) if scene in _CONTACT else "1",
+        scene,
+    ]
     subprocess.run(recorder, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
     library = bits.ENGINE / f"_{libraries()[0]}.so"
     done = subprocess.run([replay, library, trace], capture_output=True, text=True)
