@@ -6,6 +6,7 @@
 
 #include <limits>
 
+#include "contact_feature_run.hpp"
 #include "contact_run.hpp"
 #include "list_forces.hpp"
 #include "self_run.hpp"
@@ -28,19 +29,22 @@ struct Beside {
     std::vector<double> grips;       ///< (grips, booked_numbers)
     std::optional<ContactRun<T>> contact;
     std::optional<SelfRun> self;
+    std::optional<FeatureRun> features;
 
     Beside(Plan& plan, const Run& run) : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
-        if constexpr (sizeof(T) == 8)
+        if constexpr (sizeof(T) == 8) {
             if (plan.self_acts()) self.emplace(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
+            if (plan.features_act()) features.emplace(*plan.features, plan.contacts, run);
+        }
     }
     bool needed() const { return !plan.lists.empty() || alone(); }
     /// Whether something asks for all positions at once, by component.
     bool whole() const { return plan.callback || run.powers; }
     /// Whether one thread works.
-    bool alone() const { return whole() || plan.self_acts(); }
+    bool alone() const { return whole() || plan.surface_acts(); }
     /// Whether any obstacle is near enough to be met, or pads move.
     bool near() const { return !plan.contacts.active.empty() || !plan.contacts.pinches.empty(); }
     void hold(int threads) {
@@ -77,8 +81,10 @@ struct Beside {
         Powers seen;
         for (std::size_t k = 0; k < share.lists.size(); ++k)
             add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, booked ? &seen : nullptr);
-        if constexpr (sizeof(T) == 8)
+        if constexpr (sizeof(T) == 8) {
             if (self) self->add(x.data(), v.data(), f, booked ? seen.lost : nullptr);
+            if (features) features->add(step, x.data(), v.data(), f);
+        }
         return whole() ? asked(step, f, booked, seen) : Done::well;
     }
     Done asked(std::int64_t step, T* f, bool booked, const Powers& seen) {
@@ -173,17 +179,19 @@ struct Beside {
         return {T(force.x), T(force.y), T(force.z)};
     }
     /// A run in which something may have passed through something has no result.
-    void finish_self() {
-        if (!self->finish(x.data())) {
+    void finish_surface() {
+        const bool clear = !features || features->finish(x.data());
+        if ((self && !self->finish(x.data())) || !clear) {
             std::fill(run.x, run.x + 3 * plan.count, std::numeric_limits<double>::quiet_NaN());
             std::fill(run.v, run.v + 3 * plan.count, std::numeric_limits<double>::quiet_NaN());
         }
         if (!run.touched) return;
         double* const touched = run.touched + plan.contacts.count() * booked_numbers;
-        const SelfRates rates = self->rates();
-        touched[1] = smaller(self->gap(), touched[1]);
-        touched[Touched::numbers] = rates.omega2;
-        touched[Touched::numbers + 1] = rates.damping;
+        const SelfRates own = self ? self->rates() : SelfRates{}, met = features ? features->rates() : SelfRates{};
+        if (self) touched[1] = smaller(self->gap(), touched[1]);
+        if (features) touched[1] = smaller(features->gap(), touched[1]);
+        touched[Touched::numbers] = own.omega2 + met.omega2;
+        touched[Touched::numbers + 1] = own.damping + met.damping;
     }
     /// What a run tells that no obstacle was near.
     void met_nothing() {
@@ -197,8 +205,9 @@ struct Beside {
             contact->finish();
         else
             met_nothing();
+        if (plan.features && run.touched) plan.features->gap = run.touched[plan.contacts.count() * booked_numbers + 1];
         if constexpr (sizeof(T) == 8)
-            if (self && run.steps) finish_self();
+            if ((self || features) && run.steps) finish_surface();
         if (!run.booked) return;
         for (std::int64_t grip = 0; grip < plan.held.count(); ++grip)
             for (int k = 0; k < booked_numbers; ++k)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 9
+ABI = 10
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE = 4
@@ -29,7 +29,7 @@ MOST_RUNS = 8
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
-SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4}
+SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
 TOUCHED_NUMBERS = 5
 #: Numbers of an anchor of friction; see contact_friction.hpp.
 ANCHOR_NUMBERS = 4
@@ -116,6 +116,13 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_settle": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
     "cloth_contact_crosses": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
+    "cloth_plan_mesh": (_INT, _P, _I, _I, _P, _I, _P),
+    "cloth_plan_faces": (_INT, _P, _I, _P, _D),
+    "cloth_plan_features": (_INT, _P, _I, _I, _P, _I, _P, _D),
+    "cloth_features_rest": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_features_ahead": (_INT, _P, _D, _D, _D, _P, _P, _P),
+    "cloth_features_cross": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_features_pierce": (_INT, _P, _D, _P, _P),
     "cloth_plan_self": (_INT, _P, _I, _P, _D),
     "cloth_self_keeps": (_INT, _P, _I),
     "cloth_self_bounds": (_INT, _P, _P, _P, _P),

@@ -11,6 +11,7 @@
 #include "held.hpp"
 
 #include <algorithm>
+#include <memory>
 #include <numeric>
 
 namespace cloth {
@@ -22,6 +23,7 @@ struct Obstacle {
     Roughness rough;
     std::int64_t pinch = -1;  ///< of the pad of a gripper that pinches, which; negative for all else
     double side = 0.0;        ///< on which side of its closing axis
+    std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh
 };
 
 struct Contacts {
@@ -99,9 +101,10 @@ inline constexpr std::int64_t contact_block = 64;
 template <class T>
 struct Placed {
     Vec3<T> place, rotation[3], speed, spin;
+    const Mesh* mesh;  ///< of an obstacle that is one
     Vec3<T> lever{};  ///< from the point about which torques are booked, a pad's gripper, to its place
 
-    Placed(const Pose& pose, const double* origin) {
+    Placed(const Pose& pose, const double* origin, const Obstacle& obstacle) : mesh(obstacle.mesh.get()) {
         const auto narrowed = [](Vec3<double> a) { return Vec3<T>{T(a.x), T(a.y), T(a.z)}; };
         place = narrowed(pose.place - Vec3<double>{origin[0], origin[1], origin[2]});
         for (int j = 0; j < 3; ++j) rotation[j] = narrowed(pose.rotation[j]);
@@ -152,7 +155,13 @@ CLOTH_INLINE Stand<V> stand(const Placed<scalar<V>>& placed, const Vec3<scalar<V
         s.normal = n.normal;
     } else {
         const Vec3<V> a = splat3<V>(placed.rotation[0]), b = splat3<V>(placed.rotation[1]);
-        const Near<V> n = near<S, V>({dot(a, s.arm), dot(b, s.arm), dot(c, s.arm)}, splat3<V>(size));
+        const Vec3<V> here{dot(a, s.arm), dot(b, s.arm), dot(c, s.arm)};
+        const Near<V> n = [&]() CLOTH_INLINED {
+            if constexpr (S == Shape::mesh)
+                return near_mesh<V>(*placed.mesh, here);
+            else
+                return near<S, V>(here, splat3<V>(size));
+        }();
         s.gap = n.gap;
         s.normal = n.normal.x * a + n.normal.y * b + n.normal.z * c;
     }

@@ -30,7 +30,7 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
     double* const mass = room.data() + 6 * contact_block;
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
         if (!contacts.present(obstacle)) continue;
-        Placed<double> placed(contacts.pose(obstacle, t), origin);
+        Placed<double> placed(contacts.pose(obstacle, t), origin, contacts.obstacles[obstacle]);
         if (contacts.pinch_of(obstacle)) placed.lever = placed.place - pose_at(contacts.path(obstacle), t).place;
         const Vec3<double>& size = contacts.obstacles[obstacle].size;
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
@@ -224,7 +224,7 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
             const Pinch* const pinch = contacts.pinch_of(obstacle);
             const double way = pinch ? contacts.pinched[contacts.obstacles[obstacle].pinch * pinch_numbers] : 0.0;
             const double rate = !pinch || duration == 0.0 ? 0.0 : pinch->closed ? -pinch->speed : pinch->speed;
-            later.emplace_back(contacts.shifted(pose, obstacle, way, rate), origin);
+            later.emplace_back(contacts.shifted(pose, obstacle, way, rate), origin, contacts.obstacles[obstacle]);
         }
     double fastest = 0.0, most = 0.0;
     std::vector<double> pinched(contacts.pinches.size(), 0.0), masses(contacts.pinches.size(), 0.0);
@@ -331,7 +331,7 @@ inline bool contact_crosses(const Plan& plan, double t, double duration, const d
         const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
         for (double part = 0.0, gap = one.gap; part < 1.0 && !crosses;) {
             part = smaller(part + larger(gap, least) / way, 1.0);
-            const Placed<double> placed(plan.contacts.pose(one.obstacle, t + part * duration), origin);
+            const Placed<double> placed(plan.contacts.pose(one.obstacle, t + part * duration), origin, obstacle);
             gap = with_shape(obstacle.shape, [&](auto shape) {
                 return stand<shape.value, true, double>(placed, obstacle.size, from + part * (to - from), {}).gap;
             });

@@ -146,9 +146,10 @@ private:
     }
     Placed<T> placed_at(Mine& mine, int thread, std::int64_t obstacle, std::int64_t step) const {
         const Pose& pose = mine.poses.at(obstacle, step);
-        if (contacts_.obstacles[obstacle].pinch < 0) return Placed<T>(pose, origin_);
+        const Obstacle& what = contacts_.obstacles[obstacle];
+        if (what.pinch < 0) return Placed<T>(pose, origin_, what);
         const Pose pad = pinches_.pose(thread, obstacle, pose);
-        Placed<T> placed(pad, origin_);
+        Placed<T> placed(pad, origin_, what);
         const Vec3<double> lever = pad.place - pose.place;
         placed.lever = {T(lever.x), T(lever.y), T(lever.z)};
         return placed;

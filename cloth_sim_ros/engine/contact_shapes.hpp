@@ -5,13 +5,13 @@
 // shape is centred. V is a number, a vector or a Dual.
 #pragma once
 
-#include "algebra.hpp"
+#include "contact_mesh.hpp"
 
 namespace cloth {
 
 /// Sizes [m] in order: plane none, its normal is z; box its edges along x, y, z; sphere radius; capsule and cylinder radius
-/// and length along z, a capsule's without its ends.
-enum class Shape : int { plane, box, sphere, capsule, cylinder };
+/// and length along z, a capsule's without its ends; mesh none.
+enum class Shape : int { plane, box, sphere, capsule, cylinder, mesh };
 
 /// Distance from the surface, negative inside, and the unit vector in which it grows. Inside a shape with corners, which no
 /// cloth ever gets to, the vector is not a number.
@@ -61,6 +61,36 @@ CLOTH_INLINE Near<V> near(const Vec3<V>& p, const Vec3<V>& size) {
     }
 }
 
+/// The same of a mesh, from whatever of it is nearest.
+CLOTH_INLINE Vec3<double> number_of(const Vec3<double>& a) { return a; }
+inline Vec3<double> number_of(const Vec3<Dual>& a) { return {a.x.value, a.y.value, a.z.value}; }
+template <class V>
+inline Near<V> near_mesh(const Mesh& mesh, const Vec3<V>& p) {
+    if constexpr (std::is_same_v<V, double> || std::is_same_v<V, Dual>) {
+        const auto constant = [](Vec3<double> a) { return Vec3<V>{splat<V>(a.x), splat<V>(a.y), splat<V>(a.z)}; };
+        const Mesh::Site site = mesh.site(number_of(p));
+        Vec3<V> away = p - constant(site.from);
+        if (site.kind == 2) {
+            const Vec3<V> normal = constant(site.normal);
+            return {dot(normal, away), normal};
+        }
+        const Vec3<V> along = constant(site.along);
+        if (site.kind == 1) away = away - (dot(away, along) / norm2(along)) * along;
+        const V length = root(norm2(away)), gap = site.within ? -length : length;
+        return {gap, (splat<V>(1.0) / gap) * away};
+    } else {
+        Near<V> all;
+        for (int k = 0; k < static_cast<int>(sizeof(V) / sizeof(scalar<V>)); ++k) {
+            const Near<double> one = near_mesh<double>(mesh, {double(p.x[k]), double(p.y[k]), double(p.z[k])});
+            all.gap[k] = static_cast<scalar<V>>(one.gap);
+            all.normal.x[k] = static_cast<scalar<V>>(one.normal.x);
+            all.normal.y[k] = static_cast<scalar<V>>(one.normal.y);
+            all.normal.z[k] = static_cast<scalar<V>>(one.normal.z);
+        }
+        return all;
+    }
+}
+
 /// Call `what` with a constant that is the shape.
 template <class F>
 inline auto with_shape(Shape shape, F&& what) {
@@ -69,7 +99,8 @@ inline auto with_shape(Shape shape, F&& what) {
         case Shape::box: return what(std::integral_constant<Shape, Shape::box>{});
         case Shape::sphere: return what(std::integral_constant<Shape, Shape::sphere>{});
         case Shape::capsule: return what(std::integral_constant<Shape, Shape::capsule>{});
-        default: return what(std::integral_constant<Shape, Shape::cylinder>{});
+        case Shape::cylinder: return what(std::integral_constant<Shape, Shape::cylinder>{});
+        default: return what(std::integral_constant<Shape, Shape::mesh>{});
     }
 }
 

@@ -7,6 +7,7 @@
 #include <limits>
 
 #include "contact_approach.hpp"
+#include "contact_feature_measures.hpp"
 #include "grid_forces.hpp"
 #include "grid_run.hpp"
 #include "list_run.hpp"
@@ -23,7 +24,7 @@ inline Done one_run(Plan& plan, const Run& run) {
     return run_lists<T>(plan, run);
 }
 inline Done one_run(Plan& plan, const Run& run) {
-    return run.narrow && !plan.self_acts() ? one_run<float>(plan, run) : one_run<double>(plan, run);
+    return run.narrow && !plan.surface_acts() ? one_run<float>(plan, run) : one_run<double>(plan, run);
 }
 
 inline void combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
@@ -60,7 +61,7 @@ struct Frame {
     double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
     /// Of each run what was booked for each gripper, then lost and given power; where there is contact, what was booked
     /// for each obstacle, what `Touched` has, and squared frequency and damping rate that the cloth's contact with itself
-    /// had to be followed at. Null where nothing is wanted and there is none.
+    /// and with points and edges of obstacles had to be followed at. Null where nothing is wanted and there is none.
     double* notes;
     std::int64_t powers;    ///< whether powers are noted
     /// Six numbers about the frame's end, or null.
@@ -68,7 +69,8 @@ struct Frame {
     /// lies beyond an obstacle's surface, or the cloth may have passed through itself.
     /// 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s], contact aside.
     /// 3: energy per mass, in U^2/2, that contact with obstacles has to take up from the frame's end on.
-    /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself.
+    /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself and with points and
+    /// edges of obstacles.
     double* told;
     std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
     std::int64_t books;     ///< whether what obstacles do is booked
@@ -84,6 +86,7 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
     const auto pinches = static_cast<std::int64_t>(plan.contacts.pinches.size());
     Approach approach(plan, frame.duration, frame.x0, frame.v0);
     SelfRest rest(plan, frame.duration, frame.x0, frame.v0);
+    FeatureRest features(plan, frame.t, frame.duration, frame.x0, frame.v0);
     for (std::int64_t k = 0; k < frame.runs; ++k) {
         double* const notes = frame.notes ? frame.notes + k * whole : nullptr;
         double* const out = frame.out + k * 6 * n;
@@ -105,9 +108,10 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
         const bool missed = touched && approach.missed(run.v, run.touched + obstacles * booked_numbers);
-        if (missed || rest.missed(run.v)) {
+        if (missed || rest.missed(run.v) || features.missed(run.x, run.v)) {
             if (missed) approach.wake();
             rest.wake();
+            features.wake();
             std::fill(frame.notes, frame.notes + frame.runs * whole, 0.0);
             k = -1;
         }
@@ -145,15 +149,20 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
         plan.contacts.pinched = start;
         if (!(frame.told[3] < std::numeric_limits<double>::infinity())) frame.told[0] = frame.told[3];
     }
-    if (plan.self_acts()) {
-        const SelfRates r = self_ahead(plan, 0.0, 1.0, x, x + 3 * n);
-        frame.told[4] = r.omega2;
-        frame.told[5] = r.damping;
-        const double* const finest = frame.out + (frame.runs - 1) * 6 * n;
+    const double* const finest = frame.out + (frame.runs - 1) * 6 * n;
+    const auto follow = [&](SelfRates r, auto&& crosses) {
+        frame.told[4] += r.omega2;
+        frame.told[5] += r.damping;
         const bool bad = !(r.omega2 < std::numeric_limits<double>::infinity());
-        if (bad || (x != finest && self_crosses(plan, finest, x)))
-            frame.told[0] = std::numeric_limits<double>::infinity();
-    }
+        if (bad || (x != finest && crosses())) frame.told[0] = std::numeric_limits<double>::infinity();
+    };
+    frame.told[4] = frame.told[5] = 0.0;
+    const double end = frame.t + frame.duration;
+    if (plan.self_acts())
+        follow(self_ahead(plan, 0.0, 1.0, x, x + 3 * n), [&] { return self_crosses(plan, finest, x); });
+    if (plan.features_act())
+        follow(feature_ahead(plan, end, 0.0, 1.0, x, x + 3 * n),
+               [&] { return features_cross(plan, end, 0.0, finest, x); });
     if (frame.rates) {
         const Rates r = rates_of(plan, x, nullptr, nullptr);
         frame.told[1] = r.omega2;
@@ -167,6 +176,7 @@ inline Done accelerations(Plan& plan, double t, const double* x, const double* v
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     plan.contacts.wake();
     plan.self_rests = false;
+    if (plan.features) plan.features->wake();
     return plan.grid ? GridForces(plan, run).go() : evaluate_lists(plan, run);
 }
 

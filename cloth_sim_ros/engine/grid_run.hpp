@@ -52,7 +52,7 @@ public:
     Done go() {
         const std::int64_t turns = 1 + (run_.steps + levels_ - 1) / levels_;
         const Done done = beside_.needed() ? go_together(turns) : go_apart(turns);
-        for (int b = 0; beside_.self && b < bands_; ++b) export_rows(b);
+        for (int b = 0; (beside_.self || beside_.features) && b < bands_; ++b) export_rows(b);
         if (done == Done::well) beside_.finish();
         return done;
     }

@@ -34,7 +34,7 @@ int guarded(F&& work) {
 }  // namespace
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 9; }
+CLOTH_API int cloth_engine_abi() { return 10; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -147,6 +147,16 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         contacts.frequency = frequency;
         contacts.anchors.assign(count * cloth::anchor_numbers * plan->count, 0.0);
         plan->contacts = std::move(contacts);
+        if (!plan->features) return;
+        plan->features->obstacles.assign(count, {});
+        plan->features->acts.assign(count, 0);
+    });
+}
+/// The mesh that an obstacle is: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
+CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* places,
+                              std::int64_t triangles, const std::int64_t* corners) {
+    return guarded([&] {
+        plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, places, triangles, corners);
     });
 }
 /// New paths for the same obstacles.
@@ -225,16 +235,25 @@ CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, cons
     });
 }
 /// Adds to (obstacles, booked_numbers) times the weight.
-CLOTH_API int cloth_contact_rates(const Plan* plan, double t, const double* x, const double* v, double weight,
+CLOTH_API int cloth_contact_rates(Plan* plan, double t, const double* x, const double* v, double weight,
                                   double* out) {
-    return guarded([&] { cloth::contact_rates(*plan, t, x, v, weight, out); });
+    return guarded([&] {
+        cloth::contact_rates(*plan, t, x, v, weight, out);
+        if (plan->features) cloth::feature_rates(*plan, t, x, v, weight, out);
+    });
 }
 /// Number of particles in contact, and the least gap [m], of each obstacle.
-CLOTH_API int cloth_contact_gaps(const Plan* plan, double t, const double* x, double* out) {
-    return guarded([&] { cloth::contact_gaps(*plan, t, x, out); });
+CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
+    return guarded([&] {
+        cloth::contact_gaps(*plan, t, x, out);
+        if (plan->features) cloth::feature_gaps(*plan, t, x, out);
+    });
 }
-CLOTH_API int cloth_contact_bounds(const Plan* plan, double t, const double* x, double* stiff, double* damp) {
-    return guarded([&] { cloth::add_contact_bounds(*plan, t, x, stiff, damp); });
+CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
+    return guarded([&] {
+        cloth::add_contact_bounds(*plan, t, x, stiff, damp);
+        if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
+    });
 }
 /// Energy per mass that contact may have to take up from time t on, see contact_ahead.
 CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, const double* x, const double* v,
@@ -362,4 +381,5 @@ CLOTH_API int cloth_lengths(int kind, std::int64_t count, const std::int64_t* co
     });
 }
 
+#include "contact_feature_library.hpp"
 #include "self_library.hpp"

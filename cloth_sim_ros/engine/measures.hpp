@@ -4,6 +4,7 @@
 // What is asked of a whole scene beside its motion: energy, power, bounds, derivative product. Arrays are (3, n).
 #pragma once
 
+#include "contact_feature_measures.hpp"
 #include "contact_measures.hpp"
 #include "grid_bounds.hpp"
 #include "plan.hpp"
@@ -37,6 +38,7 @@ inline Energy energy_of(Plan& plan, double t, const double* x, const double* v) 
     }
     if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
     if (plan.self) e.potential += self_energy(plan, x);
+    if (plan.features) e.potential += feature_energy(plan, t, x);
     return e;
 }
 
@@ -164,6 +166,7 @@ inline void add_product(Plan& plan, double t, const double* x, const double* v, 
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
     if (plan.contacts.count()) add_contact_product(plan, t, x, v, dx, dv, out);
     if (plan.self) add_self_product(plan, x, v, dx, dv, out);
+    if (plan.features) add_feature_product(plan, t, x, v, dx, dv, out);
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)
             for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];

@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "contact.hpp"
+#include "contact_feature_pairs.hpp"
 #include "grid.hpp"
 #include "held.hpp"
 #include "list.hpp"
@@ -51,6 +52,8 @@ struct Plan {
     std::optional<SelfContact> self;
     /// Whether runs may leave it out: nothing gets near enough while they last, see `SelfRest`.
     bool self_rests = false;
+    /// Points and edges of obstacles, by the thickness and damping of `contacts`.
+    std::optional<FeatureContact> features;
     Callback callback = nullptr;
     /// Where particles stand inside runs without a grid: neighbours close together.
     std::vector<std::int64_t> order, rank;
@@ -127,6 +130,9 @@ struct Plan {
     }
     bool touches() const { return contacts.count() || self; }
     bool self_acts() const { return self && !self_rests; }
+    bool features_act() const { return features && features->any(); }
+    /// Whether something acts on the cloth's triangles and edges: in double precision, and by one thread.
+    bool surface_acts() const { return self_acts() || features_act(); }
     double push(int axis) const { return gravity[axis] + wind[axis]; }
     /// Whether forces depend on velocities, and how.
     Mode mode() const {

@@ -29,6 +29,7 @@ from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshes
 
 #: A part is stepped for so many times the energy that contact is expected to take up: neighbours may push, too.
 _EXPECTED = 1.5
@@ -56,6 +57,8 @@ class Touching:
             triangles = surface.triangles
             numbers = len(triangles), triangles.ctypes.data, surface.shortest
             check(self._library.cloth_plan_self(self._handle, *numbers))
+        faces = contact.faces
+        self._features = None if faces is None else TouchingFeatures(handle, faces, particle_count)
 
     @property
     def count(self) -> int:
@@ -85,6 +88,9 @@ class Touching:
             numbers = force.thickness, force.damping, force.frequency
             self._taken = None
             check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *numbers))
+            tell_meshes(self._handle, force.obstacles)
+            if self._features is not None:
+                self._features.tell(force.obstacles[: force.solid_count], force.thickness)
         else:
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
         if force.pads and (force.changes, force.commands) != (self._seen, self._heard):
@@ -129,7 +135,10 @@ class Touching:
         """Whether runs over a duration [s] from a state may calculate in single precision: an anchor's spring gives by
         less than it tells apart, and so does a gap within the cloth.
         """
-        return not (self.force.rough or self.force.pads) and self.rests(duration, x, v)
+        if self.force.rough or self.force.pads or not self.rests(duration, x, v):
+            return False
+        start = float(self.force.paths[0, 0]) if self.count else 0.0
+        return self._features is None or self._features.rests(start, duration, x, v)
 
     def ends(self, runs: int) -> tuple[Array | None, Array | None]:
         """Return room for the anchors and pads of runs at their ends; None where there are none."""
@@ -234,20 +243,24 @@ class Touching:
                         "has no force there; move the one or the other"
                     )
         omega2, damping = self.limits(_EXPECTED * energy)
-        own = self.own_ahead(duration, x, v)
+        own = self.own_ahead(t, duration, x, v)
+        if not math.isfinite(own[0]):
+            self.check_clear(t, x)
         return omega2 + own[0], damping + own[1]
 
-    def own_ahead(self, duration: float, x: Array, v: Array) -> tuple[float, float]:
-        """Return what the cloth's contact with itself may come to within a duration [s], as `ahead` does."""
-        if self.force.surface is None:
-            return 0.0, 0.0
+    def own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return what contact of the cloth's triangles and edges, with itself and with obstacles, may come to within a
+        duration [s] from time t on, as `ahead` does.
+        """
         self.sync()
-        out = np.empty(2)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         # What contact holds already is known.
         expected = _EXPECTED if duration > 0.0 else 1.0
-        check(self._library.cloth_self_ahead(self._handle, duration, expected, *addresses))
-        return float(out[0]), float(out[1])
+        out = np.zeros(2)
+        if self.force.surface is not None:
+            addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+            check(self._library.cloth_self_ahead(self._handle, duration, expected, *addresses))
+        met = (0.0, 0.0) if self._features is None else self._features.ahead(t, duration, expected, x, v)
+        return float(out[0]) + met[0], float(out[1]) + met[1]
 
     def rests(self, duration: float, x: Array, v: Array) -> bool:
         """Return whether nothing of the cloth gets near itself within a duration [s], so that runs leave that out."""
@@ -340,14 +353,15 @@ class Touching:
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_contact_crosses(self._handle, t, duration, *addresses))
-        return bool(out[0]) or self.passes(start, end)
+        return bool(out[0]) or self.passes(t, duration, start, end)
 
-    def check_clear(self, x: Array) -> None:
-        """Refuse a cloth that passes through itself.
+    def check_clear(self, t: float, x: Array) -> None:
+        """Refuse a cloth that passes through itself, or through an obstacle between its particles, at time t [s].
 
         Raises:
-            ValueError: naming the first edge and triangle that do, and where.
+            ValueError: naming the obstacle, or the first edge and triangle that do, and where.
         """
+        self._check_features(t, x)
         if self.force.surface is None:
             return
         out = np.empty(5, dtype=np.int64)
@@ -361,8 +375,18 @@ class Touching:
                 "to false"
             )
 
-    def passes(self, start: Array, end: Array) -> bool:
-        """Return whether the cloth meets itself on straight ways from one place to another."""
+    def _check_features(self, t: float, x: Array) -> None:
+        if self._features is None:
+            return
+        self.sync()
+        self._features.check_clear(t, x, [obstacle.name for obstacle in self.force.obstacles])
+
+    def passes(self, t: float, duration: float, start: Array, end: Array) -> bool:
+        """Return whether the cloth meets itself, or obstacles between its particles, on straight ways from one place at
+        time t [s] to another.
+        """
+        if self._features is not None and self._features.cross(t, duration, start, end):
+            return True
         if self.force.surface is None:
             return False
         self.sync()

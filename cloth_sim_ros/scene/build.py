@@ -174,10 +174,17 @@ def build_model(scene: Configuration) -> Model:
     if solids or pads or own.self_:
         from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
 
-        surface = None
-        if own.self_:
-            surface = OwnSurface(sheet.triangles(), sheet.positions(), thickness=own.thickness)
-        contact = Contact(solids, thickness=own.thickness, damping=own.damping, pads=pads, surface=surface)
+        faces = None
+        if own.self_ or solids:
+            faces = OwnSurface(sheet.triangles(), sheet.positions(), thickness=own.thickness)
+        contact = Contact(
+            solids,
+            thickness=own.thickness,
+            damping=own.damping,
+            pads=pads,
+            surface=faces if own.self_ else None,
+            faces=faces if solids else None,
+        )
         contact.move(np.concatenate([_starting_paths(scene), contact.paths[len(solids) :]]))
         forces.append(contact)
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))

@@ -12,6 +12,8 @@ from cloth_sim_ros.scene.parameters import ParameterError
 
 #: Parameters that name a file.
 NAMES = ("cloth.mesh", "cloth.springs", "initial_state")
+#: The end of the name of a parameter that names an obstacle's file.
+_OF_OBSTACLES = ".mesh"
 #: A file larger than this is a mistake [bytes].
 MOST_BYTES = 1 << 30
 
@@ -28,7 +30,8 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
         ParameterError: for a file that can't be read.
     """
     content: dict[str, bytes] = {}
-    for parameter in NAMES:
+    of_obstacles = [name for name in values if name.endswith(_OF_OBSTACLES) and name not in NAMES]
+    for parameter in (*NAMES, *of_obstacles):
         name = values.get(parameter)
         if not isinstance(name, str) or not name:
             continue

@@ -51,18 +51,45 @@ def read(data: bytes, *, name: str) -> CheckedMesh:
     Raises:
         ValueError: if it is not such a file, or holds no surface of one cloth.
     """
-    kind = Path(name).suffix.lower().lstrip(".")
-    if kind not in KINDS:
-        raise ValueError(f"'{name}' is no mesh file that can be read: its name must end in {', '.join(KINDS)}")
-    try:
-        points, faces, words = {"obj": _obj, "ply": _ply, "stl": _stl}[kind](data)
-    except ValueError as error:
-        raise ValueError(f"'{name}' is no readable {kind.upper()} file: {error}") from error
+    kind, (points, faces, words) = _content(data, name)
     mesh = checked_mesh(points, faces)
     repairs = [repair for repair in mesh.repairs if kind != "stl" or "at the place of another" not in repair]
     return CheckedMesh(
         positions=mesh.positions, surface=mesh.surface, kept=mesh.kept, repairs=tuple((*words, *repairs))
     )
+
+
+def solid(data: bytes, *, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices (n, 3) [m] and triangles (m, 3) of a mesh file's content that is to be a solid.
+
+    Vertices at one place are made one, those of no triangle left out; nothing else is mended.
+
+    Raises:
+        ValueError: if it is not such a file, or a triangle names a vertex that is not there.
+    """
+    _, (points, faces, _) = _content(data, name)
+    if len(faces) == 0:
+        raise ValueError(f"'{name}' has no triangles; a solid has at least 4")
+    if faces.min() < 0 or faces.max() >= len(points):
+        raise ValueError(f"'{name}' has vertices 0 to {len(points) - 1}, and a triangle of others")
+    # Adding zero makes one zero of both.
+    _, first, same = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
+    corners = first[same.reshape(-1)][faces]
+    kept = np.unique(corners)
+    number = np.zeros(len(points), dtype=np.int64)
+    number[kept] = np.arange(len(kept))
+    return np.ascontiguousarray(points[kept]), number[corners]
+
+
+def _content(data: bytes, name: str) -> tuple[str, _Read]:
+    """The kind of a mesh file, and what is in it."""
+    kind = Path(name).suffix.lower().lstrip(".")
+    if kind not in KINDS:
+        raise ValueError(f"'{name}' is no mesh file that can be read: its name must end in {', '.join(KINDS)}")
+    try:
+        return kind, {"obj": _obj, "ply": _ply, "stl": _stl}[kind](data)
+    except ValueError as error:
+        raise ValueError(f"'{name}' is no readable {kind.upper()} file: {error}") from error
 
 
 def _obj(data: bytes) -> _Read:

@@ -111,9 +111,34 @@ def check_names(
             raise ParameterError(f"'{name}' names a gripper and an obstacle; give the obstacle another name")
 
 
+def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Refuse a mesh file that is named while the cloth runs: a recording could not run again without it.
+
+    Raises:
+        ParameterError: naming the parameter.
+    """
+    for name, value in values.items():
+        if name.endswith(".mesh") and value and value != known.get(name):
+            raise ParameterError(f"{name} can't change while the cloth runs; describe the obstacle at start")
+
+
+def solid(name: str, description: sections.Obstacle, files: Mapping[str, bytes]) -> Obstacle:
+    """Return the rigid shape that a description makes, with files' content by their name.
+
+    Raises:
+        ParameterError: if it makes none.
+    """
+    is_mesh = description.shape == "mesh"
+    if is_mesh and not description.mesh:
+        raise ParameterError(f"{name}.shape is mesh, and {name}.mesh is not set; give the mesh's file")
+    if is_mesh and description.mesh not in files:
+        raise ParameterError(f"the content of '{description.mesh}' is missing; build the scene with from_parameters")
+    return _solid(name, description, files[description.mesh] if is_mesh else b"")
+
+
 @lru_cache(maxsize=64)
-def solid(name: str, description: sections.Obstacle) -> Obstacle:
-    """Return the rigid shape that a description makes.
+def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacle:
+    """Return the rigid shape that a description and its file's content make.
 
     Raises:
         ParameterError: if it makes none.
@@ -130,9 +155,16 @@ def solid(name: str, description: sections.Obstacle) -> Obstacle:
             "or that at rest and that in motion"
         )
     friction = (description.friction[0], description.friction[-1])
-    size = () if description.shape == "plane" else description.size
+    size = () if description.shape in ("plane", "mesh") else description.size
+    vertices = triangles = None
     try:
-        return Obstacle(name=name, shape=description.shape, size=size, friction=friction)
+        if description.shape == "mesh":
+            from cloth_sim_ros.scene import mesh_file
+
+            vertices, triangles = mesh_file.solid(content, name=description.mesh)
+        return Obstacle(
+            name=name, shape=description.shape, size=size, friction=friction, vertices=vertices, triangles=triangles
+        )
     except ValueError as error:
         raise ParameterError(str(error)) from error
 

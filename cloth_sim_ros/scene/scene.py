@@ -255,6 +255,7 @@ class Scene:
         for name in values:
             if name in known and not known[name].live:
                 raise ParameterError(f"{name} can't change while the cloth runs; set it at start")
+        scene_obstacles.check_meshes(values, self.parameters())
         scene = self.from_parameters({**self.parameters(), **values}, files=self.files)
         for name in self.obstacle_names:
             if name in scene.obstacle_names:
@@ -284,7 +285,8 @@ class Scene:
     @property
     def solids(self) -> list[Obstacle]:
         """The rigid shapes of the obstacles that are there."""
-        return [scene_obstacles.solid(name, self.described[name]) for name in self.obstacle_names]
+        names = self.obstacle_names
+        return [scene_obstacles.solid(name, self.described[name], self.files) for name in names]
 
     @property
     def sheet(self) -> Sheet:

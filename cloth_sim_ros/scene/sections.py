@@ -213,19 +213,25 @@ class Obstacle:
         "box",
         "What it is: the half space below a plane (normal z), or a solid centred on the obstacle's frame, axis z; set "
         "at once with the obstacle, or before anything else of it; changes only while it is not in obstacles",
-        choices=tuple(shape for shape in SHAPES if shape != "mesh"),
+        choices=tuple(SHAPES),
         live=True,
     )
     size: tuple[float, ...] = parameter(
         "double[]",
         (0.1, 0.1, 0.1),
         "box: x, y, z; sphere: radius; capsule and cylinder: radius, length (a capsule's without its round ends); "
-        "a plane has none; changes only while it is not in obstacles",
+        "a plane and a mesh have none; changes only while it is not in obstacles",
         unit="m",
         least=0.0,
         most=MOST_SIZE,
         open_least=True,
         live=True,
+    )
+    mesh: str = parameter(
+        "string",
+        "",
+        "File of a mesh (OBJ, PLY, STL) in metres and in the obstacle's frame: closed, its triangles counterclockwise "
+        "seen from outside; set at start",
     )
     position: tuple[float, ...] = parameter(
         "double[]",

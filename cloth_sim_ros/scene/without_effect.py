@@ -117,6 +117,8 @@ def _of_obstacles(scene: Scene, chosen: set[str]) -> list[str]:
                 f"{name}.shape is set and has no effect: obstacles does not name '{name}'; it may be added while the "
                 "cloth runs" + (f". Did you mean '{close[0]}'?" if close else "")
             )
-        elif f"{name}.size" in chosen and obstacle.shape == "plane":
+        elif f"{name}.size" in chosen and obstacle.shape in ("plane", "mesh"):
             sentences.append(f"{name}.size is set and has no effect: a {obstacle.shape} has no size")
+        elif f"{name}.mesh" in chosen and obstacle.shape != "mesh":
+            sentences.append(f"{name}.mesh is set and has no effect: {name}.shape is {obstacle.shape}; set it to mesh")
     return sentences

@@ -91,7 +91,7 @@ class Simulation:
         self._plans = Plans(scene)
         self._apply_scene(scene)
         if state is None and self.plan.contact is not None:
-            self.plan.contact.check_clear(self.state.x)
+            self.plan.contact.check_clear(self.time, self.state.x)
 
     @property
     def scene(self) -> Scene:

@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.pinch import Pads
 
 
 class OwnSurface:
-    """The surface of a cloth that is not to pass through itself.
+    """The surface of a cloth that nothing is to pass through, itself or obstacles.
 
     Args:
         triangles: its triangles, shape (m, 3).
@@ -64,6 +64,7 @@ class Contact(EngineForce):
         frequency: of the springs that hold sticking particles to their anchors [1/s], above 0. On a slope a particle
             gives by about mu g / frequency^2.
         surface: what is not to pass through itself; None where the cloth may.
+        faces: what points and edges of obstacles are kept out of; None where particles alone are kept out.
 
     Raises:
         ValueError: for a thickness or damping out of range, a shape that the engine has no distance for, or two
@@ -83,6 +84,7 @@ class Contact(EngineForce):
         frequency: float = 2000.0,
         pads: Sequence[Pads] = (),
         surface: OwnSurface | None = None,
+        faces: OwnSurface | None = None,
     ) -> None:
         self.thickness = float(finite("contact thickness", thickness, ()))
         if self.thickness <= 0.0:
@@ -97,7 +99,7 @@ class Contact(EngineForce):
         self.pads = tuple(pads)
         #: Whether each of those is anywhere, and whether it closes, shape (pinches, 2).
         self.driven = np.zeros((len(self.pads), 2), dtype=bool)
-        self.surface = surface
+        self.surface, self.faces = surface, faces
         self.surround(obstacles)
 
     def surround(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
@@ -146,11 +148,12 @@ class Contact(EngineForce):
         return any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        if self.surface is not None and self.surface.particle_count != particle_count:
-            raise ValueError(
-                f"the surface that is not to pass through itself has {self.surface.particle_count} particles, the "
-                f"model {particle_count}; give the model's own"
-            )
+        for surface in (self.surface, self.faces):
+            if surface is not None and surface.particle_count != particle_count:
+                raise ValueError(
+                    f"the cloth's surface in contact has {surface.particle_count} particles, the model "
+                    f"{particle_count}; give the model's own"
+                )
         return (Surrounded(contact=self),)
 
     @property

@@ -126,9 +126,10 @@ class Columns:
             contact, held, own = self._plan.contact, 0.0, (0.0, 0.0)
             if contact is not None:
                 contact.lay_pads(self.pads(columns))
-                held = contact.energy_ahead(self._t + self.duration, 0.0, x, v)
-                own = contact.own_ahead(0.0, x, v)
-                if not held < math.inf or contact.passes(self._runs[columns - 1].x, x):
+                end = self._t + self.duration
+                held = contact.energy_ahead(end, 0.0, x, v)
+                own = contact.own_ahead(end, 0.0, x, v)
+                if not held < math.inf or contact.passes(end, 0.0, self._runs[columns - 1].x, x):
                     activity = math.inf
             told = Told(activity, *self._plan.rates(x), held, own)
             self._told[columns] = told

@@ -1,0 +1,82 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What Python sees of obstacles' points and edges; included by library.cpp.
+#pragma once
+
+/// The surface that points and edges of obstacles are kept out of: triangles (count, 3), its shortest edge at rest [m].
+/// Particles stand where cloth_plan_order put them.
+CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
+    return guarded([&] {
+        cloth::FeatureContact contact;
+        cloth::Surface& s = contact.surface;
+        s.count = plan->count;
+        s.shortest = shortest;
+        s.masses.resize(plan->count);
+        double total = 0.0, moving = 0.0;
+        for (std::int64_t i = 0; i < plan->count; ++i) {
+            s.masses[plan->rank[i]] = plan->masses[i];
+            if (!(plan->inverse[i] > 0.0)) continue;
+            total += plan->masses[i];
+            moving += 1.0;
+        }
+        if (!(moving > 0.0)) return;
+        contact.mass = total / moving;
+        for (std::int64_t t = 0; t < count; ++t) {
+            const std::int64_t* const c = triangles + 3 * t;
+            if (!(plan->inverse[c[0]] > 0.0 && plan->inverse[c[1]] > 0.0 && plan->inverse[c[2]] > 0.0)) continue;
+            const auto corner = [&](int k) { return static_cast<cloth::Index>(plan->rank[c[k]]); };
+            s.triangles.push_back({corner(0), corner(1), corner(2)});
+        }
+        if (s.triangles.empty()) return;
+        s.join();
+        plan->features = std::move(contact);
+    });
+}
+/// Points (points, 3) [m] and edges (edges, 2) of an obstacle in its own frame, and the radius about them [m]; see Features.
+/// None where the cloth has no surface that can be pushed.
+CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std::int64_t points, const double* places,
+                                  std::int64_t edges, const std::int64_t* ends, double radius) {
+    return guarded([&] {
+        if (!plan->features) return;
+        cloth::Features features;
+        features.radius = radius;
+        for (std::int64_t k = 0; k < points; ++k) {
+            features.points.push_back({places[3 * k], places[3 * k + 1], places[3 * k + 2]});
+            features.reach = cloth::larger(cloth::root(cloth::norm2(features.points.back())), features.reach);
+        }
+        for (std::int64_t k = 0; k < edges; ++k)
+            features.edges.push_back({static_cast<cloth::Index>(ends[2 * k]), static_cast<cloth::Index>(ends[2 * k + 1])});
+        plan->features->obstacles[obstacle].features = std::move(features);
+    });
+}
+/// Whether runs over a duration may leave them out, see FeatureRest.
+CLOTH_API int cloth_features_rest(cloth::Plan* plan, double t, double duration, const double* x, const double* v,
+                                  std::int64_t* out) {
+    return guarded([&] {
+        const cloth::FeatureRest rest(*plan, t, duration, x, v);
+        *out = plan->features_act() ? 0 : 1;
+    });
+}
+/// Squared frequency and damping rate, see feature_ahead.
+CLOTH_API int cloth_features_ahead(cloth::Plan* plan, double t, double duration, double expected, const double* x,
+                                   const double* v, double* out) {
+    return guarded([&] {
+        const cloth::SelfRates r =
+            plan->features ? cloth::feature_ahead(*plan, t, duration, expected, x, v) : cloth::SelfRates{};
+        out[0] = r.omega2;
+        out[1] = r.damping;
+    });
+}
+/// Whether any passes through the cloth on straight ways from x0 at time t to x1, a duration later.
+CLOTH_API int cloth_features_cross(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,
+                                   std::int64_t* out) {
+    return guarded([&] { *out = plan->features && cloth::features_cross(*plan, t, duration, x0, x1) ? 1 : 0; });
+}
+/// What passes through the cloth, see features_pierce: three numbers.
+CLOTH_API int cloth_features_pierce(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
+    return guarded([&] {
+        std::fill(out, out + 3, std::int64_t{-1});
+        if (plan->features) cloth::features_pierce(*plan, t, x, out);
+    });
+}

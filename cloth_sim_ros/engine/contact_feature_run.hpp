@@ -1,0 +1,245 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What points and edges of obstacles do to the cloth's triangles and edges over a run.
+#pragma once
+
+#include "plan.hpp"
+
+namespace cloth {
+
+/// What contact with features has taken up and will have to, energy per mass in units of U^2/2; and by how much stiffness
+/// over mass exceeds that of a single gap at a particle, at that which most acts on (Gershgorin: a gap's stiffness k g g'
+/// is at most k |w_c| at a corner of weight w_c, for the weights add up to one and an obstacle gives way to nothing).
+class FeatureDemand {
+public:
+    explicit FeatureDemand(double mass) : mass_(mass) {}
+    double reached = 0.0, gap = 1e30;
+
+    template <class V>
+    void take(const Surface& s, const FeatureMeeting<V>& m) {
+        gap = smaller(m.least(), gap);
+        for (const auto& g : m.gaps) {
+            double weight[3];
+            for (int k = 0; k < g.corners; ++k) weight[k] = number_of(g.weight[k]);
+            enter(s, g.corners, g.corner, weight, number_of(g.closing), number_of(m.shape));
+            for (int k = 0; k < g.corners; ++k) {
+                const Index c = g.corner[k];
+                if (load_.empty()) load_.assign(s.count, 0.0);
+                if (load_[c] == 0.0) touched_.push_back(c);
+                load_[c] += g.sign * mass_ * weight[k] / s.masses[c];
+            }
+        }
+    }
+    /// A gap that closes at a speed and holds an energy already: all of its corners' m_e w^2/2 goes into M U^2/2 b, where
+    /// 1/m_e = sum of w_c^2 / m_c.
+    void enter(const Surface& s, int corners, const Index* corner, const double* weight, double closing, double shape) {
+        const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
+        double inverse = 0.0;
+        for (int k = 0; k < corners; ++k) {
+            inverse += weight[k] * weight[k] / s.masses[corner[k]];
+            crowd_ = larger(mass_ * weight[k] / s.masses[corner[k]], crowd_);
+        }
+        reached = larger(shape + speed * speed / (mass_ * inverse), reached);
+    }
+    /// Take in a gap that comes into contact within a duration [s]: the step has to be short enough before that. `away`
+    /// [m] is what is left until then.
+    void come(const Surface& s, int corners, const Index* corner, const double* weight, double away, double closing,
+              double duration) {
+        if (away >= 0.0 && away < duration * closing) enter(s, corners, corner, weight, closing, 0.0);
+    }
+    /// Look at what was added since the last time.
+    void close() {
+        for (const Index c : touched_) {
+            crowd_ = larger(load_[c], crowd_);
+            load_[c] = 0.0;
+        }
+        touched_.clear();
+    }
+    SelfRates rates(const FeatureLaw<double>& law, double expected = 1.0) const {
+        if (!(reached > 0.0)) return {};
+        const double at = stopping_gap(expected * reached) * law.thickness();
+        return {crowd_ * law.law().stiffness(at), crowd_ * law.law().damping(at)};
+    }
+
+private:
+    double mass_, crowd_ = 1.0;
+    std::vector<double> load_;
+    std::vector<Index> touched_;
+};
+
+/// Call `what` with each meeting of an obstacle's features, of those that `find` found. With `demand` pairs that come into
+/// contact within `duration` [s] are told to it.
+template <class V, class X, class U, class F>
+inline void for_each_feature_meeting(const FeatureContact& contact, const NearFeatures& near, const Pose& pose,
+                                     const FeatureLaw<V>& law, X&& at, U&& moving, FeatureMeeting<V>& m, F&& what,
+                                     FeatureDemand* demand = nullptr, double duration = 0.0) {
+    const Surface& s = contact.surface;
+    const FeaturesAt from{near.features, pose};
+    const double radius = near.features.radius;
+    for_each_feature(
+        near,
+        [&](Index k, std::size_t first, std::size_t last) {
+            const Index* const triangles = near.triangles.second.data();
+            law.point(s, from, k, triangles + first, triangles + last, at, moving, m);
+            if (!m.gaps.empty()) what(m);
+            if constexpr (std::is_same_v<V, double>) {
+                for (std::size_t pair = first; demand && pair < last; ++pair) {
+                    const auto& t = s.triangles[triangles[pair]];
+                    const auto n = near_triangle(from.place(k), at(t[0]), at(t[1]), at(t[2]));
+                    const double away = root(n.square);
+                    const Vec3<double> slip = n.weight[0] * moving(t[0]) + n.weight[1] * moving(t[1]) +
+                                              n.weight[2] * moving(t[2]) - from.speed(k);
+                    demand->come(s, 3, t.data(), n.weight, away - radius - law.thickness(), dot(n.away, slip) / away,
+                                 duration);
+                }
+            }
+        },
+        [&](std::size_t pair) {
+            const auto& own = s.edges[near.edges.second[pair]];
+            law.edges(own, from, near.edges.first[pair], at, moving, m);
+            if (!m.gaps.empty()) what(m);
+            if constexpr (std::is_same_v<V, double>) {
+                if (!demand || !m.gaps.empty()) return;
+                const auto& other = near.features.edges[near.edges.first[pair]];
+                const auto n = near_segments(at(own[0]), at(own[1]), from.place(other[0]), from.place(other[1]));
+                const double away = root(n.square), weight[2] = {1.0 - n.first, n.first};
+                const Vec3<double> u = from.speed(other[0]), w = from.speed(other[1]);
+                const Vec3<double> slip = weight[0] * moving(own[0]) + weight[1] * moving(own[1]) - u - n.second * (w - u);
+                demand->come(s, 2, own.data(), weight, away - radius - law.thickness(), -dot(n.away, slip) / away,
+                             duration);
+            }
+        });
+}
+
+/// Whether the sides of a pair may have passed through each other during a step that ended at a squared distance [m^2].
+/// They have not if they moved less, relative to each other, than their gap; no point of a side moves further, relative
+/// to a corner of the other, than the side's own corners.
+inline bool feature_may_pass(double square, double radius, const Vec3<double>* own, int corners, Vec3<double> first,
+                             Vec3<double> second) {
+    double most = 0.0;
+    for (int k = 0; k < corners; ++k) most = larger(root(norm2(own[k] - first)), most);
+    return !(most + root(norm2(second - first)) < root(square) - radius);
+}
+
+/// Features over a run, by one thread.
+class FeatureRun {
+public:
+    FeatureRun(FeatureContact& contact, const Contacts& contacts, const Run& run)
+        : contact_(contact), contacts_(contacts), run_(run), law_(contact.law(contacts)), demand_(contact.mass),
+          sums_(run.books ? contacts.count() * booked_numbers : 0, 0.0) {
+        before_.resize(contact.obstacles.size());
+    }
+
+    /// Add the forces at a step, positions x and velocities v, to f, all quads.
+    void add(std::int64_t step, const double* x, const double* v, double* f) {
+        const double t = middle_of(run_, step);
+        const Quads at{x}, moving{v};
+        for (std::int64_t k = 0; k < contacts_.count(); ++k) {
+            if (!contact_.acts[k]) continue;
+            const Pose pose = pose_at(contacts_.path(k), t);
+            if (!look(k, x, pose)) return;
+            const FeaturesAt from{contact_.obstacles[k].features, pose};
+            double* const sums = run_.books && step >= 0 ? sums_.data() + k * booked_numbers : nullptr;
+            for_each_feature_meeting<double>(
+                contact_, contact_.obstacles[k], pose, law_, at, moving, meeting_,
+                [&](const FeatureMeeting<double>& m) {
+                    demand_.take(contact_.surface, m);
+                    law_.forces(
+                        m,
+                        [&](Index c, Vec3<double> force) {
+                            f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
+                        },
+                        [&](Index point, Vec3<double> force) {
+                            if (sums) book(sums, from, point, force, 1.0);
+                        });
+                    if (sums) sums[booked_numbers - 1] += law_.lost(m);
+                },
+                &demand_, 2.0 * run_.step);
+            demand_.close();
+        }
+    }
+    /// The end of the run: whether nothing can have passed through anything on the way there.
+    bool finish(const double* x) {
+        for (std::int64_t k = 0; k < contacts_.count() && !passed_; ++k)
+            if (contact_.acts[k]) look(k, x, pose_at(contacts_.path(k), run_.t + run_.step * static_cast<double>(run_.steps)));
+        if (run_.books)
+            for (std::size_t k = 0; k < sums_.size(); ++k) run_.touched[k] += run_.step * sums_[k];
+        return !passed_;
+    }
+    /// Least gap in units of the whole thickness, as particles' gaps count [m].
+    double gap() const { return 2.0 * demand_.gap; }
+    SelfRates rates() const { return demand_.rates(law_); }
+
+    /// Add what a force on a point of an obstacle makes of the booked numbers, losses aside.
+    static void book(double* sums, const FeaturesAt& from, Index point, Vec3<double> force, double weight) {
+        const Vec3<double> arm = from.arm(point), torque = cross(arm, force);
+        const double now[booked_numbers] = {force.x,  force.y,  force.z, torque.x, torque.y, torque.z,
+                                            -dot(force, from.speed(point)), 0.0};
+        for (int k = 0; k < booked_numbers; ++k) sums[k] += weight * now[k];
+    }
+
+private:
+    struct Before {
+        Array<double> places;
+        Pose pose{};
+    };
+    /// Find what is near, and look at the ways since the last time.
+    bool look(std::int64_t k, const double* x, const Pose& pose) {
+        if (passed_) return false;
+        const Surface& s = contact_.surface;
+        NearFeatures& near = contact_.obstacles[k];
+        Before& before = before_[k];
+        double moved = 0.0;
+        if (!before.places.empty()) {
+            Spread spread;
+            for (std::int64_t i = 0; i < s.count; ++i)
+                spread.take(load4(x + 4 * i) - load4(before.places.data() + 4 * i));
+            const Vec3<double> way = pose.place - before.pose.place;
+            spread.take(quad<double>{way.x, way.y, way.z, 0.0});
+            moved = spread.most() + turned(pose, before.pose, near.features.reach);
+        }
+        // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
+        passed_ = !near.find(s, x, pose, law_.thickness(), 2.0 * moved);
+        if (!passed_ && moved > 0.0) check(near, x, pose, before, moved);
+        before.places.assign(x, x + 4 * s.count);
+        before.pose = pose;
+        return !passed_;
+    }
+    void check(const NearFeatures& near, const double* x, const Pose& pose, const Before& before, double moved) {
+        const Surface& s = contact_.surface;
+        const FeaturesAt now{near.features, pose}, then{near.features, before.pose};
+        const Quads at{x}, was{before.places.data()};
+        const double radius = near.features.radius, least = (radius + moved) * (radius + moved);
+        Vec3<double> own[3];
+        const auto way = [&](Index c) { return at(c) - was(c); };
+        const auto led = [&](Index point) { return now.place(point) - then.place(point); };
+        for (std::size_t k = 0; k < near.triangles.size() && !passed_; ++k) {
+            const Index point = near.triangles.first[k], triangle = near.triangles.second[k];
+            const double square = NearFeatures::point_square(s, now, at, point, triangle);
+            if (square > least) continue;
+            for (int c = 0; c < 3; ++c) own[c] = way(s.triangles[triangle][c]);
+            passed_ = feature_may_pass(square, radius, own, 3, led(point), led(point));
+        }
+        for (std::size_t k = 0; k < near.edges.size() && !passed_; ++k) {
+            const Index edge = near.edges.first[k];
+            const double square = NearFeatures::edge_square(s, now, at, edge, near.edges.second[k]);
+            if (square > least) continue;
+            for (int c = 0; c < 2; ++c) own[c] = way(s.edges[near.edges.second[k]][c]);
+            passed_ = feature_may_pass(square, radius, own, 2, led(near.features.edges[edge][0]),
+                                       led(near.features.edges[edge][1]));
+        }
+    }
+
+    FeatureContact& contact_;
+    const Contacts& contacts_;
+    const Run& run_;
+    FeatureLaw<double> law_;
+    FeatureMeeting<double> meeting_;
+    FeatureDemand demand_;
+    std::vector<double> sums_;
+    std::vector<Before> before_;
+    bool passed_ = false;
+};
+
+}  // namespace cloth

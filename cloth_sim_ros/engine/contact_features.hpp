@@ -1,0 +1,233 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What of an obstacle may come through the cloth between its particles: points and straight edges with a radius about them.
+// How they push the cloth's triangles and edges. docs/contact.md derives it. V is a number, or one with its derivative.
+#pragma once
+
+#include "contact.hpp"
+#include "self_near.hpp"
+#include "self_surface.hpp"
+
+namespace cloth {
+
+/// Points of one obstacle in its own frame, edges between them, and the radius about both [m]: a ball's centre, a box's
+/// corners and edges. `reach` [m] is that of the points from the frame's origin.
+struct Features {
+    std::vector<Vec3<double>> points;
+    std::vector<std::array<Index, 2>> edges;
+    double radius = 0.0, reach = 0.0;
+};
+
+/// The same at a moment.
+struct FeaturesAt {
+    const Features& features;
+    const Pose& pose;
+
+    Vec3<double> arm(Index k) const {
+        const Vec3<double> p = features.points[k];
+        return p.x * pose.rotation[0] + p.y * pose.rotation[1] + p.z * pose.rotation[2];
+    }
+    Vec3<double> place(Index k) const { return pose.place + arm(k); }
+    Vec3<double> speed(Index k) const { return pose.speed + cross(pose.spin, arm(k)); }
+};
+
+template <class V>
+CLOTH_INLINE Vec3<V> constant(Vec3<double> a) {
+    return {splat<V>(a.x), splat<V>(a.y), splat<V>(a.z)};
+}
+CLOTH_INLINE double number_of(double a) { return a; }
+CLOTH_INLINE double number_of(Dual a) { return a.value; }
+
+/// A gap between the cloth and a feature.
+template <class V>
+struct FeatureGap {
+    double sign;  ///< 1 or -1: factor of this gap's energy in the sum
+    int corners;
+    Index corner[3];
+    V weight[3];     ///< of the corners, at the cloth's nearest point
+    V share;         ///< of the obstacle's second point, at its nearest point
+    Vec3<V> normal;  ///< off the obstacle
+    V gap, closing;
+};
+
+/// All gaps of one point, or that of two edges, and their energy.
+template <class V>
+struct FeatureMeeting {
+    std::vector<FeatureGap<V>> gaps;
+    Index point[2];  ///< of the obstacle; the same twice for a point
+    bool edges = false;
+    /// Energy per mass in units of U^2/2, sum of the pushes [m/s^2], and the rate at which the energy grows [m^2/s^3].
+    V shape{}, push{}, rate{};
+    /// Of edges: what the energy is multiplied by, and its slope over their four ends, the cloth's first [m/s^2].
+    V faded{};
+    Vec3<V> slope[4];
+
+    void clear(Index first, Index second) {
+        gaps.clear();
+        point[0] = first, point[1] = second;
+        edges = false;
+        shape = push = rate = V{};
+    }
+    double least() const {
+        double least = 1e30;
+        for (const auto& g : gaps) least = smaller(number_of(g.gap), least);
+        return least;
+    }
+};
+
+/// sin^2 of the angle below which two edges count as parallel: 1.8 degrees, as in Li et al., Incremental Potential Contact.
+inline constexpr double feature_parallel = 1e-3;
+
+template <class V>
+class FeatureLaw {
+public:
+    /// Features keep half the thickness, so that particles in contact keep the cloth out of their reach. `mass` [kg]: that
+    /// of a mean particle of the cloth.
+    FeatureLaw(double thickness, double damping, double mass)
+        : thickness_(0.5 * thickness), damping_(damping), mass_(mass), law_(0.5 * thickness, damping) {}
+
+    double thickness() const { return thickness_; }
+    double mass() const { return mass_; }
+    const ContactLaw<V>& law() const { return law_; }
+
+    /// The energy of a point with the surface, of which the triangles from `begin` to `end` are near. It counts
+    /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once,
+    /// wherever it is cut into triangles.
+    template <class X, class U>
+    void point(const Surface& s, const FeaturesAt& from, Index k, const Index* begin, const Index* end, X&& at,
+               U&& moving, FeatureMeeting<V>& m) const {
+        m.clear(k, k);
+        const Vec3<V> p = constant<V>(from.place(k)), speed = constant<V>(from.speed(k));
+        const double radius = from.features.radius, most = (radius + thickness_) * (radius + thickness_);
+        const V one = splat<V>(1.0), none{};
+        const auto take = [&](double sign, int corners, const Index (&corner)[3], const V (&weight)[3], Vec3<V> away,
+                              V square) {
+            if (!(number_of(square) < most)) return;
+            FeatureGap<V> g{sign, corners, {}, {}, none, {}, {}, {}};
+            for (int c = 0; c < 3; ++c) g.corner[c] = corner[c], g.weight[c] = weight[c];
+            finish(g, -away, square, radius, speed, moving);
+            m.gaps.push_back(g);
+        };
+        for (const Index* triangle = begin; triangle != end; ++triangle) {
+            const auto& t = s.triangles[*triangle];
+            const Vec3<V> x[3] = {at(t[0]), at(t[1]), at(t[2])};
+            const OnTriangle<V> n = near_triangle(p, x[0], x[1], x[2]);
+            if (!(number_of(n.square) < most)) continue;
+            take(1.0, 3, {t[0], t[1], t[2]}, {n.weight[0], n.weight[1], n.weight[2]}, n.away, n.square);
+            for (int side = 0; side < 3; ++side) {
+                const int next = (side + 1) % 3;
+                if (*triangle < s.across[*triangle][side]) {
+                    const OnSegment<V> e = near_segment(p, x[side], x[next]);
+                    take(-1.0, 2, {t[side], t[next], 0}, {one - e.share, e.share, none}, e.away, e.square);
+                }
+                if (s.inner[t[side]] && s.fan[s.start[t[side]]] == *triangle) {
+                    const Vec3<V> away = p - x[side];
+                    take(1.0, 1, {t[side], 0, 0}, {one, none, none}, away, norm2(away));
+                }
+            }
+        }
+        for (const FeatureGap<V>& g : m.gaps) {
+            const V push = splat<V>(g.sign) * law_.elastic(g.gap);
+            m.push = m.push + push;
+            m.rate = m.rate + push * g.closing;
+            m.shape = m.shape + splat<V>(g.sign) * law_.shape(g.gap);
+        }
+    }
+    /// The energy of an edge of the cloth and one of an obstacle. It fades as they become parallel, where the nearest
+    /// points jump: by (2 - q) q, q = sin^2 of their angle over `feature_parallel`, up to 1.
+    template <class X, class U>
+    void edges(const std::array<Index, 2>& own, const FeaturesAt& from, Index edge, X&& at, U&& moving,
+               FeatureMeeting<V>& m) const {
+        const std::array<Index, 2>& other = from.features.edges[edge];
+        m.clear(other[0], other[1]);
+        const Vec3<V> x[4] = {at(own[0]), at(own[1]), constant<V>(from.place(other[0])), constant<V>(from.place(other[1]))};
+        const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
+        const double radius = from.features.radius;
+        if (!(number_of(n.square) < (radius + thickness_) * (radius + thickness_))) return;
+        m.edges = true;
+        const V one = splat<V>(1.0);
+        const Vec3<V> u = constant<V>(from.speed(other[0])), w = constant<V>(from.speed(other[1]));
+        FeatureGap<V> g{1.0, 2, {own[0], own[1], 0}, {one - n.first, n.first, V{}}, n.second, {}, {}, {}};
+        finish(g, n.away, n.square, radius, u + n.second * (w - u), moving);
+        m.gaps.push_back(g);
+        fade(x[1] - x[0], x[3] - x[2], m);
+        const V shape = law_.shape(g.gap);
+        m.push = m.faded * law_.elastic(g.gap);
+        m.shape = m.faded * shape;
+        m.rate = m.push * g.closing;
+        const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
+        for (int k = 0; k < 4; ++k) {
+            m.slope[k] = energy * m.slope[k];
+            m.rate = m.rate + dot(m.slope[k], k < 2 ? moving(own[k]) : k == 2 ? u : w);
+        }
+    }
+    /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
+    /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
+    V damped(const FeatureMeeting<V>& m) const {
+        const V one = splat<V>(1.0);
+        if (!(number_of(m.push) > 0.0)) return one;
+        const double gamma = 0.5 * ContactLaw<V>::speed / thickness_;
+        const V under = m.push * (one + splat<V>(damping_ / gamma) * m.push);
+        const V u = splat<V>(0.5 * damping_) * m.rate / under;
+        return u + root(fma(u, u, one));
+    }
+    /// Call `cloth` with each corner of a meeting and the force on it, and `obstacle` with its points and theirs.
+    template <class F, class G>
+    void forces(const FeatureMeeting<V>& m, F&& cloth, G&& obstacle) const {
+        const V scale = splat<V>(mass_) * damped(m);
+        for (const FeatureGap<V>& g : m.gaps) {
+            const Vec3<V> push = (scale * (m.edges ? m.push : splat<V>(g.sign) * law_.elastic(g.gap))) * g.normal;
+            for (int k = 0; k < g.corners; ++k) {
+                Vec3<V> force = g.weight[k] * push;
+                if (m.edges) force = force - scale * m.slope[k];
+                cloth(g.corner[k], force);
+            }
+            if (m.edges) {
+                obstacle(m.point[0], -((splat<V>(1.0) - g.share) * push) - scale * m.slope[2]);
+                obstacle(m.point[1], -(g.share * push) - scale * m.slope[3]);
+            } else {
+                obstacle(m.point[0], -push);
+            }
+        }
+    }
+    double energy(const FeatureMeeting<V>& m) const {
+        return mass_ * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * number_of(m.shape);
+    }
+    /// Power that damping takes [W].
+    double lost(const FeatureMeeting<V>& m) const {
+        return mass_ * (number_of(damped(m)) - 1.0) * number_of(m.rate);
+    }
+
+private:
+    template <class U>
+    void finish(FeatureGap<V>& g, Vec3<V> way, V square, double radius, Vec3<V> speed, U&& moving) const {
+        const V away = root(square);
+        g.gap = away - splat<V>(radius);
+        g.normal = (splat<V>(1.0) / away) * way;
+        Vec3<V> slip = -speed;
+        for (int k = 0; k < g.corners; ++k) slip = fma(g.weight[k], moving(g.corner[k]), slip);
+        g.closing = -dot(g.normal, slip);
+    }
+    void fade(Vec3<V> u, Vec3<V> v, FeatureMeeting<V>& m) const {
+        const V one = splat<V>(1.0), two = splat<V>(2.0);
+        const V uu = norm2(u), vv = norm2(v), uv = dot(u, v), over = one / (uu * vv);
+        const V square = norm2(cross(u, v)) * over, q = square * splat<V>(1.0 / feature_parallel);
+        for (auto& slope : m.slope) slope = {};
+        m.faded = one;
+        if (!(number_of(q) < 1.0)) return;
+        m.faded = (two - q) * q;
+        // d(sin^2)/du = 2 (v.v u - u.v v) / (u.u v.v) - 2 sin^2 u / u.u.
+        const V steep = (two - two * q) * splat<V>(1.0 / feature_parallel);
+        const auto along = [&](Vec3<V> a, V bb, Vec3<V> b, V aa) {
+            return steep * ((two * over) * (bb * a - uv * b) - (two * square / aa) * a);
+        };
+        const Vec3<V> first = along(u, vv, v, uu), second = along(v, uu, u, vv);
+        m.slope[0] = -first, m.slope[1] = first, m.slope[2] = -second, m.slope[3] = second;
+    }
+
+    double thickness_, damping_, mass_;
+    ContactLaw<V> law_;
+};
+
+}  // namespace cloth

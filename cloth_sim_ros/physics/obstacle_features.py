@@ -1,0 +1,108 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What of an obstacle may come through a cloth between its particles: points and edges, and a radius about them."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.angles import sine_and_cosine
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.obstacles import Obstacle
+
+#: The polygons that stand for a cylinder's rims lie within it by this part of the thickness, at most.
+_WITHIN = 0.05
+#: Sine of the angle between two triangles of a mesh up to which they count as one flat face.
+_FLAT = 1e-6
+
+
+@attrs.frozen(eq=False)
+class Features:
+    """Points and edges of one obstacle in its own frame."""
+
+    #: [m], shape (points, 3).
+    points: Array
+    #: Two points each, shape (edges, 2).
+    edges: NDArray[np.int64]
+    #: About points and edges [m].
+    radius: float = 0.0
+
+
+def features(obstacle: Obstacle, thickness: float) -> Features:
+    """Return what of an obstacle may come through a cloth; nothing of a plane.
+
+    A sphere is its centre with the sphere's radius, a capsule its axis; a box its corners and edges. A cylinder is a
+    prism within it, by a twentieth of the thickness at most. Of a mesh edges that bulge outward count, and their ends:
+    what comes nearest to a straight edge or a flat triangle is never in a hollow.
+
+    Args:
+        obstacle: the obstacle.
+        thickness: of contact [m].
+    """
+    match obstacle.shape:
+        case "box":
+            return _box(obstacle.size)
+        case "sphere":
+            return Features(np.zeros((1, 3)), _NO_EDGES, obstacle.size[0])
+        case "capsule":
+            radius, length = obstacle.size
+            ends = np.array([[0.0, 0.0, -0.5 * length], [0.0, 0.0, 0.5 * length]])
+            return Features(ends, np.array([[0, 1]]), radius)
+        case "cylinder":
+            radius, length = obstacle.size
+            return _cylinder(radius, length, thickness)
+        case "mesh":
+            assert obstacle.vertices is not None
+            assert obstacle.triangles is not None
+            return _mesh(obstacle.vertices, obstacle.triangles)
+    return Features(np.zeros((0, 3)), _NO_EDGES)
+
+
+_NO_EDGES = np.zeros((0, 2), dtype=np.int64)
+
+
+def _box(size: tuple[float, ...]) -> Features:
+    corners = list(product((-0.5, 0.5), repeat=3))
+    edges = [(a, a + step) for step in (4, 2, 1) for a in range(8) if not a & step]
+    return Features(np.array(corners) * np.array(size), np.array(edges, dtype=np.int64))
+
+
+def _cylinder(radius: float, length: float, thickness: float) -> Features:
+    # An arc of angle 2 x lies within radius x^2 / 2 of its chord.
+    count = max(8, math.ceil(math.pi * math.sqrt(radius / (2.0 * _WITHIN * thickness))))
+    turns = [sine_and_cosine(math.pi * (2.0 * k / count - 1.0)) for k in range(count)]
+    points = [(radius * c, radius * s, side * length) for side in (-0.5, 0.5) for s, c in turns]
+    edges = [(k + side * count, (k + 1) % count + side * count) for side in (0, 1) for k in range(count)]
+    return Features(np.array(points), np.array([*edges, *((k, k + count) for k in range(count))], dtype=np.int64))
+
+
+def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> Features:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = _unit(_cross(b - a, c - a))
+    # Each edge twice, once in either direction: sorted by its ends both are next to each other.
+    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    across, face = triangles[:, [2, 0, 1]].ravel(), np.arange(len(ends)) // 3
+    order = np.lexsort((ends.max(axis=1), ends.min(axis=1)))
+    one, other = order[0::2], order[1::2]
+    way = _unit(vertices[across[other]] - vertices[ends[one, 0]])
+    n = normal[face[one]]
+    bulges = n[:, 0] * way[:, 0] + n[:, 1] * way[:, 1] + n[:, 2] * way[:, 2] < -_FLAT
+    edges = ends[one[bulges]]
+    used, numbers = np.unique(edges, return_inverse=True)
+    return Features(np.ascontiguousarray(vertices[used]), np.ascontiguousarray(numbers.reshape(-1, 2), dtype=np.int64))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    rows = [a[:, j] * b[:, k] - a[:, k] * b[:, j] for j, k in ((1, 2), (2, 0), (0, 1))]
+    return np.stack(rows, axis=1)
+
+
+def _unit(a: Array) -> Array:
+    length: Array = np.sqrt(a[:, 0] * a[:, 0] + a[:, 1] * a[:, 1] + a[:, 2] * a[:, 2])
+    unit: Array = a / length[:, None]
+    return unit

@@ -1,0 +1,93 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles' points and edges against the cloth's triangles and edges: what the engine is told of them, and asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.forces.contact import OwnSurface
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.obstacle_features import features
+from cloth_sim_ros.physics.obstacles import Obstacle
+
+
+class TouchingFeatures:
+    """Those of one plan.
+
+    Args:
+        handle: the engine's plan.
+        faces: the cloth's surface.
+        particle_count: of the model.
+    """
+
+    def __init__(self, handle: int, faces: OwnSurface, particle_count: int) -> None:
+        self._library, self._handle = library(), handle
+        self._shape = (3, particle_count)
+        triangles = faces.triangles
+        check(self._library.cloth_plan_faces(handle, len(triangles), triangles.ctypes.data, faces.shortest))
+
+    def tell(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
+        """Tell the engine the features of obstacles, the first that it knows."""
+        for k, obstacle in enumerate(obstacles):
+            found = features(obstacle, thickness)
+            points, edges = np.ascontiguousarray(found.points), np.ascontiguousarray(found.edges, dtype=np.int64)
+            places = len(points), points.ctypes.data, len(edges), edges.ctypes.data
+            check(self._library.cloth_plan_features(self._handle, k, *places, found.radius))
+
+    def rests(self, t: float, duration: float, x: Array, v: Array) -> bool:
+        """Return whether none gets near the cloth within a duration [s] from time t on."""
+        out = np.empty(1, dtype=np.int64)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_features_rest(self._handle, t, duration, *addresses))
+        return bool(out[0])
+
+    def ahead(self, t: float, duration: float, expected: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return squared frequency [1/s^2] and damping rate [1/s] that their contact may come to within a duration [s],
+        where it takes up so many times the energy that is expected.
+        """
+        out = np.empty(2)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_features_ahead(self._handle, t, duration, expected, *addresses))
+        return float(out[0]), float(out[1])
+
+    def cross(self, t: float, duration: float, start: Array, end: Array) -> bool:
+        """Return whether any passes through the cloth on straight ways from one place at time t to another."""
+        out = np.empty(1, dtype=np.int64)
+        addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
+        check(self._library.cloth_features_cross(self._handle, t, duration, *addresses))
+        return bool(out[0])
+
+    def pierced(self, t: float, x: Array) -> tuple[int, int, int]:
+        """Return which obstacle passes through the cloth at time t, and two particles about the place; -1 for none."""
+        out = np.empty(3, dtype=np.int64)
+        check(self._library.cloth_features_pierce(self._handle, t, doubles("x", x, self._shape), address(out)))
+        obstacle, a, b = out.tolist()
+        return obstacle, a, b
+
+    def check_clear(self, t: float, x: Array, names: Sequence[str]) -> None:
+        """Refuse a cloth that an obstacle passes through at time t, naming it and where.
+
+        Raises:
+            ValueError: for such a cloth.
+        """
+        k, a, b = self.pierced(t, x)
+        if k < 0:
+            return
+        where = [round(0.5 * sum(pair), 6) for pair in zip(x[:, a].tolist(), x[:, b].tolist(), strict=True)]
+        raise ValueError(
+            f"obstacle '{names[k]}' comes through the cloth between particles {a} and {b}, near {where}; move the one "
+            "or the other"
+        )
+
+
+def tell_meshes(handle: int, obstacles: Sequence[Obstacle]) -> None:
+    """Tell the engine's plan the meshes of those obstacles that are one."""
+    for k, obstacle in enumerate(obstacles):
+        vertices, triangles = obstacle.vertices, obstacle.triangles
+        if vertices is not None and triangles is not None:
+            places = len(vertices), vertices.ctypes.data, len(triangles), triangles.ctypes.data
+            check(library().cloth_plan_mesh(handle, k, *places))

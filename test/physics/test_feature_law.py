@@ -1,0 +1,144 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Points and edges of obstacles against a cloth's triangles and edges: energy, forces, what is booked, bounds."""
+
+import numpy as np
+import pytest
+from support import laws, self_scenes
+from support.alone import blocks, force, gradient, matrix, product
+from support.contact_scenes import still
+from support.feature_scenes import SMALL, THICKNESS, TIME, energy, facing, world
+
+from cloth_sim_ros.physics.book import BOOKED_NUMBERS
+from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.obstacle_features import features
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan import compile
+
+every_shape = pytest.mark.parametrize("shape", SMALL)
+each_seed = pytest.mark.parametrize("seed", [0, 1])
+
+
+def columns(x):
+    return np.ascontiguousarray(x.T)
+
+
+def of_particles(plan, x):
+    """Energy of the particles' own contact."""
+    found, _ = laws.contact(TIME, x, np.zeros_like(x), plan.contact.force, plan.model.masses)
+    return found.energy
+
+
+@every_shape
+@each_seed
+def test_the_energy_is_that_of_every_pair(shape, seed):
+    plan, triangles, x, masses, path = facing(SMALL[shape], seed)
+    expected = energy(SMALL[shape], path, triangles, x, masses)
+    assert expected > 1e-4
+    whole = expected + of_particles(plan, columns(x))
+    assert plan.energies(TIME, columns(x), None)[1] == pytest.approx(whole, rel=1e-7)
+
+
+@every_shape
+@each_seed
+def test_without_damping_the_force_is_minus_the_gradient_of_the_energy(shape, seed):
+    plan, _, x, _, _ = facing(SMALL[shape], seed, damping=0.0)
+    slopes = gradient(lambda places: plan.energies(TIME, places, None)[1], columns(x), step=1e-8)
+    assert np.abs(slopes).max() > 1.0
+    assert force(plan, columns(x), t=TIME) == pytest.approx(-slopes, abs=2e-5 * np.abs(slopes).max())
+
+
+@every_shape
+@each_seed
+def test_what_is_booked_is_what_the_cloth_feels(shape, seed):
+    plan, _, x, _, path = facing(SMALL[shape], seed)
+    rng = np.random.default_rng(seed)
+    v = rng.normal(size=x.shape)
+    found = force(plan, columns(x), columns(v), TIME).T
+    booked = plan.contact.rates(TIME, columns(x), columns(v))[0]
+    size = np.abs(found).max()
+    assert booked[:3] == pytest.approx(-found.sum(axis=0), abs=1e-11 * size)
+    place = laws.pose(path, TIME)[0]
+    assert booked[3:6] == pytest.approx(-np.cross(x - place, found).sum(axis=0), abs=1e-11 * size)
+    # What the obstacle's motion puts in is lost, goes to the cloth, or is held: by differences of time.
+    h = 1e-8
+    ends = [plan.energies(TIME + s * h, columns(x + s * h * v), None)[1] for s in (1.0, -1.0)]
+    grown = (ends[0] - ends[1]) / (2.0 * h)
+    terms = np.array([grown, (found * v).sum(), booked[6], booked[7]])
+    assert booked[7] >= 0.0
+    assert grown + (found * v).sum() == pytest.approx(booked[6] - booked[7], abs=1e-5 * np.abs(terms).max())
+    assert len(booked) == BOOKED_NUMBERS
+
+
+@every_shape
+@each_seed
+def test_the_derivative_product_is_that_of_the_force(shape, seed):
+    plan, _, x, _, _ = facing(SMALL[shape], seed)
+    rng = np.random.default_rng(seed)
+    v, dx, dv = rng.normal(size=(3, *x.T.shape))
+    x, h = columns(x), 1e-9
+    by_place = (force(plan, x + h * dx, v, TIME) - force(plan, x - h * dx, v, TIME)) / (2 * h)
+    by_speed = (force(plan, x, v + 1e-5 * dv, TIME) - force(plan, x, v - 1e-5 * dv, TIME)) / 2e-5
+    zero = np.zeros_like(x)
+    assert product(plan, x, v, dx, zero, TIME) == pytest.approx(by_place, abs=1e-4 * np.abs(by_place).max())
+    assert product(plan, x, v, zero, dv, TIME) == pytest.approx(by_speed, abs=1e-5 * np.abs(by_speed).max())
+
+
+@every_shape
+@each_seed
+def test_bounds_hold_where_nothing_moves(shape, seed):
+    path = still((0.3, -0.2, 0.1), np.array([0.5, -0.5, 0.1, 0.7]))
+    plan, _, x, _, _ = facing(SMALL[shape], seed, path=path)
+    x = columns(x)
+    zero = np.zeros_like(x)
+    stiff, damped = blocks(plan, x)
+    for part, bound in (("x", stiff), ("v", damped)):
+        whole = matrix(plan, x, zero, part, TIME)
+        whole = 0.5 * (whole + whole.T)
+        most = np.linalg.eigvalsh(whole)[-1]
+        largest = bound[:3].sum(axis=0).max()
+        assert 0.0 < most <= largest * (1.0 + 1e-9)
+
+
+def test_pushes_reach_no_further_than_half_the_thickness_and_nothing_pushes_what_is_anchored():
+    box = SMALL["box"]
+    for gap, acts in ((0.499, True), (0.501, False)):
+        plan, _, x, _, _ = facing(box, gap=gap, damping=0.0)
+        assert (plan.energies(TIME, columns(x), None)[1] > of_particles(plan, columns(x)) + 1e-15) == acts
+    plan, _, x, _, _ = facing(box, anchors=range(16))
+    assert plan.energies(TIME, columns(x), None)[1] == 0.0
+
+
+def test_a_point_feels_one_plane_wherever_a_flat_sheet_is_cut_into_triangles():
+    triangles, rest, x, masses = self_scenes.sheets(0.0, rows=5, columns=5)
+    ball = Obstacle(name="ball", shape="sphere", size=(0.005,))
+    faces = OwnSurface(triangles, rest, thickness=THICKNESS)
+    # Particles are out of its reach at the places that count, for the gap is 0.4 of the thickness.
+    own = Contact([ball], thickness=THICKNESS, damping=0.0, faces=faces)
+    plan = compile(Model(masses, [own]))
+    s = 0.8
+    expected = masses.mean() * 35.0**2 / THICKNESS * (1.0 - s) ** 3 * (1.0 + 3.0 * s) / s**2
+    offsets = np.random.default_rng(0).uniform(0.02, 0.06, (60, 2))
+    for offset in [*offsets, [0.03, 0.03], [0.04, 0.03], [0.035, 0.03], [0.04, 0.04]]:
+        own.move(np.array([still((*offset, -0.005 - 0.5 * s * THICKNESS))]))
+        found = plan.contact.rates(0.0, columns(x), np.zeros_like(columns(x)))[0, :3]
+        particles, _ = laws.contact(0.0, columns(x), np.zeros_like(columns(x)), own, masses)
+        assert found + particles.force.sum(axis=1) == pytest.approx([0.0, 0.0, -expected], abs=1e-9 * expected)
+
+
+def test_features_are_the_corners_edges_centres_and_axes_of_shapes():
+    box, marble, pin, coin = (features(SMALL[shape], THICKNESS) for shape in ("box", "sphere", "capsule", "cylinder"))
+    assert len(box.points) == 8
+    lengths = np.linalg.norm(box.points[box.edges[:, 0]] - box.points[box.edges[:, 1]], axis=1)
+    assert np.sort(lengths) == pytest.approx(np.repeat([0.02, 0.03, 0.05], 4))
+    assert (marble.points.tolist(), len(marble.edges), marble.radius) == ([[0.0, 0.0, 0.0]], 0, 0.006)
+    assert (pin.points[:, 2].tolist(), pin.edges.tolist(), pin.radius) == ([-0.025, 0.025], [[0, 1]], 0.004)
+    # On the rims, chords within them by a twentieth of the thickness; and lines along the side.
+    assert np.hypot(*coin.points[:, :2].T) == pytest.approx(np.full(len(coin.points), 0.008))
+    assert np.abs(coin.points[:, 2]) == pytest.approx(np.full(len(coin.points), 0.002))
+    middles = 0.5 * (coin.points[coin.edges[:, 0]] + coin.points[coin.edges[:, 1]])
+    inward = 0.008 - np.hypot(*middles[:, :2].T)
+    assert -1e-15 < inward.min() <= inward.max() <= 0.05 * THICKNESS
+    assert len(coin.edges) == 3 * len(coin.points) // 2
+    assert world(SMALL["sphere"], still((1.0, 2.0, 3.0)))[0] == pytest.approx(np.array([[1.0, 2.0, 3.0]]))

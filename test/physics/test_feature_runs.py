@@ -1,0 +1,157 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs in which corners, edges and small balls come up to a coarse cloth between its particles."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.contact_scenes import drop, still
+from support.feature_scenes import BLOCK, CORNER, CORNER_UP, THICKNESS, coarse, come_through
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.obstacles import Obstacle
+
+FRAME = 1.0 / 60.0
+BALL = Obstacle(name="ball", shape="sphere", size=(0.02,))
+PIN = Obstacle(name="pin", shape="capsule", size=(0.01, 0.06))
+COIN = Obstacle(name="coin", shape="cylinder", size=(0.03, 0.004))
+ON_EDGE = Rotation.from_euler("x", 90.0, degrees=True).as_quat()
+
+
+def below(obstacle, gap, where=(0.05, 0.03)):
+    """The path of what stands under a cell of a sheet in the plane z = 0, its highest point so far below it [m]."""
+    high, turn = {
+        "block": (CORNER, CORNER_UP),
+        "ball": (0.02, (0.0, 0.0, 0.0, 1.0)),
+        "pin": (0.04, (0.0, 0.0, 0.0, 1.0)),
+        "coin": (0.03, ON_EDGE),
+    }[obstacle.name]
+    return still((*where, -high - gap), turn)
+
+
+every = pytest.mark.parametrize("obstacle", [BLOCK, BALL, PIN, COIN], ids=lambda one: one.name)
+
+
+def follow(obstacle, path, frames, velocity=(0.0, 0.0, 0.0), *, tolerance=1e-3, **options):
+    """Run a sheet and return it with whether the obstacle came through it in any frame."""
+    model, places, triangles = coarse(obstacle, paths=[path], **options)
+    plan, state, integrator = drop(model, places, velocity, tolerance=tolerance, work=0.0)
+    through = False
+    for k in range(frames):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+        through = through or bool(come_through(obstacle, path, (k + 1) * FRAME, triangles, state.positions))
+    return plan, state, through
+
+
+@every
+@pytest.mark.parametrize("speed", [2.0, 10.0])
+def test_nothing_comes_through_between_particles(obstacle, speed):
+    path = below(obstacle, 0.01)
+    _, _, through = follow(obstacle, path, 8, (0.0, 0.0, -speed))
+    assert not through
+
+
+def test_without_faces_all_of_them_come_through():
+    for obstacle in (BLOCK, BALL, PIN, COIN):
+        assert follow(obstacle, below(obstacle, 0.01), 8, (0.0, 0.0, -2.0), faces=False)[2]
+
+
+@every
+def test_a_sheet_that_hangs_on_its_corners_rests_on_what_is_under_a_cell(obstacle):
+    # They stand higher than the sheet would hang.
+    path = below(obstacle, 0.003)
+    plan, state, through = follow(obstacle, path, 40, anchors=[0, 4, 20, 24])
+    assert not through
+    rates = plan.contact.rates(40 * FRAME, state.x, state.v)[0]
+    assert rates[2] < -0.05
+    assert plan.contact.gaps(40 * FRAME, state.x)[0, 0] == 0.0
+
+
+@every
+def test_an_obstacle_that_is_driven_up_at_10_metres_per_second_does_not_come_through(obstacle):
+    path = below(obstacle, 0.01)
+    path[6] = 10.0
+    _, state, through = follow(obstacle, path, 4)
+    assert not through
+    assert state.x[2].max() > 0.2
+
+
+def test_edges_of_a_box_that_turns_under_a_sheet_do_not_come_through():
+    path = still((0.03, 0.02, -0.13))
+    path[17:20], path[6] = [3.0, 5.0, 1.0], 0.5
+    _, _, through = follow(BLOCK, path, 16)
+    assert not through
+
+
+def test_balls_under_cells_bear_the_weight():
+    places = [(x, y, -0.02 - 0.49 * THICKNESS) for x in (-0.19, 0.19) for y in (-0.19, 0.19)]
+    balls = [Obstacle(name=f"ball{k}", shape="sphere", size=(0.02,)) for k in range(4)]
+    stiff = {"bending.model": "crossed", "material.bending_modulus": 0.02, "air.drag": 8.0}
+    model, at, _ = coarse(*balls, paths=[still(place) for place in places], **stiff)
+    plan, state, integrator = drop(model, at, tolerance=1e-4)
+    for k in range(90):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+    book = Book(plan.gripper_count, obstacle_count=4)
+    integrator.advance(plan, state, 90 * FRAME, FRAME, book)
+    weight = 9.81 * model.mass
+    assert plan.contact.gaps(91 * FRAME, state.x)[:, 0].tolist() == [0.0] * 4
+    assert book.loads[:, 2].sum() == pytest.approx(-weight, rel=1e-3)
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_features_out_of_reach_change_no_bit_and_no_step(listed):
+    block, table = BLOCK, Obstacle(name="table", shape="box", size=(3.0, 3.0, 0.1))
+    paths = [still((0.0, 0.0, -1.5)), still((0.0, 0.0, -0.05 - THICKNESS))]
+    ends = []
+    for faces in (False, True):
+        model, places, _ = coarse(block, table, paths=paths, n=12, faces=faces, listed=listed)
+        plan, state, integrator = drop(model, places, tolerance=1e-4)
+        evaluations = [integrator.advance(plan, state, k * FRAME, FRAME).evaluations for k in range(8)]
+        ends.append((evaluations, state.x, state.v))
+    assert ends[0][0] == ends[1][0]
+    assert np.array_equal(ends[0][1], ends[1][1])
+    assert np.array_equal(ends[0][2], ends[1][2])
+
+
+def test_a_large_ball_under_a_fine_sheet_is_kept_out_by_particles_alone():
+    ball = Obstacle(name="ball", shape="sphere", size=(0.2,))
+    for n, rests in ((5, False), (30, True)):
+        model, places, _ = coarse(ball, paths=[still((0.0, 0.0, -0.2 - THICKNESS))], n=n, size=0.6)
+        plan, state, integrator = drop(model, places, tolerance=1e-3)
+        integrator.advance(plan, state, 0.0, FRAME)
+        assert plan.contact.narrows(FRAME, state.x, state.v) == rests
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_no_bit_depends_on_threads_or_on_what_was_run_before(listed):
+    path = below(BLOCK, 0.001)
+    path[17:20], path[6] = [0.3, -0.4, 1.0], 0.5
+    model, places, _ = coarse(BLOCK, paths=[path], n=9, listed=listed)
+    x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
+    v[2] = -2.0
+    plan, other = (drop(model, places)[0] for _ in range(2))
+    for k in range(3):
+        other.runs(0.001 * k, 0.003, (x + 0.01 * k, -v), [30])
+    runs = [
+        one.runs(0.0, 0.01, (x, v), [500], powers=True, touches=True, threads=threads)[0][0]
+        for one, threads in ((plan, 1), (plan, 3), (other, 2))
+    ]
+    assert runs[0].own[0] > 0.0
+    for run in runs[1:]:
+        assert np.array_equal(run.x, runs[0].x)
+        assert np.array_equal(run.v, runs[0].v)
+        assert np.array_equal(run.touches, runs[0].touches)
+
+
+def test_the_balance_of_energy_closes_with_a_corner_that_rises_and_turns():
+    path = below(BLOCK, 0.01)
+    path[4:7], path[17:20] = [0.1, 0.0, 1.0], [0.0, 1.0, 2.0]
+    model, places, _ = coarse(BLOCK, paths=[path])
+    plan, state, integrator = drop(model, places, tolerance=1e-5)
+    balance = EnergyBalance(plan, state)
+    for k in range(6):
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        residual = balance.close((k + 1) * FRAME, state)
+    assert balance.work > 0.01
+    assert abs(residual) < 1e-3 * balance.turned_over
