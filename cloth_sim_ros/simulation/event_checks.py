@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
@@ -130,3 +131,24 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) ->
         obstacles.check_outside(names, scene.anchored_particles())
     except ValueError as error:
         raise EventError(f"{what} {error}") from error
+    _check_faces(scene, names, obstacles.poses(), state)
+
+
+def _check_faces(scene: Scene, names: Sequence[str], poses: Array, state: State) -> None:
+    """Refuse obstacles of some names that come through a cloth between its particles, all at their poses."""
+    from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+    from cloth_sim_ros.physics.model import Model
+    from cloth_sim_ros.physics.plan import compile
+    from cloth_sim_ros.simulation.movers import standing
+
+    kept = [k for k, name in enumerate(scene.obstacle_names) if name in names]
+    thickness = scene.contact.thickness
+    faces = OwnSurface(scene.sheet.triangles(), scene.sheet.positions(), thickness=thickness)
+    contact = Contact([scene.solids[k] for k in kept], thickness=thickness, faces=faces)
+    contact.move(standing(0.0, poses[kept]))
+    plan = compile(Model(np.ones(state.x.shape[1]), [contact], anchors=scene.anchored_particles()))
+    assert plan.contact is not None
+    try:
+        plan.contact.check_clear(0.0, state.x)
+    except ValueError as error:
+        raise EventError(str(error)) from error
