@@ -118,5 +118,5 @@ def test_a_mesh_in_stl_has_its_vertices_joined() -> None:
 
 def test_a_mesh_file_can_not_be_named_while_the_cloth_runs() -> None:
     cloth = Simulation(Scene.from_parameters(OVER))
-    with pytest.raises(EventError, match="other.mesh can't change while the cloth runs"):
+    with pytest.raises(EventError, match=r"other\.mesh can't change while the cloth runs"):
         cloth.advance([SetParameters({"other.shape": "mesh", "other.mesh": "it.obj"})])
