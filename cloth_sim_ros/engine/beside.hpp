@@ -205,7 +205,6 @@ struct Beside {
             contact->finish();
         else
             met_nothing();
-        if (plan.features && run.touched) plan.features->gap = run.touched[plan.contacts.count() * booked_numbers + 1];
         if constexpr (sizeof(T) == 8)
             if ((self || features) && run.steps) finish_surface();
         if (!run.booked) return;

@@ -190,8 +190,8 @@ inline bool features_cross(Plan& plan, double t, double duration, const double* 
     return false;
 }
 
-/// Leaves features out of a frame in which none gets near the cloth, and a ball's or a capsule's where particles alone keep
-/// it out. Both are looked at again after each run; where they did not hold, all runs of the frame are made again.
+/// Leaves the features of obstacles that don't get near the cloth out of a frame. If a run ends with a larger speed than was
+/// counted with, all runs of the frame are made again with all of them.
 class FeatureRest {
 public:
     FeatureRest(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
@@ -201,10 +201,9 @@ public:
         const Surface& s = contact.surface;
         std::fill(contact.acts.begin(), contact.acts.end(), 0);
         if (s.triangles.empty()) return;
-        const double d = contacts.thickness, thickness = contact.law(contacts).thickness();
+        const double thickness = contact.law(contacts).thickness();
         speed_ = 2.0 * fastest(v0) + slack;
         Array<double> places;
-        double longest = 0.0;
         for (std::int64_t k = 0; k < contacts.count(); ++k) {
             NearFeatures& near = contact.obstacles[k];
             const Features& features = near.features;
@@ -218,35 +217,22 @@ public:
                 turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
             }
             const Pose pose = pose_at(path, t);
-            const double own = speed_ * duration, beyond = own + way + turn * features.reach;
+            const double beyond = speed_ * duration + way + turn * features.reach;
             if (places.empty()) {
                 places = quads_of(plan, x0);
-                measure(s, places.data(), longest);
+                measure(s, places.data());
             }
             // No point of the obstacle's ball is nearer to the cloth's.
             const double apart = root(norm2(middle_ - pose.place)) - radius_ - features.reach - features.radius;
             if (apart > thickness + beyond) continue;
-            // |c - q|^2 = sum w |c - x|^2 - sum w w |x - y|^2 for q = sum w x: a triangle with corners at R and sides of
-            // at most l is no nearer to a point c than sqrt(R^2 - l^2/3).
-            const double high = features.radius + kept * d, low = features.radius + thickness;
-            const double length = root(3.0 * (high * high - low * low));
-            if (stretch * longest <= length) {
-                round_ = smaller(length, round_);
-                continue;
-            }
             const bool found = near.find(s, places.data(), pose, thickness, beyond);
             contact.acts[k] = !found || near.triangles.size() || near.edges.size();
         }
         for (std::int64_t k = 0; k < contacts.count(); ++k)
             whole_ = whole_ && (contact.acts[k] || contact.obstacles[k].features.points.empty());
     }
-    /// Whether a run that ended with positions x and velocities v has to be made again.
-    bool missed(const double* x, const double* v) const {
-        if (!plan_.features || whole_) return false;
-        if (!(fastest(v) <= speed_)) return true;
-        if (!(round_ < endless)) return false;
-        return !(plan_.features->gap >= kept * plan_.contacts.thickness) || !(longest_at(x) <= round_);
-    }
+    /// Whether a run that ended with velocities v has to be made again.
+    bool missed(const double* v) const { return plan_.features && !whole_ && !(fastest(v) <= speed_); }
     void wake() {
         if (!plan_.features) return;
         plan_.features->wake();
@@ -254,32 +240,17 @@ public:
     }
 
 private:
-    /// Speed that particles may gain [m/s], and the least gap of particles over the thickness that a ball is left out at.
-    static constexpr double slack = 0.25, kept = 0.75;
-    /// By how much edges may grow in a frame.
-    static constexpr double stretch = 1.1, endless = 1e30;
+    /// Speed that particles may gain [m/s].
+    static constexpr double slack = 0.25;
 
-    double longest_at(const double* x) const {
-        const Array<double> places = quads_of(plan_, x);
-        const Quads at{places.data()};
-        double longest = 0.0;
-        for (const auto& e : plan_.features->surface.edges) {
-            const double square = norm2(at(e[0]) - at(e[1]));
-            if (!(square <= longest)) longest = square;
-        }
-        return root(longest);
-    }
-
-    void measure(const Surface& s, const double* x, double& longest) {
+    /// A ball about all of the cloth's edges.
+    void measure(const Surface& s, const double* x) {
         const Quads at{x};
         Bounds box(at(s.edges[0][0]));
         for (const auto& e : s.edges) {
-            const Vec3<double> a = at(e[0]), b = at(e[1]);
-            box.take(a);
-            box.take(b);
-            longest = larger(norm2(a - b), longest);
+            box.take(at(e[0]));
+            box.take(at(e[1]));
         }
-        longest = root(longest);
         middle_ = box.middle();
         radius_ = 0.5 * root(norm2(box.high - box.low));
     }
@@ -296,7 +267,6 @@ private:
     Plan& plan_;
     Vec3<double> middle_{};
     double speed_ = 0.0, radius_ = 0.0;
-    double round_ = endless;  ///< longest edge that balls and capsules are left out for [m]
     bool whole_ = true;
 };
 

@@ -265,7 +265,6 @@ struct FeatureContact {
     double mass = 0.0;
     std::vector<NearFeatures> obstacles;
     std::vector<char> acts;
-    double gap = 1e30;  ///< least gap of particles in the last run [m]
 
     bool any() const { return std::find(acts.begin(), acts.end(), 1) != acts.end(); }
     void wake() {

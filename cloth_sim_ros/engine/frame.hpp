@@ -108,7 +108,7 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
         const bool missed = touched && approach.missed(run.v, run.touched + obstacles * booked_numbers);
-        if (missed || rest.missed(run.v) || features.missed(run.x, run.v)) {
+        if (missed || rest.missed(run.v) || features.missed(run.v)) {
             if (missed) approach.wake();
             rest.wake();
             features.wake();

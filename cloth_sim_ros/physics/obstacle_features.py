@@ -17,6 +17,9 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 
 #: The polygons that stand for a cylinder's rims lie within it by this part of the thickness, at most.
 _WITHIN = 0.05
+#: A cloth's edges may grow so much, and its particles come so near over the thickness, before a ball that is left to
+#: particles alone gets into a triangle.
+_STRETCH, _NEAR = 1.1, 0.75
 #: Sine of the angle between two triangles of a mesh up to which they count as one flat face.
 _FLAT = 1e-6
 
@@ -61,6 +64,21 @@ def features(obstacle: Obstacle, thickness: float) -> Features:
             assert obstacle.triangles is not None
             return _mesh(obstacle.vertices, obstacle.triangles)
     return Features(np.zeros((0, 3)), _NO_EDGES)
+
+
+def round_enough(radius: float, longest: float, thickness: float) -> bool:
+    """Whether particles alone keep a cloth off a ball or a capsule: its triangles stay outside too.
+
+    For a point q = sum w x of a triangle and any c, |c - q|^2 = sum w |c - x|^2 - sum w w |x - y|^2: with corners at a
+    distance R of c and edges of at most l it is no nearer than sqrt(R^2 - l^2 / 3).
+
+    Args:
+        radius: of the ball or capsule [m].
+        longest: the cloth's longest edge at rest [m].
+        thickness: of contact [m].
+    """
+    near, edge = radius + _NEAR * thickness, _STRETCH * longest
+    return near * near - edge * edge / 3.0 >= radius * radius
 
 
 _NO_EDGES = np.zeros((0, 2), dtype=np.int64)

@@ -11,7 +11,7 @@ import numpy as np
 from cloth_sim_ros.engine.binding import address, check, doubles, library
 from cloth_sim_ros.physics.forces.contact import OwnSurface
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacle_features import features
+from cloth_sim_ros.physics.obstacle_features import features, round_enough
 from cloth_sim_ros.physics.obstacles import Obstacle
 
 
@@ -26,14 +26,16 @@ class TouchingFeatures:
 
     def __init__(self, handle: int, faces: OwnSurface, particle_count: int) -> None:
         self._library, self._handle = library(), handle
-        self._shape = (3, particle_count)
+        self._shape, self._longest = (3, particle_count), faces.longest
         triangles = faces.triangles
         check(self._library.cloth_plan_faces(handle, len(triangles), triangles.ctypes.data, faces.shortest))
 
     def tell(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
-        """Tell the engine the features of obstacles, the first that it knows."""
+        """Tell the engine the features of the first obstacles that it knows; none where particles alone keep them out."""
         for k, obstacle in enumerate(obstacles):
             found = features(obstacle, thickness)
+            if found.radius > 0.0 and round_enough(found.radius, self._longest, thickness):
+                continue
             points, edges = np.ascontiguousarray(found.points), np.ascontiguousarray(found.edges, dtype=np.int64)
             places = len(points), points.ctypes.data, len(edges), edges.ctypes.data
             check(self._library.cloth_plan_features(self._handle, k, *places, found.radius))

@@ -12,7 +12,7 @@ from support.feature_scenes import SMALL, THICKNESS, TIME, energy, facing, world
 from cloth_sim_ros.physics.book import BOOKED_NUMBERS
 from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacle_features import features
+from cloth_sim_ros.physics.obstacle_features import features, round_enough
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
 
@@ -142,3 +142,25 @@ def test_features_are_the_corners_edges_centres_and_axes_of_shapes():
     assert -1e-15 < inward.min() <= inward.max() <= 0.05 * THICKNESS
     assert len(coin.edges) == 3 * len(coin.points) // 2
     assert world(SMALL["sphere"], still((1.0, 2.0, 3.0)))[0] == pytest.approx(np.array([[1.0, 2.0, 3.0]]))
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.2, 2.0])
+def test_a_ball_is_left_to_particles_where_no_triangle_with_corners_outside_gets_into_it(radius):
+    # Equilateral triangles about the ball, with corners at three quarters of the thickness, stretched by a tenth.
+    near = radius + 0.75 * THICKNESS
+    least = {}
+    for longest in np.linspace(1e-3, 3.0 * (radius * THICKNESS) ** 0.5, 400):
+        inward = (1.1 * longest) ** 2 / 3.0
+        least[longest] = (near * near - inward) ** 0.5 - radius
+        assert round_enough(radius, longest, THICKNESS) == (least[longest] >= 0.0)
+    assert min(least.values()) < 0.0 < max(least.values())
+    # No other triangle of such sides comes nearer.
+    rng = np.random.default_rng(0)
+    longest = max(length for length, gap in least.items() if gap >= 0.0)
+    for _ in range(200):
+        way = rng.normal(size=3) * [1.0, 1.0, 0.0]
+        corners = near * np.array([0.0, 0.0, 1.0]) + rng.normal(size=(3, 3)) * 0.5 * longest + 0.1 * longest * way
+        corners *= np.maximum(near / np.linalg.norm(corners, axis=1), 1.0)[:, None]
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()
+        if sides <= 1.1 * longest:
+            assert self_scenes.on_triangle(np.zeros(3), *corners) >= radius

@@ -38,8 +38,8 @@ class OwnSurface:
         ends = places[self.triangles[:, [1, 2, 0]]] - places[self.triangles]
         square = ends[..., 0] * ends[..., 0] + ends[..., 1] * ends[..., 1] + ends[..., 2] * ends[..., 2]
         self.particle_count = len(places)
-        #: Its shortest edge at rest [m].
-        self.shortest = math.sqrt(float(square.min()))
+        #: Its shortest and its longest edge at rest [m].
+        self.shortest, self.longest = math.sqrt(float(square.min())), math.sqrt(float(square.max()))
         if thickness > 0.5 * self.shortest:
             raise ValueError(
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.shortest:.4g} "
