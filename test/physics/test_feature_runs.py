@@ -2,17 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs in which corners, edges and small balls come up to a coarse cloth between its particles."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from support.contact_scenes import drop, still
 from support.feature_scenes import BLOCK, CORNER, CORNER_UP, THICKNESS, coarse, come_through
 
+from cloth_sim_ros.engine.instruction_set import libraries
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.state import State
 
 FRAME = 1.0 / 60.0
+TESTS = Path(__file__).resolve().parent.parent
 BALL = Obstacle(name="ball", shape="sphere", size=(0.02,))
 PIN = Obstacle(name="pin", shape="capsule", size=(0.01, 0.06))
 COIN = Obstacle(name="coin", shape="cylinder", size=(0.03, 0.004))
@@ -31,6 +40,26 @@ def below(obstacle, gap, where=(0.05, 0.03)):
 
 
 every = pytest.mark.parametrize("obstacle", [BLOCK, BALL, PIN, COIN], ids=lambda one: one.name)
+
+
+def exact(plan, state, duration):
+    """The motion of the same equations, by DOP853 far below every tolerance here."""
+    shape, size = state.x.shape, state.x.size
+    a = np.empty(shape)
+
+    def slope(t, y):
+        x, v = (np.ascontiguousarray(part.reshape(shape)) for part in (y[:size], y[size:]))
+        plan.accelerations(t, x, v, a)
+        return np.concatenate([y[size:], a.ravel()])
+
+    y = np.concatenate([state.x.ravel(), state.v.ravel()])
+    done = solve_ivp(slope, (0.0, duration), y, method="DOP853", rtol=1e-10, atol=1e-12)
+    return done.y[:size, -1].reshape(shape)
+
+
+def furthest(x, y):
+    """Largest distance of a particle in two places."""
+    return float(np.sqrt(((x - y) ** 2).sum(axis=0)).max())
 
 
 def follow(obstacle, path, frames, velocity=(0.0, 0.0, 0.0), *, tolerance=1e-3, **options):
@@ -155,3 +184,61 @@ def test_the_balance_of_energy_closes_with_a_corner_that_rises_and_turns():
         residual = balance.close((k + 1) * FRAME, state)
     assert balance.work > 0.01
     assert abs(residual) < 1e-3 * balance.turned_over
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+@pytest.mark.parametrize("obstacle", [BLOCK, BALL], ids=lambda one: one.name)
+def test_a_sheet_that_falls_on_what_is_under_a_cell_keeps_its_tolerance(obstacle, tolerance):
+    frames = 5
+    model, places, _ = coarse(obstacle, paths=[below(obstacle, 0.004)])
+    plan, state, integrator = drop(model, places, (0.0, 0.0, -0.5), tolerance=tolerance)
+    end = exact(plan, state, frames * FRAME)
+    kick = 1e-8 * np.random.default_rng(0).standard_normal(state.x.shape)
+    kicked = exact(plan, State((state.x + kick).T, state.v.T), frames * FRAME)
+    growth = furthest(end, kicked) / furthest(kick, np.zeros_like(kick))
+    flagged = sum(integrator.advance(plan, state, k * FRAME, FRAME).flagged for k in range(frames))
+    assert plan.contact.own_ahead(frames * FRAME, 0.0, state.x, state.v)[0] >= 0.0
+    assert not flagged
+    assert furthest(state.x, end) <= tolerance * max(1.0, growth)
+
+
+def test_implicit_steps_go_through_nothing():
+    path = below(BLOCK, 0.02)
+    model, places, triangles = coarse(BLOCK, paths=[path])
+    plan, state, integrator = drop(model, places, (0.0, 0.0, -2.0), integrator="implicit", tolerance=1e-3)
+    energy = plan.energy(0.0, state.x, state.v)
+    for k in range(6):
+        integrator.advance(plan, state, k * FRAME, FRAME)
+        assert not come_through(BLOCK, path, (k + 1) * FRAME, triangles, state.positions)
+        assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
+
+
+#: Runs a coarse sheet onto a corner, a coin and a mesh, and tells what it came to.
+_BITS = """
+import numpy as np, trimesh
+from support.contact_scenes import drop, still
+from support.feature_scenes import BLOCK, CORNER, CORNER_UP, coarse
+from cloth_sim_ros.physics.obstacles import Obstacle
+
+made = trimesh.creation.box((0.05, 0.05, 0.05))
+coin = Obstacle(name="coin", shape="cylinder", size=(0.03, 0.004))
+brick = Obstacle(name="brick", shape="mesh", vertices=made.vertices, triangles=np.array(made.faces))
+paths = [still((0.05, 0.03, -CORNER - 0.001), CORNER_UP), still((-0.05, 0.03, -0.003)), still((0.05, -0.12, -0.026))]
+paths[0][17:20] = [0.3, 0.4, 1.0]
+model, places, _ = coarse(BLOCK, coin, brick, paths=paths)
+plan, state, integrator = drop(model, places, (0.0, 0.0, -1.0), tolerance=1e-3)
+for k in range(4):
+    integrator.advance(plan, state, k / 60.0, 1.0 / 60.0)
+print(state.digest(), plan.contact.rates(4 / 60.0, state.x, state.v).tobytes().hex())
+"""
+
+
+def test_every_instruction_set_gives_the_same_bits():
+    found = {}
+    for name in libraries():
+        environment = {**os.environ, "CLOTH_SIM_ROS_ENGINE": name, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])}
+        command = [sys.executable, "-c", _BITS]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        found[name] = done.stdout
+    assert len(found) > 1
+    assert len(set(found.values())) == 1
