@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -35,19 +36,20 @@ FOLD: dict[str, Any] = {
     "table.position": [0.0, 0.0, -0.02],
     "table.friction": [0.5, 0.4],
 }
-#: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], each on its side.
+#: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], each on its side, and the
+#: angle about x [degrees].
 ASIDE = 0.19
 POSES = (
-    (0.0, -0.22, 0.1),
-    (0.8, -0.2, 0.006),
-    (1.0, -0.2, 0.006),
-    (1.8, -0.17, 0.12),
-    (2.8, 0.0, 0.2),
-    (3.8, 0.15, 0.11),
-    (4.6, 0.19, 0.016),
-    (4.8, 0.19, 0.016),
-    (5.4, 0.21, 0.12),
-    (6.5, 0.21, 0.12),
+    (0.0, -0.22, 0.1, 0.0),
+    (0.8, -0.2, 0.006, 0.0),
+    (1.0, -0.2, 0.006, 0.0),
+    (1.8, -0.175, 0.1, -30.0),
+    (2.8, 0.0, 0.2, -90.0),
+    (3.8, 0.175, 0.1, -150.0),
+    (4.6, 0.195, 0.011, -180.0),
+    (4.8, 0.195, 0.011, -180.0),
+    (5.6, 0.23, 0.12, -180.0),
+    (6.5, 0.23, 0.12, -180.0),
 )
 CLOSES, OPENS = 1.0, 4.8
 #: Thickness by resolution [m]: that of config/fold.yaml, and what half a spacing of 64 x 64 allows.
@@ -80,15 +82,21 @@ class Folded:
         return len(part) * FRAME / sum(part)
 
 
-def place(time_: float) -> tuple[float, float]:
-    """Where grippers are at a time [s], y and z [m]: at rest in each pose, least jerk between them."""
+def place(time_: float) -> tuple[float, float, float]:
+    """Where grippers are at a time [s]: y and z [m], angle [degrees]; at rest in each pose, least jerk between."""
     for (start, *here), (end, *there) in itertools.pairwise(POSES):
         if time_ < end:
             u = (time_ - start) / (end - start)
             s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-            y, z = (a + s * (b - a) for a, b in zip(here, there, strict=True))
-            return y, z
-    return POSES[-1][1], POSES[-1][2]
+            y, z, angle = (a + s * (b - a) for a, b in zip(here, there, strict=True))
+            return y, z, angle
+    return POSES[-1][1:]
+
+
+def turned(angle: float) -> tuple[float, float, float, float]:
+    """Return the quaternion x, y, z, w of a turn about x [degrees]."""
+    half = math.radians(0.5 * angle)
+    return math.sin(half), 0.0, 0.0, math.cos(half)
 
 
 def events(frames: int) -> Iterator[list[Event]]:
@@ -96,10 +104,10 @@ def events(frames: int) -> Iterator[list[Event]]:
     closed = False
     for k in range(1, frames + 1):
         t = k * FRAME
-        y, z = place(t)
+        y, z, angle = place(t)
         told: list[Event] = []
         for name, x in (("left", -ASIDE), ("right", ASIDE)):
-            told.append(Target(name, (x, y, z), (0.0, 0.0, 0.0, 1.0)))
+            told.append(Target(name, (x, y, z), turned(angle)))
         if closed != (CLOSES <= t < OPENS):
             closed = not closed
             told += [Grasp("left", closed), Grasp("right", closed)]

@@ -58,7 +58,7 @@ class Touching:
             numbers = len(triangles), triangles.ctypes.data, surface.shortest
             check(self._library.cloth_plan_self(self._handle, *numbers))
         faces = contact.faces
-        self._features = None if faces is None else TouchingFeatures(handle, faces, particle_count)
+        self._features = None if faces is None else TouchingFeatures(owner, faces, particle_count)
 
     @property
     def count(self) -> int:

@@ -13,25 +13,26 @@ from cloth_sim_ros.physics.forces.contact import OwnSurface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_features import features, round_enough
 from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.owner import Owner
 
 
 class TouchingFeatures:
     """Those of one plan.
 
     Args:
-        handle: the engine's plan.
+        owner: of the engine's plan.
         faces: the cloth's surface.
         particle_count: of the model.
     """
 
-    def __init__(self, handle: int, faces: OwnSurface, particle_count: int) -> None:
-        self._library, self._handle = library(), handle
+    def __init__(self, owner: Owner, faces: OwnSurface, particle_count: int) -> None:
+        self._owner, self._library, self._handle = owner, library(), owner.handle
         self._shape, self._longest = (3, particle_count), faces.longest
         triangles = faces.triangles
-        check(self._library.cloth_plan_faces(handle, len(triangles), triangles.ctypes.data, faces.shortest))
+        check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.shortest))
 
     def tell(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
-        """Tell the engine the features of the first obstacles that it knows; none where particles alone keep them out."""
+        """Tell the engine the features of the first obstacles that it knows, but for those that particles keep out."""
         for k, obstacle in enumerate(obstacles):
             found = features(obstacle, thickness)
             if found.radius > 0.0 and round_enough(found.radius, self._longest, thickness):

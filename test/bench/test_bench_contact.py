@@ -55,7 +55,9 @@ def test_the_fold_is_that_of_the_configuration():
     for side, sign in (("left", -1.0), ("right", 1.0)):
         steps = ros_yaml.load((CONFIG / f"fold_{side}.yaml").read_text(encoding="utf-8"))["steps"]
         poses = {step["time"]: tuple(step["position"]) for step in steps}
-        assert poses == {t: (sign * contact_self.ASIDE, y, z) for t, y, z in contact_self.POSES}
+        assert poses == {t: (sign * contact_self.ASIDE, y, z) for t, y, z, _ in contact_self.POSES}
+        turns = [step["orientation"] for step in steps]
+        assert np.allclose(turns, [contact_self.turned(angle) for *_, angle in contact_self.POSES], atol=1e-6)
         closes = [(step["time"], step["close"]) for step in steps if "close" in step]
         assert closes == [(contact_self.CLOSES, True), (contact_self.OPENS, False)]
 
@@ -63,9 +65,9 @@ def test_the_fold_is_that_of_the_configuration():
 def test_grippers_of_the_fold_close_on_the_towel():
     told = [event for events in contact_self.events(300) for event in events]
     assert [event.closed for event in told if isinstance(event, Grasp)] == [True, True, False, False]
-    assert contact_self.place(0.0) == (-0.22, 0.1)
-    assert contact_self.place(2.3) == pytest.approx((-0.085, 0.16))
-    assert contact_self.place(9.0) == (0.21, 0.12)
+    assert contact_self.place(0.0) == (-0.22, 0.1, 0.0)
+    assert contact_self.place(2.3) == pytest.approx((-0.0875, 0.15, -60.0))
+    assert contact_self.place(9.0) == (0.23, 0.12, -180.0)
 
 
 def test_what_the_cloths_contact_with_itself_costs_is_told(capsys, monkeypatch):

@@ -236,7 +236,8 @@ print(state.digest(), plan.contact.rates(4 / 60.0, state.x, state.v).tobytes().h
 def test_every_instruction_set_gives_the_same_bits():
     found = {}
     for name in libraries():
-        environment = {**os.environ, "CLOTH_SIM_ROS_ENGINE": name, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])}
+        path = os.pathsep.join([str(TESTS), *sys.path])
+        environment = {**os.environ, "CLOTH_SIM_ROS_ENGINE": name, "PYTHONPATH": path}
         command = [sys.executable, "-c", _BITS]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         found[name] = done.stdout
