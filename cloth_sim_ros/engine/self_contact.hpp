@@ -89,6 +89,7 @@ public:
     SelfGaps gaps;
 
 private:
+    static constexpr double neighbours = 0.95;  ///< as a fraction of the shortest edge
     /// Extra reach of a list that is looked at in some steps, as a fraction of the thickness, and of one that is looked at
     /// in every step: as many times the way that is looked ahead, but no less than a fraction of the thickness.
     static constexpr double usually = 0.3, steps = 6.0, least = 0.02;
@@ -125,9 +126,10 @@ private:
     }
     void take_far(const double* x, double beyond) {
         if (holds_far(x, thickness_, beyond)) return;
+        // The further it reaches, the longer it holds; but from the shortest edge on it has all neighbours in a flat sheet.
+        const double wanted = thickness_ + beyond, longer = smaller(1.5 * wanted, neighbours * surface.shortest);
         // Edges keep half the thickness.
-        const double reach = larger(usual * surface.shortest, 1.2 * (thickness_ + beyond));
-        far_.pairs.make(surface, x, reach, 0.5 * thickness_);
+        far_.pairs.make(surface, x, larger(usual * surface.shortest, larger(1.2 * wanted, longer)), 0.5 * thickness_);
         far_.places.assign(x, x + 4 * surface.count);
     }
     void take_middle(const double* x, double beyond) {

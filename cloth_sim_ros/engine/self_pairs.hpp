@@ -69,6 +69,7 @@ public:
         while (buckets_ < 2 * points) buckets_ *= 2;
         start_.assign(buckets_ + 1, 0);
         cell_.resize(points);
+        in_order_.resize(points);
         order_.resize(points);
     }
     /// Take in all points, `at(i)`.
@@ -82,18 +83,24 @@ public:
         }
         for (std::int64_t k = 0; k < buckets_; ++k) start_[k + 1] += start_[k];
         std::vector<std::int64_t> next(start_.begin(), start_.end() - 1);
-        for (std::int64_t i = 0; i < points; ++i) order_[next[bucket(cell_[i])]++] = static_cast<Index>(i);
+        for (std::int64_t i = 0; i < points; ++i) {
+            const std::int64_t place = next[bucket(cell_[i])]++;
+            order_[place] = static_cast<Index>(i);
+            in_order_[place] = cell_[i];
+        }
     }
     /// Call `what` with each point in the cells of a box.
     template <class F>
     void each(Vec3<double> low, Vec3<double> high, F&& what) const {
-        for (std::int64_t i = number(low.x); i <= number(high.x); ++i)
-            for (std::int64_t j = number(low.y); j <= number(high.y); ++j)
-                for (std::int64_t k = number(low.z); k <= number(high.z); ++k) {
+        const std::int64_t first[3] = {number(low.x), number(low.y), number(low.z)};
+        const std::int64_t last[3] = {number(high.x), number(high.y), number(high.z)};
+        for (std::int64_t i = first[0]; i <= last[0]; ++i)
+            for (std::int64_t j = first[1]; j <= last[1]; ++j)
+                for (std::int64_t k = first[2]; k <= last[2]; ++k) {
                     const std::uint64_t wanted = cell(i, j, k);
                     const std::int64_t b = bucket(wanted);
                     for (std::int64_t place = start_[b]; place < start_[b + 1]; ++place)
-                        if (cell_[order_[place]] == wanted) what(order_[place]);
+                        if (in_order_[place] == wanted) what(order_[place]);
                 }
     }
 
@@ -116,7 +123,7 @@ private:
     double size_;
     std::int64_t buckets_ = 16;
     std::vector<std::int64_t> start_;
-    std::vector<std::uint64_t> cell_;
+    std::vector<std::uint64_t> cell_, in_order_;  ///< of each point, and in the order of buckets
     std::vector<Index> order_;
 };
 
