@@ -26,15 +26,15 @@ class Picture:
 
     parameters: str
     """Parameter file of the cloth, in config/."""
-    script: str
-    """Script of the gripper, in config/."""
+    scripts: tuple[str, ...]
+    """A script for each gripper, in config/."""
     after_closing: float
     """Simulated time of the picture, counted from the frame in which a gripper first closed [s]."""
 
 
 #: Name of the file in docs/images, without its ending, and what it shows.
 PICTURES = {
-    "session_grasp": Picture(parameters="cloth_sim.yaml", script="grasp.yaml", after_closing=2.5),
+    "towel": Picture(parameters="fold.yaml", scripts=("fold_left.yaml", "fold_right.yaml"), after_closing=1.8),
 }
 
 
@@ -52,9 +52,8 @@ def make(name: str, picture: Picture, folder: Path) -> None:
     config = ROOT / "config"
     with tempfile.TemporaryDirectory() as sessions:
         demo = [sys.executable, "-m", "cloth_sim_ros.ros.demo", "--folder", sessions]
-        subprocess.run(
-            [*demo, "--params", config / picture.parameters, "--script", config / picture.script], check=True, cwd=ROOT
-        )
+        scripts = [config / script for script in picture.scripts]
+        subprocess.run([*demo, "--params", config / picture.parameters, "--script", *scripts], check=True, cwd=ROOT)
         session = sorted(Path(sessions).glob("*.mcap"))
         at = closing_time(session) + picture.after_closing
         replay = [sys.executable, "-m", "cloth_sim_ros.replay.main", *map(str, session)]

@@ -1,6 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration behind `make run`: a hung cloth, grasped by another process, recorded; it ends by itself."""
+"""The demonstration behind `make run`: a towel on a table, folded by grippers of another process, recorded; it ends by
+itself.
+"""
 
 from __future__ import annotations
 
@@ -75,10 +77,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="make run", description="A live cloth, grasped through topics and recorded.")
+    parser = argparse.ArgumentParser(prog="make run", description="A live towel, folded through topics and recorded.")
     parser.add_argument("--folder", default="sessions", help="where the session is recorded (default: %(default)s)")
-    parser.add_argument("--params", default=config_file("cloth_sim.yaml"), help="parameter file of the cloth")
-    parser.add_argument("--script", nargs="+", default=[config_file("grasp.yaml")], help="a script for each gripper")
+    parser.add_argument(
+        "--params",
+        default=config_file("fold.yaml"),
+        help="parameter file of the cloth; its folded towel where left out",
+    )
+    parser.add_argument(
+        "--script",
+        nargs="+",
+        default=[config_file("fold_left.yaml"), config_file("fold_right.yaml")],
+        help="a script for each gripper",
+    )
     return parser.parse_args(arguments)
 
 
