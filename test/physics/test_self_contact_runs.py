@@ -183,6 +183,24 @@ def test_straight_ways_through_the_cloth_are_found():
     assert plan.contact.passes(np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
 
 
+@pytest.mark.parametrize(("speed", "ahead"), [(1.0, False), (6.9, False), (7.3, True)])
+def test_edges_are_looked_at_ahead_where_particles_may_not_stop_layers_before_them(speed, ahead):
+    # Two edges that cross far from any particle, 0.1 m apart; they keep 25 mm.
+    rods = np.array([[0, 1, 2], [3, 4, 5]])
+    places = np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -9], [0, -1, 0.1], [0, 1, 0.1], [0, 0, 9]], dtype=float)
+    velocities = np.zeros_like(places)
+    velocities[3:, 2] = -speed
+    plan = compile(own.alone(rods, places, np.ones(6), 0.05))
+    x, v = arrays(places, velocities)
+    omega2, damping = plan.contact.own_ahead(0.2, x, v)
+    assert (omega2 > 0.0) == (damping > 0.0) == ahead
+    # The run itself sees them either way, and they pass nothing.
+    (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000])
+    assert run.own[0] > 0.0
+    assert 0.0 < run.gap < 0.025
+    assert not plan.contact.passes(x, run.x)
+
+
 @both_loops
 @pytest.mark.parametrize("speed", [0.02, 3.0])
 def test_a_frame_in_which_nothing_gets_near_leaves_it_out_and_changes_no_bit(listed, speed):
