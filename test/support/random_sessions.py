@@ -16,20 +16,23 @@ from cloth_sim_ros.session.writer import WriterOptions
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
+from support import random_contact
+from support.random_contact import SIZES, some
 from support.session_maker import Change, SessionMaker
 
 _ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"], [""])
 
-#: Shapes of obstacles, and how many sizes each has.
-_SIZES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
 
-
-def random_scene(random: np.random.Generator, *, obstacles: bool = False) -> Scene:
-    """A small cloth with random geometry, material and grippers, and obstacles about it where they are asked for."""
+def random_scene(random: np.random.Generator, *, obstacles: bool = False, contact: bool = False) -> Scene:
+    """A small cloth with random geometry, material and grippers; where asked for with obstacles about it, or with
+    contact of every kind.
+    """
     while True:
         values = _values(random)
         if obstacles:
             values |= _obstacles(random, values)
+        if contact:
+            values = random_contact.touching(random, values)
         try:
             scene = Scene.from_parameters(values)
             Simulation(scene)
@@ -42,7 +45,7 @@ def random_scene(random: np.random.Generator, *, obstacles: bool = False) -> Sce
 def _obstacles(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
     """Obstacles near a cloth: all are described, some are there."""
     found: dict[str, Any] = {"contact.thickness": float(random.uniform(0.002, 0.01))}
-    for shape, count in _SIZES.items():
+    for shape, count in SIZES.items():
         found[f"{shape}_1.shape"] = shape
         if count:
             found[f"{shape}_1.size"] = random.uniform(0.05, 0.5, count).tolist()
@@ -51,12 +54,7 @@ def _obstacles(random: np.random.Generator, values: dict[str, Any]) -> dict[str,
         if shape != "plane":
             found[f"{shape}_1.orientation"] = random.normal(size=4).tolist()
         found[f"{shape}_1.friction"] = [float(random.uniform(0.0, 1.0))]
-    return {**found, "obstacles": _some(random)}
-
-
-def _some(random: np.random.Generator) -> list[str]:
-    names = [f"{shape}_1" for shape in _SIZES if random.random() < 0.5]
-    return [str(name) for name in random.permutation(names)] or [""]
+    return {**found, "obstacles": some(random)}
 
 
 def _values(random: np.random.Generator) -> dict[str, Any]:
@@ -82,8 +80,8 @@ def _values(random: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Event]:
-    """What happens before one frame: mostly targets, now and then everything else."""
+def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: bool = False) -> list[Event]:
+    """What happens before one frame: mostly targets, now and then everything else; to contact too where asked for."""
     simulation = maker.simulation
     events: list[Event] = []
     for name in simulation.scene.gripper_names:
@@ -91,9 +89,11 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
             particle = simulation.positions[random.integers(simulation.state.particle_count)]
             turn = random.normal(size=4)
             place = tuple(float(x) for x in particle + random.normal(scale=0.02, size=3))
-            events.append(
-                Target(name, place, tuple((turn / np.linalg.norm(turn)).tolist()) if random.random() < 0.5 else None)
-            )
+            turned = tuple((turn / np.linalg.norm(turn)).tolist()) if random.random() < 0.5 else None
+            # Where pads would be in the cloth it is refused.
+            with contextlib.suppress(EventError):
+                simulation.check(Target(name, place, turned))
+                events.append(Target(name, place, turned))
         if random.random() < 0.15:
             events.append(Grasp(name, bool(random.random() < 0.6)))
     scene = simulation.scene
@@ -106,11 +106,18 @@ def random_events(random: np.random.Generator, maker: SessionMaker) -> list[Even
             )
     if random.random() < 0.05:
         change = SetParameters(
-            {"obstacles": _some(random)} if scene.described and random.random() < 0.5 else _change(random)
+            {"obstacles": some(random)} if scene.described and random.random() < 0.5 else _change(random)
         )
+        # What contact makes of a fixed step is refused when it comes to that, in mid-run.
+        if not (contact and "step" in change.values):
+            with contextlib.suppress(EventError):
+                simulation.check(change)
+                events.append(change)
+    if contact and random.random() < 0.1:
+        changed = SetParameters(random_contact.change(random))
         with contextlib.suppress(EventError):
-            simulation.check(change)
-            events.append(change)
+            simulation.check(changed)
+            events.append(changed)
     if random.random() < 0.05:
         events.append(Pause(not simulation.paused))
     if simulation.paused and random.random() < 0.4:
@@ -132,6 +139,7 @@ def make_random_session(
     *,
     frames: int = 60,
     obstacles: bool = False,
+    contact: bool = False,
     change: Callable[[int], Change | None] = lambda _frame: None,
 ) -> list[Path]:
     """Write a random session; its files, in order. It may end cut off, and may have several files.
@@ -140,10 +148,12 @@ def make_random_session(
     """
     random = np.random.default_rng(seed)
     options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)
-    maker = SessionMaker(folder, random_scene(random, obstacles=obstacles), stem=f"random_{seed}", options=options)
+    maker = SessionMaker(
+        folder, random_scene(random, obstacles=obstacles, contact=contact), stem=f"random_{seed}", options=options
+    )
     for k in range(frames):
         spoil = change(k)
-        maker.add(random_events(random, maker), **({"change": spoil} if spoil else {}))
+        maker.add(random_events(random, maker, contact=contact), **({"change": spoil} if spoil else {}))
         if random.random() < 0.03:
             maker.split()
     if random.random() < 0.3:

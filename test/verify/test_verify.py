@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.random_contact import threads
 from support.random_sessions import make_random_session
 from support.session_maker import NODE, Change, SessionMaker, carried_corner, make_grasp
 
@@ -82,6 +83,18 @@ def test_random_sessions_run_again_to_the_last_bit(tmp_path: Path, seed: int) ->
     assert verdict.frames - 1 <= verdict.clouds <= verdict.frames
     assert verdict.frames > 0
     assert not verdict.damaged
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_random_sessions_with_contact_run_again_to_the_last_bit_by_any_number_of_threads(
+    tmp_path: Path, seed: int
+) -> None:
+    paths = make_random_session(tmp_path, seed, frames=20, contact=True)
+    for count in (1, 8):
+        with threads(count):
+            verdict = verify(paths)
+        assert verdict.same, verdict.first_reason
+        assert verdict.frames
 
 
 @pytest.mark.parametrize("bit", [0, 22, 31])

@@ -1,0 +1,79 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random scenes with contact of every kind, and what is done to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from cloth_sim_ros.physics.plan import Plan
+
+#: Shapes of obstacles, and how many sizes each has.
+SIZES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
+
+
+def some(random: np.random.Generator) -> list[str]:
+    """Names of some obstacles, in any order."""
+    names = [f"{shape}_1" for shape in SIZES if random.random() < 0.5]
+    return [str(name) for name in random.permutation(names)] or [""]
+
+
+def touching(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
+    """Parameters, by name, of a small cloth just above a floor, with other obstacles beside it, of grippers that pinch
+    or attach, and of contact with itself, half of the time each.
+    """
+    rows, columns = (int(n) for n in random.integers(3, 7, 2))
+    spacing = float(random.uniform(0.03, 0.06))
+    size = [spacing * (rows - 1), spacing * (columns - 1)]
+    thickness = float(random.uniform(0.1, 0.4)) * spacing
+    found = {
+        **values,
+        "rate": float(random.choice([60.0, 120.0])),
+        "tolerance": 1e-2,
+        "cloth.size": size,
+        "cloth.resolution": [rows, columns],
+        "cloth.position": [0.0, 0.0, 0.02],
+        "cloth.orientation": [0.0, 0.0, float(random.uniform(-1.0, 1.0)), 1.0],
+        "contact.thickness": thickness,
+        "contact.damping": float(random.uniform(0.0, 20.0)),
+        "contact.self": bool(random.random() < 0.5),
+        "gripper.mode": str(random.choice(["attach", "pinch"])),
+        "gripper.pad_size": (random.uniform(2.0, 3.0, 3) * [spacing, 0.01, spacing]).tolist(),
+        "gripper.opening": float(random.uniform(2.5, 5.0)) * thickness,
+        "gripper.force": float(random.uniform(0.1, 2.0)),
+        "gripper.speed": float(random.uniform(0.05, 0.5)),
+    }
+    for shape, count in SIZES.items():
+        name = f"{shape}_1"
+        found[f"{name}.shape"] = shape
+        if count:
+            found[f"{name}.size"] = random.uniform(0.02, 0.1, count).tolist()
+        beside = [0.0, 0.0, 0.0] if shape == "plane" else (0.15 * random.normal(size=3) + [0.0, 0.0, 0.1]).tolist()
+        found[f"{name}.position"] = beside
+        found[f"{name}.friction"] = [float(random.choice([0.0, random.uniform(0.0, 1.0)]))]
+    return {**found, "obstacles": some(random)}
+
+
+def change(random: np.random.Generator) -> dict[str, Any]:
+    """A change of contact's parameters in mid-run."""
+    name = f"{random.choice(list(SIZES))}_1"
+    changes: list[dict[str, Any]] = [
+        {"obstacles": some(random)},
+        {f"{name}.friction": [float(random.uniform(0.0, 1.0))]},
+        {"contact.damping": float(random.uniform(0.0, 20.0))},
+        {"contact.thickness": float(random.uniform(0.004, 0.01))},
+        {"gripper.force": float(random.uniform(0.1, 2.0))},
+    ]
+    return changes[random.integers(len(changes))]
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let every run take so many threads."""
+    with mock.patch.object(Plan, "_threads", return_value=count):
+        yield
