@@ -54,7 +54,7 @@ CLOTH_INLINE OnTriangle<V> near_triangle(Vec3<V> p, Vec3<V> a, Vec3<V> b, Vec3<V
     const V u = one - v - w;
     const Vec3<V> away = r - v * e - w * g;
     const V square = norm2(away);
-    choose((smaller(smaller(v, w), u) > zero) & (square < n.square), u, v, w, square, away);
+    choose(select(smaller(smaller(v, w), u) > zero, square, n.square) < n.square, u, v, w, square, away);
     return n;
 }
 
@@ -87,7 +87,7 @@ CLOTH_INLINE OnSegments<V> near_segments(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V
     const V inside = smaller(smaller(first, one - first), smaller(second, one - second));
     const Vec3<V> away = r + first * u - second * v;
     const V square = norm2(away);
-    choose((inside > zero) & (square < n.square), first, second, square, away);
+    choose(select(inside > zero, square, n.square) < n.square, first, second, square, away);
     return n;
 }
 
