@@ -356,30 +356,14 @@ class Touching:
         return bool(out[0]) or self.passes(t, duration, start, end)
 
     def check_clear(self, t: float, x: Array) -> None:
-        """Refuse a cloth that passes through itself, or through an obstacle between its particles, at time t [s].
-
-        Raises:
-            ValueError: naming the obstacle, or the first edge and triangle that do, and where.
-        """
-        self._check_features(t, x)
-        if self.force.surface is None:
-            return
-        out = np.empty(5, dtype=np.int64)
-        check(self._library.cloth_self_pierced(self._handle, doubles("x", x, self._shape), address(out)))
-        a, b, *triangle = out.tolist()
-        if a >= 0:
-            where = [round(0.5 * sum(pair), 6) for pair in zip(x[:, a].tolist(), x[:, b].tolist(), strict=True)]
-            raise ValueError(
-                f"the cloth passes through itself at {where}: the edge from particle {a} to {b} goes through the "
-                f"triangle of particles {', '.join(map(str, triangle))}; start from another state, or set contact.self "
-                "to false"
-            )
-
-    def _check_features(self, t: float, x: Array) -> None:
-        if self._features is None:
-            return
+        """Refuse a cloth that goes through an obstacle between its particles, or through itself (`clear_start`)."""
         self.sync()
-        self._features.check_clear(t, x, [obstacle.name for obstacle in self.force.obstacles])
+        if self._features is not None:
+            self._features.check_clear(t, x, [obstacle.name for obstacle in self.force.obstacles])
+        if self.force.surface is not None:
+            from cloth_sim_ros.physics.clear_start import check_clear
+
+            check_clear(self._owner, self.force.surface, self.force.thickness, x)
 
     def passes(self, t: float, duration: float, start: Array, end: Array) -> bool:
         """Return whether the cloth meets itself, or obstacles between its particles, on straight ways from one place at

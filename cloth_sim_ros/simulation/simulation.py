@@ -90,7 +90,7 @@ class Simulation:
         self._slept: Frame | None = None
         self._plans = Plans(scene)
         self._apply_scene(scene)
-        if state is None and self.plan.contact is not None:
+        if not self.state.frame and self.plan.contact is not None:  # later ones came of a start that was clear
             self.plan.contact.check_clear(self.time, self.state.x)
 
     @property
@@ -385,10 +385,8 @@ class Simulation:
 
     def _holds_step(self) -> bool:
         """Whether a fixed step is within the stability limit of the motion as it is; true where none is set."""
-        step, x = self._scene.step, self.state.x
-        if not step:
-            return True
-        return step <= self._integrator.step_limit(*self.plan.rates(x))
+        step = self._scene.step
+        return not step or step <= self._integrator.step_limit(*self.plan.rates(self.state.x))
 
     def _hold_tolerance(self) -> None:
         """Let integrator and sleep follow the tolerance in force: the scene's, relaxed by what the state says."""

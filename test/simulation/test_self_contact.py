@@ -103,6 +103,41 @@ def test_a_cloth_that_starts_through_itself_is_refused_with_the_place(tmp_path):
     Simulation(Scene.from_parameters({**given, "contact.self": True}))
 
 
+@pytest.mark.parametrize(
+    ("gap", "words"),
+    [
+        (
+            0.0,
+            r"the cloth is 0 m from itself near particle \d+ at \[.*\] and the triangle of particles \d+, \d+, \d+; ",
+        ),
+        (3e-5, r"the cloth is 3e-05 m from itself near particle .* must be 4e-05 m at least, a hundredth of"),
+        (5e-5, ""),
+    ],
+)
+def test_a_cloth_that_starts_too_near_to_itself_is_refused_with_the_place(gap, words):
+    # The half beyond the middle row lies mirrored on the other one.
+    flat = {"obstacles": [""], "cloth__orientation": [0.0, 0.0, 0.0, 1.0]}
+    places = Simulation(scene(**flat)).positions
+    beyond = places[:, 0] > 0.0
+    places[beyond, 0] *= -1.0
+    places[beyond, 2] += gap
+    if not words:
+        assert Simulation(scene(**flat), State(places)).plan.contact.own_gaps(State(places).x)[0] > 0
+        return
+    with pytest.raises(ValueError, match=words):
+        Simulation(scene(**flat), State(places))
+    Simulation(scene(**flat, contact__self=False), State(places))
+
+
+def test_a_state_made_by_hand_is_refused_where_it_passes_through_itself():
+    flat = {"obstacles": [""], "cloth__orientation": [0.0, 0.0, 0.0, 1.0]}
+    places = Simulation(scene(**flat)).positions
+    places[0] = places[66] + [0.008, -0.004, 0.01]
+    places[1] = places[66] + [0.008, -0.004, -0.01]
+    with pytest.raises(ValueError, match=r"passes through itself at \[.*\]: the edge from particle \d+ to \d+ goes"):
+        Simulation(scene(**flat), State(places))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_whether_a_surface_passes_through_itself_is_what_every_edge_and_triangle_say(seed):
     triangles, rest, x, masses = sheets(0.0, 0.0, shift=(0.003, 0.004), rough=[1e-3, 1e-9, 3e-3][seed], seed=seed)
@@ -112,6 +147,6 @@ def test_whether_a_surface_passes_through_itself_is_what_every_edge_and_triangle
     assert bool(crossing) == (seed == 2)
     if crossing:
         with pytest.raises(ValueError, match="passes through itself"):
-            plan.contact.check_clear(np.ascontiguousarray(x.T))
+            plan.contact.check_clear(0.0, np.ascontiguousarray(x.T))
     else:
-        plan.contact.check_clear(np.ascontiguousarray(x.T))
+        plan.contact.check_clear(0.0, np.ascontiguousarray(x.T))
