@@ -172,7 +172,7 @@ def test_straight_ways_through_the_cloth_are_found():
     for rise in (-2e-3, -4e-3, 30e-3):
         end = x.copy()
         end[25:, 2] += rise
-        ends[rise] = plan.contact.passes(np.ascontiguousarray(x.T), np.ascontiguousarray(end.T))
+        ends[rise] = plan.contact.passes(0.0, 0.0, np.ascontiguousarray(x.T), np.ascontiguousarray(end.T))
     assert ends == {-2e-3: False, -4e-3: True, 30e-3: False}
     # Edges that cross far from any particle.
     rods = np.array([[0, 1, 2], [3, 4, 5]])
@@ -180,7 +180,7 @@ def test_straight_ways_through_the_cloth_are_found():
     plan = compile(own.alone(rods, places, np.ones(6), 0.05))
     end = places.copy()
     end[3:, 2] -= 0.2
-    assert plan.contact.passes(np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
+    assert plan.contact.passes(0.0, 0.0, np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
 
 
 @pytest.mark.parametrize(("speed", "ahead"), [(1.0, False), (6.9, False), (7.3, True)])
@@ -198,7 +198,7 @@ def test_edges_are_looked_at_ahead_where_particles_may_not_stop_layers_before_th
     (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000])
     assert run.own[0] > 0.0
     assert 0.0 < run.gap < 0.025
-    assert not plan.contact.passes(x, run.x)
+    assert not plan.contact.passes(0.0, 0.0, x, run.x)
 
 
 @both_loops

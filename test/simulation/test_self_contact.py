@@ -45,7 +45,7 @@ def test_a_sheet_that_comes_down_on_itself_passes_through_itself_only_where_it_m
         before = simulation.state.x
         simulation.advance()
         met += simulation.plan.contact.own_gaps(simulation.state.x)[0]
-        passed += watch.plan.contact.passes(before, simulation.state.x)
+        passed += watch.plan.contact.passes(0.0, 0.0, before, simulation.state.x)
     assert bool(met) == own
     assert bool(passed) != own
 
