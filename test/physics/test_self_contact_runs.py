@@ -192,7 +192,7 @@ def test_edges_are_looked_at_ahead_where_particles_may_not_stop_layers_before_th
     velocities[3:, 2] = -speed
     plan = compile(own.alone(rods, places, np.ones(6), 0.05))
     x, v = arrays(places, velocities)
-    omega2, damping = plan.contact.own_ahead(0.2, x, v)
+    omega2, damping = plan.contact.own_ahead(0.0, 0.2, x, v)
     assert (omega2 > 0.0) == (damping > 0.0) == ahead
     # The run itself sees them either way, and they pass nothing.
     (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000])
