@@ -19,6 +19,7 @@ public:
         : contacts_(plan.contacts), run_(run), origin_(origin), law_(plan.contacts.template law<V>()), blocks_(blocks),
           pitch_(pitch), pinches_(plan.contacts, run, threads, blocks), masses_(plan.room<T>().contact_masses) {
         for (int k = 0; k < threads; ++k) threads_.emplace_back(*this);
+        for (std::int64_t k = 0; k < contacts_.count(); ++k) fastest_.push_back(T(fastest_surface(k)));
         if (static_cast<std::int64_t>(masses_.size()) != blocks * pitch) {
             masses_.assign(blocks * pitch, T(0));
             for (std::int64_t i = 0; i < plan.count; ++i)
@@ -114,7 +115,7 @@ private:
     /// What is booked is summed in so many sums, whatever the vectors' width.
     static constexpr int ways = 16;
     /// A block that is far from an obstacle is skipped (sleeps) for the time in which its fastest particle, `slack`
-    /// [m/s] faster than now, would cover the fraction `share` of the distance to contact.
+    /// [m/s] faster than now, and the obstacle at its fastest would cover the fraction `share` of the distance to contact.
     static constexpr double slack = 0.25, share = 0.25;
 
     struct Sleep {
@@ -133,6 +134,28 @@ private:
               spread(9 * run.pitch_) {}
     };
 
+    /// Bound of the speed of an obstacle's surface over the run [m/s]; infinite for a plane that turns.
+    ///
+    /// A path is a cubic, so its speed lies within the hull of three control points: those at either end, and between
+    /// them. A rotation vector changes at least as fast as what it turns.
+    double fastest_surface(std::int64_t obstacle) const {
+        const double* const path = contacts_.path(obstacle);
+        const double begin = run_.t - path[0], end = begin + run_.step * static_cast<double>(run_.steps);
+        const auto most = [&](const double* a) {
+            double square = 0.0;
+            for (const auto& [sum, product] : {std::pair(2.0 * begin, begin * begin), std::pair(begin + end, begin * end),
+                                               std::pair(2.0 * end, end * end)}) {
+                Vec3<double> v{a[0] + sum * a[3] + 3.0 * product * a[6], a[1] + sum * a[4] + 3.0 * product * a[7],
+                               a[2] + sum * a[5] + 3.0 * product * a[8]};
+                square = larger(norm2(v), square);
+            }
+            return root(square);
+        };
+        const Pinch* const pinch = contacts_.pinch_of(obstacle);
+        const double turn = most(path + 17);
+        return most(path + 4) + (turn > 0.0 ? turn * contacts_.obstacles[obstacle].radius : 0.0) +
+               (pinch ? pinch->speed : 0.0);
+    }
     /// Call `what` with each number of an anchor as the run holds it, and its place among the plan's.
     template <class F>
     void for_each_anchor(F&& what) {
@@ -183,7 +206,8 @@ private:
         mine.missed = mine.missed || (sleep.speed > T(0) && found.speed > T(2) * sleep.speed);
         sleep.speed = T(0);
         if (sleep.touches || !contacts_.sleeps || !run_.steps) return;
-        const T speed = found.speed + T(slack), way = T(share) * (found.gap - thickness);
+        // The obstacle's own speed now is part of what was found; it may be slow now and fast before the next look.
+        const T speed = found.speed + T(2) * fastest_[obstacle] + T(slack), way = T(share) * (found.gap - thickness);
         const double steps = static_cast<double>(way) / (static_cast<double>(speed) * run_.step);
         const std::int64_t left = run_.steps - 1 - step;
         const bool soon = steps < static_cast<double>(left);
@@ -281,6 +305,7 @@ private:
     const Run& run_;
     const double* origin_;
     ContactLaw<V> law_;
+    std::vector<T> fastest_;  ///< speed of each obstacle's surface at most [m/s]
     std::int64_t blocks_, pitch_;
     PinchRun pinches_;
     Array<T>& masses_;

@@ -209,3 +209,26 @@ def test_a_library_user_whose_cloth_is_inside_an_obstacle_is_told_which() -> Non
     )
     with pytest.raises(ValueError, match=r"m deep inside obstacle 'wall' at 0 s"):
         scene.build_integrator().advance(scene.plan(), scene.starting_state(), 0.0, 1.0 / 60.0)
+
+
+def test_an_obstacle_that_starts_and_ends_at_rest_within_a_frame_is_felt_on_its_way() -> None:
+    # At either end of the frame it is far off, or as slow as the cloth: only on its way is it fast.
+    values = {
+        "cloth.resolution": [8, 8],
+        "contact.thickness": 0.01,
+        "material.stretch_modulus": 3e4,
+        "grippers": [""],
+        "obstacles": ["front", "back"],
+        **{f"{name}.shape": "box" for name in ("front", "back")},
+        **{f"{name}.size": [1.2, 0.1, 1.2] for name in ("front", "back")},
+        "front.position": [0.0, -0.2, 1.0],
+        "back.position": [0.0, 0.2, 1.0],
+    }
+    cloth = Simulation(Scene.from_parameters(values))
+    before = cloth.energy()
+    # Two plates press the sheet from both sides, so that it does not move: what they put in is in the gaps.
+    cloth.advance([Move("front", (0.0, -0.053, 1.0)), Move("back", (0.0, 0.053, 1.0))])
+    assert cloth.gaps()[:, 1] == pytest.approx([0.003, 0.003], rel=1e-3)
+    put_in = cloth._book.work - cloth._book.lost
+    assert cloth.energy() - before > 100.0
+    assert put_in == pytest.approx(cloth.energy() - before, rel=0.02)
