@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import attrs
 import numpy as np
@@ -47,6 +48,8 @@ class Attack:
     #: Events before a frame.
     events: Callable[[Moment], list[Event]]
     radius: float = RADIUS
+    #: Parameters that its scene has besides.
+    values: dict[str, Any] = attrs.field(factory=dict)
 
 
 def _as_it_is(rest: Array, random: np.random.Generator) -> Array:

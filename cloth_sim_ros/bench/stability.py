@@ -13,7 +13,7 @@ import attrs
 
 from cloth_sim_ros.bench.case_pool import Done, run_cases, run_missing
 from cloth_sim_ros.bench.report import Report, Table
-from cloth_sim_ros.bench.stability_cases import Case, Verdict, every_case, random_cases, run_case
+from cloth_sim_ros.bench.stability_cases import Case, Verdict, contact_cases, every_case, random_cases, run_case
 from cloth_sim_ros.bench.stability_limits import PEER_CASES, PeerCase, limits, run_peer_case
 
 #: Energy that a case may gain over what was put in, relative to the energy turned over.
@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to run (all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
     parser.add_argument("--random", type=int, default=0, metavar="N", help="so many random cases in place of it")
+    parser.add_argument("--contact", type=int, default=0, metavar="N", help="so many random attacks by contact instead")
     parser.add_argument("--seed", type=int, default=1, help="of random cases (1)")
     parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
@@ -44,6 +45,8 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Stability", "cloth_bench stability")
     if "scan" in options.parts:
         every = random_cases(options.seed, options.random) if options.random else every_case()
+        if options.contact:
+            every = contact_cases(options.seed, options.contact)
         cases = every[:: options.every][: options.only]
         _tell(report, _scan(cases, options), len(every))
     if "limits" in options.parts:

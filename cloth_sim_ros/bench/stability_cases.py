@@ -12,6 +12,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.bench.attacks import ATTACKS, Moment
+from cloth_sim_ros.bench.contact_attacks import CONTACT_ATTACKS
 from cloth_sim_ros.bench.problems import irregular_sheet
 from cloth_sim_ros.bench.stability_limits import stretch_of
 from cloth_sim_ros.physics.control.energy import own_energy
@@ -36,6 +37,7 @@ STEPPINGS = ("auto", "fixed")
 MORE_SHEETS = ("mesh", "opposite", "crossed", "altitude")
 SHEETS = ("grid", *MORE_SHEETS)
 MORE_STIFFNESSES, MORE_RATES, MORE_DAMPINGS = (1.0, 1e2, 1e4), (60.0,), (0.0, 0.5)
+_EVERY = {**ATTACKS, **CONTACT_ATTACKS}
 #: Target of the position error [m].
 TOLERANCE = 1e-3
 #: Fixed explicit steps are this part of the limit at the start.
@@ -103,13 +105,25 @@ def random_cases(seed: int, count: int) -> list[Case]:
     return cases
 
 
+def contact_cases(seed: int, count: int) -> list[Case]:
+    """So many cases of attacks by contact, of sheets as soft and as stiff as explicit steps take."""
+    rng = np.random.default_rng(seed)
+    cases = []
+    for k in range(count):
+        attack = list(CONTACT_ATTACKS)[k % len(CONTACT_ATTACKS)]
+        damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.0, 1.0))
+        rate = float(rng.integers(round(min(RATES)), round(max(RATES)) + 1))
+        cases.append(Case("grid", attack, float(10.0 ** rng.uniform(0.0, 2.0)), damping, rate, "auto"))
+    return cases
+
+
 def scene(case: Case) -> Scene:
     """A sheet of 1 m x 1 m and 0.2 kg hung by its upper edge, stepped as `auto` chooses."""
     values: dict[str, Any] = {
         "rate": case.rate,
         "material.damping": case.damping,
         "gripper.stiffness": 1000.0 * min(case.stiffness, 1e4),
-        "gripper.radius": ATTACKS[case.attack].radius,
+        "gripper.radius": _EVERY[case.attack].radius,
         "tolerance": TOLERANCE,
         **_moduli(case),
     }
@@ -120,7 +134,8 @@ def scene(case: Case) -> Scene:
             files={"sheet.obj": mesh},
         )
     model = "axial" if case.sheet == "grid" else case.sheet
-    return Scene.from_parameters({**values, "cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model})
+    values |= {"cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model}
+    return Scene.from_parameters({**values, **_EVERY[case.attack].values})
 
 
 def _moduli(case: Case) -> dict[str, float]:
@@ -204,7 +219,7 @@ class EnergyAccount:
 
 def run_case(case: Case) -> Verdict:
     """Run one case to its end."""
-    attack = ATTACKS[case.attack]
+    attack = _EVERY[case.attack]
     built = scene(case)
     start = State(attack.start(built.initial_positions(), np.random.default_rng(3)))
     if case.stepping == "fixed":

@@ -14,13 +14,20 @@ import pytest
 from cloth_sim_ros.bench import main as bench
 from cloth_sim_ros.bench.case_pool import run_cases
 from cloth_sim_ros.bench.stability import LARGEST_GAIN
-from cloth_sim_ros.bench.stability_cases import Case, every_case, random_cases, run_case
+from cloth_sim_ros.bench.stability_cases import Case, contact_cases, every_case, random_cases, run_case
 from cloth_sim_ros.bench.stability_limits import LARGEST_EXCESS, limit_found, stretched_sheet
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
+
+
+@pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.attack)
+def test_attacks_by_contact_stay_finite_and_make_no_energy(case: Case) -> None:
+    verdict = run_case(case)
+    assert verdict.finite, verdict.trouble
+    assert verdict.gain <= LARGEST_GAIN
 
 
 def test_the_scan_is_as_large_as_it_should_be() -> None:
