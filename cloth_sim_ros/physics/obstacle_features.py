@@ -17,9 +17,9 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 
 #: The polygons that stand for a cylinder's rims lie within it by this part of the thickness, at most.
 _WITHIN = 0.05
-#: A cloth's edges may grow so much, and its particles come so near over the thickness, before a ball that is left to
-#: particles alone gets into a triangle.
-_STRETCH, _NEAR = 1.1, 0.75
+#: A cloth's edges may grow so much, and its particles come so near over the thickness, before a triangle gets deeper
+#: into a ball that is left to particles alone than this share of its radius.
+_STRETCH, _NEAR, _DEPTH = 1.1, 0.75, 0.1
 #: Sine of the angle between two triangles of a mesh up to which they count as one flat face.
 _FLAT = 1e-6
 
@@ -67,7 +67,9 @@ def features(obstacle: Obstacle, thickness: float) -> Features:
 
 
 def round_enough(radius: float, longest: float, thickness: float) -> bool:
-    """Whether particles alone keep a cloth off a ball or a capsule: its triangles stay outside too.
+    """Whether particles alone, which have friction, keep a cloth off a ball or a capsule.
+
+    So it is where no triangle gets deeper into it than a tenth of the radius.
 
     For a point q = sum w x of a triangle and any c, |c - q|^2 = sum w |c - x|^2 - sum w w |x - y|^2: with corners at a
     distance R of c and edges of at most l it is no nearer than sqrt(R^2 - l^2 / 3).
@@ -77,8 +79,8 @@ def round_enough(radius: float, longest: float, thickness: float) -> bool:
         longest: the cloth's longest edge at rest [m].
         thickness: of contact [m].
     """
-    near, edge = radius + _NEAR * thickness, _STRETCH * longest
-    return near * near - edge * edge / 3.0 >= radius * radius
+    near, edge, least = radius + _NEAR * thickness, _STRETCH * longest, (1.0 - _DEPTH) * radius
+    return near * near - edge * edge / 3.0 >= least * least
 
 
 _NO_EDGES = np.zeros((0, 2), dtype=np.int64)
