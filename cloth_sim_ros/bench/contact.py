@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.bench import contact_self
+from cloth_sim_ros.bench.contact_layers import layers
 from cloth_sim_ros.bench.contact_scenes import BORNE, FRAME, SHEET, THICKNESS, Capstan, Motion, downhill, sheet, slope
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.bench.speed_turns import take_turns
@@ -25,7 +26,7 @@ from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 
-PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "cost", "folds", "hanging")
+PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "layers", "cost", "folds", "hanging")
 G = 9.81
 #: Angles off that of friction at which a sheet must stick or slip, and at which its acceleration is measured [degrees].
 NEAR, BEYOND = 0.1, 5.0
@@ -302,6 +303,7 @@ _MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "capstan": capstan,
     "impacts": impacts,
     "order": order,
+    "layers": layers,
     "cost": cost,
     "folds": contact_self.folds,
     "hanging": contact_self.hanging,

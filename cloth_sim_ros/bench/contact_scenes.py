@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.bench import engine_jobs, garment
+from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
@@ -50,9 +51,9 @@ class Motion:
         self.plan, self.state, self._steps = scene.plan(), scene.starting_state(), scene.build_integrator()
         self.frames = 0
 
-    def advance(self) -> Advance:
+    def advance(self, book: Book | None = None) -> Advance:
         """Advance by one frame."""
-        done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME)
+        done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, book)
         self.frames += 1
         return done
 

@@ -36,7 +36,10 @@ struct Beside {
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
         if constexpr (sizeof(T) == 8) {
-            if (plan.self_acts()) self.emplace(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
+            if (plan.self_acts()) {
+                self.emplace(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
+                if (plan.self->rubs()) self->rub(plan.contacts.frequency, plan.layer_anchors());
+            }
             if (plan.features_act()) features.emplace(*plan.features, plan.contacts, run);
         }
     }
@@ -82,7 +85,7 @@ struct Beside {
         for (std::size_t k = 0; k < share.lists.size(); ++k)
             add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, booked ? &seen : nullptr);
         if constexpr (sizeof(T) == 8) {
-            if (self) self->add(x.data(), v.data(), f, booked ? seen.lost : nullptr);
+            if (self) self->add(step, x.data(), v.data(), f, booked ? seen.lost : nullptr);
             if (features) features->add(step, x.data(), v.data(), f);
         }
         return whole() ? asked(step, f, booked, seen) : Done::well;
@@ -192,15 +195,19 @@ struct Beside {
         if (features) touched[1] = smaller(features->gap(), touched[1]);
         touched[Touched::numbers] = own.omega2 + met.omega2;
         touched[Touched::numbers + 1] = own.damping + met.damping;
+        if (!self) return;
+        touched[Touched::numbers + 2] = self->rubbed();
+        if (run.anchors) self->anchors(run.steps, plan.own.data(), run.anchors + plan.contacts.obstacle_anchors(plan.count));
     }
     /// What a run tells that no obstacle was near.
     void met_nothing() {
         const Contacts& contacts = plan.contacts;
         if (run.touched) Touched().to(run.touched + contacts.count() * booked_numbers);
-        if (run.anchors) std::copy(contacts.anchors.begin(), contacts.anchors.end(), run.anchors);
     }
     /// Sum up what was booked, in order of the grips and of the blocks.
     void finish() {
+        // What is not met keeps what it has: none.
+        if (run.anchors) std::copy(plan.contacts.anchors.begin(), plan.contacts.anchors.end(), run.anchors);
         if (contact)
             contact->finish();
         else

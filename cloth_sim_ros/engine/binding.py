@@ -30,7 +30,7 @@ MOST_RUNS = 8
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
-TOUCHED_NUMBERS = 5
+TOUCHED_NUMBERS = 6
 #: Numbers of an anchor of friction; see contact_friction.hpp.
 ANCHOR_NUMBERS = 4
 #: Numbers of where a gripper's pads are, and of what drives them; see contact_pinch.hpp and library.cpp.
@@ -124,6 +124,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_features_cross": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_features_pierce": (_INT, _P, _D, _P, _P),
     "cloth_plan_self": (_INT, _P, _I, _P, _D),
+    "cloth_self_friction": (_INT, _P, _D, _D),
+    "cloth_self_rubbed": (_INT, _P, _P, _P, _P),
     "cloth_self_keeps": (_INT, _P, _I),
     "cloth_self_bounds": (_INT, _P, _P, _P, _P),
     "cloth_self_gaps": (_INT, _P, _P, _P),

@@ -31,7 +31,7 @@ struct Contacts {
     std::vector<double> paths;
     double thickness = 0.0, damping = 0.0;
     /// Frequency of the springs to friction's anchors [1/s]. `anchors` holds the anchors at the start of runs,
-    /// (obstacles, anchor_numbers, particles).
+    /// (obstacles, anchor_numbers, particles), and behind them those on layers of the cloth, see LayerAnchors.
     double frequency = 0.0;
     std::vector<double> anchors;
     /// Grippers that pinch, and where their pads are at the start of runs, (pinches, pinch_numbers).
@@ -71,6 +71,8 @@ struct Contacts {
         const double* const state = pinched.data() + obstacles[obstacle].pinch * pinch_numbers;
         return shifted(at, obstacle, state[0], state[1]);
     }
+    /// Numbers of anchors on obstacles; behind them are those on layers of the cloth, if any.
+    std::int64_t obstacle_anchors(std::int64_t particles) const { return count() * anchor_numbers * particles; }
     bool rough() const {
         for (const Obstacle& obstacle : obstacles)
             if (obstacle.rough.still > 0.0) return true;

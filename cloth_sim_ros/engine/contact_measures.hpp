@@ -83,7 +83,7 @@ inline auto rubbing(const Plan& plan, std::int64_t obstacle, std::int64_t partic
 inline void settle_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
                            const double* weights, const double* ends, double* out) {
     const Contacts& contacts = plan.contacts;
-    const std::int64_t n = plan.count, size = contacts.count() * anchor_numbers * n;
+    const std::int64_t n = plan.count, size = plan.anchor_count();
     std::fill(out, out + size, 0.0);
     const auto law = contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const NearOne& one) {

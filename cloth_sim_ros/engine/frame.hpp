@@ -60,8 +60,9 @@ struct Frame {
     double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
     double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
     /// Of each run what was booked for each gripper, then lost and given power; where there is contact, what was booked
-    /// for each obstacle, what `Touched` has, and squared frequency and damping rate that the cloth's contact with itself
-    /// and with points and edges of obstacles had to be followed at. Null where nothing is wanted and there is none.
+    /// for each obstacle, what `Touched` has, squared frequency and damping rate that the cloth's contact with itself
+    /// and with points and edges of obstacles had to be followed at, and what friction between layers took [J]. Null where
+    /// nothing is wanted and there is none.
     double* notes;
     std::int64_t powers;    ///< whether powers are noted
     /// Six numbers about the frame's end, or null.
@@ -74,14 +75,14 @@ struct Frame {
     double* told;
     std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
     std::int64_t books;     ///< whether what obstacles do is booked
-    double* anchors;        ///< of each run at its end, (runs, obstacles, anchor_numbers, n), or null
+    double* anchors;        ///< of each run at its end, as `Contacts` has them, or null
     double* pinched;        ///< of each run at its end, (runs, pinches, pinch_numbers), or null
 };
 
 inline Done make_runs(Plan& plan, const Frame& frame) {
     const std::int64_t n = plan.count, obstacles = plan.contacts.count(), size = plan.held.grippers * booked_numbers;
-    // What obstacles did, what contact met, and the rates of the cloth's contact with itself.
-    const std::int64_t touched = plan.touches() ? obstacles * booked_numbers + Touched::numbers + 2 : 0;
+    // What obstacles did, what contact met, the rates of the cloth's contact with itself, and what its friction took.
+    const std::int64_t touched = plan.touches() ? obstacles * booked_numbers + Touched::numbers + 3 : 0;
     const std::int64_t whole = size + 2 + touched;
     const auto pinches = static_cast<std::int64_t>(plan.contacts.pinches.size());
     Approach approach(plan, frame.duration, frame.x0, frame.v0);
@@ -103,7 +104,7 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
                       frame.powers ? notes + size : nullptr,
                       touched ? notes + size + 2 : nullptr,
                       touched && frame.books,
-                      frame.anchors ? frame.anchors + k * obstacles * anchor_numbers * n : nullptr,
+                      frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
                       frame.pinched ? frame.pinched + k * pinches * pinch_numbers : nullptr};
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;

@@ -145,8 +145,8 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         contacts.thickness = thickness;
         contacts.damping = damping;
         contacts.frequency = frequency;
-        contacts.anchors.assign(count * cloth::anchor_numbers * plan->count, 0.0);
         plan->contacts = std::move(contacts);
+        plan->contacts.anchors.assign(plan->anchor_count(), 0.0);
         if (!plan->features) return;
         plan->features->obstacles.assign(count, {});
         plan->features->acts.assign(count, 0);
@@ -260,14 +260,17 @@ CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, c
                                   double* out) {
     return guarded([&] { *out = cloth::contact_ahead(*plan, t, duration, x, v); });
 }
-/// Anchors that runs start with, (obstacles, anchor_numbers, n).
+/// Anchors that runs start with, as `Contacts` has them.
 CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
     return guarded([&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
 }
 /// Anchors after runs that ended with some of their own, see settle_anchors.
-CLOTH_API int cloth_contact_settle(const Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
+CLOTH_API int cloth_contact_settle(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
                                    const double* weights, const double* ends, double* out) {
-    return guarded([&] { cloth::settle_anchors(*plan, t, x, v, runs, weights, ends, out); });
+    return guarded([&] {
+        cloth::settle_anchors(*plan, t, x, v, runs, weights, ends, out);
+        cloth::settle_self(*plan, x, v, runs, weights, ends, out);
+    });
 }
 /// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
 CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration, const double* x0, const double* x1,

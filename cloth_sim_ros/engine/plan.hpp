@@ -57,6 +57,8 @@ struct Plan {
     Callback callback = nullptr;
     /// Where particles stand inside runs without a grid: neighbours close together.
     std::vector<std::int64_t> order, rank;
+    /// The inverse of `rank`, where layers rub.
+    std::vector<std::int64_t> own;
 
     Rooms<double> rooms;
     Rooms<float> narrow_rooms;
@@ -129,6 +131,14 @@ struct Plan {
         return borders;
     }
     bool touches() const { return contacts.count() || self; }
+    bool rubs() const { return self && self->rubs(); }
+    /// Numbers of all anchors.
+    std::int64_t anchor_count() const {
+        return contacts.obstacle_anchors(count) + (rubs() ? layer_sides * anchor_numbers * count : 0);
+    }
+    LayerAnchors layer_anchors() const {
+        return {contacts.anchors.data() + contacts.obstacle_anchors(count), own.data(), count};
+    }
     bool self_acts() const { return self && !self_rests; }
     bool features_act() const { return features && features->any(); }
     /// Whether something acts on the cloth's triangles and edges: in double precision, and by one thread.

@@ -4,6 +4,7 @@
 // Contact of the cloth with itself: who is near whom, and what steps have to follow.
 #pragma once
 
+#include "self_friction.hpp"
 #include "self_gaps.hpp"
 
 namespace cloth {
@@ -30,6 +31,9 @@ private:
 class SelfContact {
 public:
     Surface surface;
+    /// Friction between layers.
+    Roughness rough;
+    bool rubs() const { return rough.still > 0.0; }
     /// Of the last `find`: pairs that are near.
     PairList triangles, edges;
     std::vector<double> triangle_squares, edge_squares;
@@ -85,8 +89,9 @@ public:
         choose(near_.pairs.edges, 0.5 * thickness + beyond, edges, &edge_squares);
         return true;
     }
-    /// What `follow` found.
+    /// What `follow` found, and the pairs of a particle and a triangle that it looked at, as many as `gaps.square`.
     SelfGaps gaps;
+    const PairList& followed() const { return near_.pairs.triangles; }
 
 private:
     static constexpr double neighbours = 0.95;  ///< as a fraction of the shortest edge
@@ -237,8 +242,14 @@ public:
             touched_[edges].clear();
         }
     }
-    SelfRates rates(double thickness, double damping, double expected = 1.0) const {
+    /// `rubbing` [1/s^2] is the squared frequency of anchors' springs, which act wherever particles meet.
+    SelfRates rates(double thickness, double damping, double expected = 1.0, double rubbing = 0.0,
+                    double frequency = 1.0) const {
         SelfRates r;
+        if (reached[0] > 0.0) {
+            r.omega2 += rubbing;
+            r.damping += FrictionLaw<double>::damping_share / frequency * rubbing;
+        }
         for (int edges = 0; edges < 2; ++edges) {
             if (!(reached[edges] > 0.0)) continue;
             const double d = edges ? 0.5 * thickness : thickness, crowd = larger(crowd_[edges], usual);

@@ -28,6 +28,18 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
         plan->self = std::move(self);
     });
 }
+/// Coefficients of friction between layers, at rest and in motion. The next cloth_plan_contact makes room for its anchors.
+CLOTH_API int cloth_self_friction(cloth::Plan* plan, double still, double sliding) {
+    return guarded([&] {
+        plan->self->rough = {still, sliding};
+        plan->own.resize(plan->count);
+        for (std::int64_t i = 0; i < plan->count; ++i) plan->own[plan->rank[i]] = i;
+    });
+}
+/// Power that friction between layers takes [W].
+CLOTH_API int cloth_self_rubbed(cloth::Plan* plan, const double* x, const double* v, double* out) {
+    return guarded([&] { *out = cloth::self_rubbed(*plan, x, v); });
+}
 /// Whether pairs that may come near are kept from one evaluation to the next. No bit depends on it.
 CLOTH_API int cloth_self_keeps(cloth::Plan* plan, std::int64_t keeps) {
     return guarded([&] { plan->self->keeps = keeps != 0; });

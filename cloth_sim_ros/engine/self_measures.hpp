@@ -5,8 +5,7 @@
 // about to happen, and what would pass through what. Arrays are (3, n) by component.
 #pragma once
 
-#include "list_measures.hpp"
-#include "plan.hpp"
+#include "self_friction_measures.hpp"
 
 namespace cloth {
 
@@ -18,7 +17,8 @@ inline Array<double> quads_of(const Plan& plan, const double* a) {
     return out;
 }
 
-/// Call `what` with each meeting at positions x and velocities v (quads, with derivatives dx and dv where V has them).
+/// Call `what` with each meeting, and where and how fast particles are, at positions x and velocities v (quads, with
+/// derivatives dx and dv where V has them).
 /// Nothing meets where particles have no place.
 template <class V, class F>
 inline void for_each_meeting(SelfContact& self, const SelfLaw<V>& law, double thickness, const Quads (&x)[2],
@@ -36,7 +36,7 @@ inline void for_each_meeting(SelfContact& self, const SelfLaw<V>& law, double th
     const Surface& s = self.surface;
     Meeting<V> m;
     const auto tell = [&] {
-        if (!m.gaps.empty()) what(m);
+        if (!m.gaps.empty()) what(m, at, moving);
     };
     for_each_near(
         self,
@@ -57,21 +57,40 @@ inline void for_each_meeting(Plan& plan, const double* x, const double* v, F&& w
     const Quads at[2] = {{places.data()}, {nullptr}}, moving[2] = {{speeds.data()}, {nullptr}};
     const SelfLaw<double> law(contacts.thickness, contacts.damping);
     for_each_meeting<double>(*plan.self, law, contacts.thickness, at, moving,
-                             [&](const Meeting<double>& m) { what(law, m); });
+                             [&](const Meeting<double>& m, auto& where, auto& speed) { what(law, m, where, speed); });
 }
 
 inline double self_energy(Plan& plan, const double* x) {
     double total = 0.0;
-    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m) { total += law.energy(m); });
+    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+        total += law.energy(m) + layer_energy(plan, law, m, at, moving);
+    });
     return total;
 }
-/// Power that damping takes [W].
+/// Power that damping and friction take [W].
 inline double self_lost(Plan& plan, const double* x, const double* v) {
     double lost = 0.0;
-    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m) {
-        lost += m.mass * (law.damped(m) - 1.0) * m.rate;
+    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+        lost += m.mass * (law.damped(m) - 1.0) * m.rate + layer_lost(plan, law, m, at, moving);
     });
     return lost;
+}
+/// Power that friction between layers takes [W].
+inline double self_rubbed(Plan& plan, const double* x, const double* v) {
+    double lost = 0.0;
+    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+        lost += layer_lost(plan, law, m, at, moving);
+    });
+    return lost;
+}
+/// Anchors on layers after runs, see settle_layers; obstacles' come before them.
+inline void settle_self(Plan& plan, const double* x, const double* v, std::int64_t runs, const double* weights,
+                        const double* ends, double* out) {
+    if (!plan.rubs()) return;
+    const std::int64_t before = plan.contacts.obstacle_anchors(plan.count);
+    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+        settle_layers(plan, law, m, at, moving, runs, weights, ends + before, plan.anchor_count(), out + before);
+    });
 }
 
 /// Add blocks that bound stiffness and damping: of a gap k g g', g = weights times the normal, at most 2 k |w_c| n n' at
@@ -79,7 +98,8 @@ inline double self_lost(Plan& plan, const double* x, const double* v) {
 inline void add_self_bounds(Plan& plan, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> own(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
-    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m) {
+    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+        add_layer_bounds(plan, law, m, at, moving, stiff, damp);
         for (const Gap<double>& g : m.gaps) {
             if (g.sign < 0.0) continue;
             const double faded = m.edges ? m.faded : 1.0;
@@ -105,20 +125,22 @@ inline void add_self_product(Plan& plan, const double* x, const double* v, const
     const SelfLaw<Dual> law(contacts.thickness, contacts.damping);
     std::vector<std::int64_t> own(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
-    for_each_meeting<Dual>(*plan.self, law, contacts.thickness, at, moving, [&](const Meeting<Dual>& m) {
+    const auto of = [&](const Meeting<Dual>& m, auto& where, auto& speed) {
+        add_layer_product(plan, law, m, where, speed, out);
         law.forces(m, [&](Index c, Vec3<Dual> force) {
             out[own[c]] += force.x.slope;
             out[plan.count + own[c]] += force.y.slope;
             out[2 * plan.count + own[c]] += force.z.slope;
         });
-    });
+    };
+    for_each_meeting<Dual>(*plan.self, law, contacts.thickness, at, moving, of);
 }
 
 /// How many particles and pairs of edges are in contact, and the least gap [m] of these, infinite where there are none.
 inline void self_gaps(Plan& plan, const double* x, double* out) {
     out[0] = 0.0;
     out[1] = std::numeric_limits<double>::infinity();
-    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>&, const Meeting<double>& m) {
+    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>&, const Meeting<double>& m, auto&, auto&) {
         out[0] += 1.0;
         out[1] = smaller(m.least(), out[1]);
     });
@@ -135,6 +157,7 @@ inline SelfRates self_ahead(Plan& plan, double duration, double expected, const 
     // At most half the shortest edge, so that neighbours in a flat sheet don't count. A later call sees farther pairs.
     const double beyond = smaller(spread.most() * duration, 0.5 * self.surface.shortest);
     Demand demand;
+    LayerLoad load;
     const SelfLaw<double> law(d, plan.contacts.damping);
     if (!self.find(places.data(), d, beyond)) {
         const double none = std::numeric_limits<double>::infinity();
@@ -152,6 +175,7 @@ inline SelfRates self_ahead(Plan& plan, double duration, double expected, const 
             const Index* const triangles = self.triangles.second.data();
             law.particle(s, i, triangles + first, triangles + last, at, moving, m);
             demand.take(s, m);
+            add_layer_loads(plan, law, m, at, moving, load);
             for (std::size_t k = first; k < last; ++k)
                 demand.come(self.triangle_corners(k), false, law, at, moving, duration);
         },
@@ -161,7 +185,10 @@ inline SelfRates self_ahead(Plan& plan, double duration, double expected, const 
             demand.come(self.edge_corners(k), true, law, at, moving, duration, fast);
         });
     demand.close();
-    return demand.rates(d, plan.contacts.damping, expected);
+    load.close();
+    const double frequency = plan.contacts.frequency;
+    const double rubbing = plan.rubs() ? larger(load.most(), 2.0 * frequency * frequency) : 0.0;
+    return demand.rates(d, plan.contacts.damping, expected, rubbing, frequency);
 }
 
 /// Whether anything passes through anything on straight ways from x0 to x1: each pair is followed by its gap, which no

@@ -6,6 +6,7 @@
 
 #include <cstring>
 #include <limits>
+#include <optional>
 
 #include "self_contact.hpp"
 
@@ -30,8 +31,14 @@ public:
     SelfRun(SelfContact& self, double thickness, double damping, double step)
         : self_(self), law_(thickness, damping), wide_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
 
-    /// Add the forces at positions x and velocities v to f, all quads, and what damping takes [W] to `lost`.
-    void add(const double* x, const double* v, double* f, double* lost) {
+    /// Let layers rub, from anchors at the start on; their springs have a frequency [1/s].
+    void rub(double frequency, const LayerAnchors& anchors) {
+        frequency_ = frequency;
+        layers_.emplace(self_.surface, self_.rough, frequency, law_, step_, anchors);
+    }
+    /// Add the forces of a step at positions x and velocities v to f, all quads, and what damping and friction take [W] to
+    /// `lost`.
+    void add(std::int64_t step, const double* x, const double* v, double* f, double* lost) {
         if (!look(x)) return;
         add_particles(v, f, lost);
         const Surface& s = self_.surface;
@@ -50,11 +57,19 @@ public:
             if (lost) *lost += meeting_.mass * (law_.damped(meeting_) - 1.0) * meeting_.rate;
         }
         demand_.close();
+        if (layers_) add_layers(step, at, moving, push, lost);
     }
     /// The end of the run: whether nothing can have passed through anything on the way there.
     bool finish(const double* x) { return look(x) && !passed_; }
     double gap() const { return demand_.gap; }
-    SelfRates rates() const { return demand_.rates(thickness_, damping_); }
+    SelfRates rates() const {
+        return demand_.rates(thickness_, damping_, 1.0, layers_ ? layers_->omega2() : 0.0, frequency_);
+    }
+    /// What friction took since the run began [J], where powers are asked for, and the anchors after so many steps.
+    double rubbed() const { return rubbed_; }
+    void anchors(std::int64_t steps, const std::int64_t* own, double* to) const {
+        if (layers_) layers_->finish(steps, own, to);
+    }
 
 private:
     /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
@@ -80,6 +95,26 @@ private:
         if (sums_.most > 0.0) demand_.reach(false, sums_.most);
         sums_.push(self_.surface, gaps, f);
         demand_.gather(self_.surface, f);
+    }
+    /// Friction of the particles that something is in contact with.
+    template <class F>
+    void add_layers(std::int64_t step, const Quads& at, const Quads& moving, F&& push, double* lost) {
+        const PairList& pairs = self_.followed();
+        double rubbed = 0.0;
+        for (std::size_t first = 0, last; first < pairs.size(); first = last) {
+            const Index i = pairs.first[first];
+            bool meets = false;
+            for (last = first; last < pairs.size() && pairs.first[last] == i; ++last)
+                meets = meets || self_.gaps.square[last] < thickness_ * thickness_;
+            if (!meets) continue;
+            const Index* const triangles = pairs.second.data();
+            law_.particle(self_.surface, i, triangles + first, triangles + last, at, moving, meeting_);
+            layers_->add(step, meeting_, at, moving, push, lost ? &rubbed : nullptr);
+        }
+        layers_->close();
+        if (!lost) return;
+        *lost += rubbed;
+        rubbed_ += step_ * rubbed;
     }
     /// Find what is near, and look at the ways since the last time.
     bool look(const double* x) {
@@ -119,6 +154,8 @@ private:
     Meeting<double> meeting_;
     Demand demand_;
     SelfSums sums_;
+    std::optional<LayerRun> layers_;
+    double frequency_ = 1.0, rubbed_ = 0.0;
     Array<double> before_;
     bool passed_ = false;
 };

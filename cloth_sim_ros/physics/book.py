@@ -25,9 +25,9 @@ class Book:
 
     def __init__(self, gripper_count: int, *, powers: bool = False, obstacle_count: int = 0) -> None:
         self.gripper_count, self.powers, self.obstacle_count = gripper_count, powers, obstacle_count
-        # For each gripper, of damping and moving air, for each obstacle: as a run notes them, see `Run.notes`. They are
-        # replaced, never written into.
-        self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count))
+        # For each gripper, of damping and moving air, for each obstacle: as a run notes them, see `Run.notes`; then of
+        # friction between layers. They are replaced, never written into.
+        self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count) + 1)
         self._no_loads = np.zeros((0, 6))
         self._duration = 0.0
 
@@ -45,16 +45,18 @@ class Book:
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
         """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
-        size = len(self._sums)
+        size = len(self._sums) - 1
         for weight, run in zip(weights, runs, strict=True):
             if run.grippers != self.gripper_count:
                 raise ValueError(f"a book of {self.gripper_count} grippers for a run with {run.grippers}")
-            self._sums = self._sums + weight * run.notes[:size]
+            self._sums = self._sums + weight * np.append(run.notes[:size], run.rubbed)
         self._duration += duration
 
-    def add(self, grips: Array, touches: Array, powers: tuple[float, float], duration: float) -> None:
+    def add(
+        self, grips: Array, touches: Array, powers: tuple[float, float], duration: float, rubbed: float = 0.0
+    ) -> None:
         """Note one point of a quadrature, already multiplied by its weight [s]."""
-        self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel()])
+        self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel(), [rubbed]])
         self._duration += duration
 
     @property
@@ -63,7 +65,7 @@ class Book:
 
     @property
     def _touches(self) -> Array:
-        return self._sums[BOOKED_NUMBERS * self.gripper_count + 2 :].reshape(-1, BOOKED_NUMBERS)
+        return self._sums[BOOKED_NUMBERS * self.gripper_count + 2 : -1].reshape(-1, BOOKED_NUMBERS)
 
     @property
     def _powers(self) -> Array:
@@ -97,6 +99,11 @@ class Book:
         return sum(self._touches[:, 7].tolist(), float(self._powers[0]) + sum(self._grips[:, 7].tolist()))
 
     @property
+    def rubbed(self) -> float:
+        """What of `lost` friction between layers of the cloth took [J]; only with `powers`."""
+        return float(self._sums[-1])
+
+    @property
     def given(self) -> float:
         """Energy that moving air put into the motion [J]; only with `powers`."""
         return float(self._powers[1])
@@ -108,4 +115,5 @@ def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float) ->
     none = np.zeros((0, BOOKED_NUMBERS))
     grips = plan.grip_rates(t, x, v, weight) if book.gripper_count else none
     touches = plan.contact.rates(t, x, v, weight) if plan.contact is not None and book.obstacle_count else none
-    book.add(grips, touches, (weight * lost, weight * given), weight)
+    rubbed = weight * plan.contact.rubbed(x, v) if plan.contact is not None and book.powers else 0.0
+    book.add(grips, touches, (weight * lost, weight * given), weight, rubbed)

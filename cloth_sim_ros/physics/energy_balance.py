@@ -26,6 +26,8 @@ class EnergyBalance:
         self.book = Book(plan.gripper_count, powers=True, obstacle_count=plan.obstacle_count)
         #: Dissipated so far [J].
         self.lost = 0.0
+        #: Of it, by friction between layers [J].
+        self.rubbed = 0.0
         #: Done on the cloth by grippers and obstacles so far [J].
         self.work = 0.0
         #: Done on the cloth by moving air so far [J].
@@ -39,6 +41,7 @@ class EnergyBalance:
         """Sum up an advance that ended at time t; return the residual [J] so far."""
         lost, work, wind = self.book.lost, self.book.work, self.book.given
         self.lost += lost
+        self.rubbed += self.book.rubbed
         self.work += work
         self.wind += wind
         self.book.restart()

@@ -190,8 +190,10 @@ class Sleep(Remembered):
     used: float = number(0.0, least=0.0)
 
 
-#: Name of friction's anchors, shape (obstacles, 4, particles).
+#: Name of friction's anchors, shape (obstacles, 4, particles); two rows more with friction between layers.
 ANCHORS = "contact.anchors"
+#: Of these rows: sides of the cloth on which a layer may lie.
+LAYER_SIDES = 2
 #: Name of where the pads of pinching grippers are, shape (pinches, 2): half the way between their faces [m], its rate.
 PINCHED = "contact.pinched"
 #: Name of whether it was told of each that its pads came to rest, shape (pinches,).

@@ -18,7 +18,8 @@ class Run(NamedTuple):
     ends: Array
     #: What was noted: for each gripper BOOKED_NUMBERS; integrals of the powers of damping and of moving air [J]; for
     #: each obstacle BOOKED_NUMBERS; and, where there is contact, the energy per mass that obstacles' had to take up, in
-    #: U^2/2, the least gap [m], a number for the engine, and the rates of the cloth's contact with itself.
+    #: U^2/2, the least gap [m], a number for the engine, the rates of the cloth's contact with itself, and what
+    #: friction between its layers took [J].
     notes: Array
     #: Numbers of grippers and obstacles.
     grippers: int
@@ -73,6 +74,11 @@ class Run(NamedTuple):
         if not self._touches:
             return 0.0, 0.0
         return float(self.notes[self._size + 3]), float(self.notes[self._size + 4])
+
+    @property
+    def rubbed(self) -> float:
+        """What friction between layers took [J]; with `powers` alone."""
+        return float(self.notes[self._size + 5]) if self._touches else 0.0
 
     @property
     def _touches(self) -> bool:

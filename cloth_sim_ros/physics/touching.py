@@ -22,11 +22,12 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
+from cloth_sim_ros.physics import touching_layers
 from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.owner import Owner
-from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
+from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED
 from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshes
@@ -52,11 +53,7 @@ class Touching:
         self._shape = (3, particle_count)
         self._seen = self._moved = self._heard = -1
         self._taken: Array | None = None
-        surface = contact.surface
-        if surface is not None:
-            triangles = surface.triangles
-            numbers = len(triangles), triangles.ctypes.data, surface.shortest
-            check(self._library.cloth_plan_self(self._handle, *numbers))
+        touching_layers.tell_surface(self._handle, contact)
         faces = contact.faces
         self._features = None if faces is None else TouchingFeatures(owner, faces, particle_count)
 
@@ -102,8 +99,10 @@ class Touching:
 
     @property
     def anchors_shape(self) -> tuple[int, int, int]:
-        """Shape of anchors: obstacles; place in the obstacle's frame [m] and bond (none, sticks, slides); particles."""
-        return (self.count, ANCHOR_NUMBERS, self._shape[1])
+        """Shape of anchors: obstacles; place in the obstacle's frame [m] and bond (none, sticks, slides); particles.
+        Two rows more with friction between layers: triangle, weights of its second and third corner, bond.
+        """
+        return (self.count + LAYER_SIDES * self.force.layered, ANCHOR_NUMBERS, self._shape[1])
 
     @property
     def pinched_shape(self) -> tuple[int, int]:
@@ -142,7 +141,7 @@ class Touching:
 
     def ends(self, runs: int) -> tuple[Array | None, Array | None]:
         """Return room for the anchors and pads of runs at their ends; None where there are none."""
-        anchors = np.empty((runs, *self.anchors_shape)) if self.force.rough else None
+        anchors = np.empty((runs, *self.anchors_shape)) if self.force.anchored else None
         return anchors, np.empty((runs, *self.pinched_shape)) if self.force.pads else None
 
     def combined_pads(self, runs: Sequence[Run], weights: Sequence[float]) -> Array | None:
@@ -165,7 +164,7 @@ class Touching:
         """
         pinched = self.combined_pads(runs, weights)
         self.lay_pads(pinched)
-        if not self.force.rough:
+        if not self.force.anchored:
             return None, pinched
         ends = np.array([run.anchors for run in runs])
         return self.settle(t, x, v, ends, weights), pinched
@@ -173,14 +172,18 @@ class Touching:
     def lay(self, anchors: Array | None) -> Array | None:
         """Let what follows start with anchors, none where left out; return them, None where there is no friction."""
         self.sync()
-        if not self.force.rough:
+        if not self.force.anchored:
             return None
-        if anchors is None:
-            anchors = np.zeros(self.anchors_shape)
+        anchors = np.zeros(self.anchors_shape) if anchors is None else anchors
         if anchors is not self._taken:
+            touching_layers.check_anchors(self.force, anchors)
             check(self._library.cloth_contact_anchors(self._handle, doubles(ANCHORS, anchors, self.anchors_shape)))
             self._taken = anchors
         return anchors
+
+    def rubbed(self, x: Array, v: Array) -> float:
+        """Return the power that friction between layers takes [W], with the anchors that were laid."""
+        return touching_layers.rubbed(self._handle, x, v) if self.force.layered else 0.0
 
     def settle(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
         """Return the anchors of a state that combines runs by weights, from those that each run ended with.
@@ -202,7 +205,7 @@ class Touching:
         """Let pads and anchors follow a state that has moved by a step h [s] to time t [s], during which pads stood."""
         if self.force.pads:
             state.memory[PINCHED] = self._moved_pads(t, h, state)
-        if self.force.rough and self._taken is not None:
+        if self.force.anchored and self._taken is not None:
             state.memory[ANCHORS] = self.settle(t, state.x, state.v, self._taken[None], [1.0])
 
     def _moved_pads(self, t: float, h: float, state: State) -> Array:

@@ -176,7 +176,8 @@ def build_model(scene: Configuration) -> Model:
 
         faces = None
         if own.self_ or solids:
-            faces = OwnSurface(sheet.triangles(), sheet.positions(), thickness=own.thickness)
+            friction = (own.friction[0], own.friction[-1])
+            faces = OwnSurface(sheet.triangles(), sheet.positions(), thickness=own.thickness, friction=friction)
         contact = Contact(
             solids,
             thickness=own.thickness,

@@ -149,11 +149,7 @@ def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacl
         normalised(description.orientation)
     except ValueError as error:
         raise ParameterError(f"{name}.orientation: {error}") from error
-    if len(description.friction) not in (1, 2):
-        raise ParameterError(
-            f"{name}.friction has {len(description.friction)} entries, {list(description.friction)}; give one number, "
-            "or that at rest and that in motion"
-        )
+    check_count(f"{name}.friction", description.friction)
     friction = (description.friction[0], description.friction[-1])
     size = () if description.shape in ("plane", "mesh") else description.size
     vertices = triangles = None
@@ -167,6 +163,24 @@ def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacl
         )
     except ValueError as error:
         raise ParameterError(str(error)) from error
+
+
+def check_count(name: str, friction: Sequence[float]) -> None:
+    """Refuse coefficients of friction that are not one or two."""
+    if len(friction) not in (1, 2):
+        raise ParameterError(
+            f"{name} has {len(friction)} entries, {list(friction)}; give one number, or that at rest and that in motion"
+        )
+
+
+def check_friction(name: str, friction: Sequence[float]) -> None:
+    """Refuse coefficients of friction that can't be: one number, or that at rest and that in motion, no larger."""
+    check_count(name, friction)
+    if friction[-1] > friction[0]:
+        raise ParameterError(
+            f"{name} is {friction[0]:g} at rest and {friction[-1]:g} in motion; the latter must be no larger: give "
+            f"[{friction[-1]:g}, {friction[0]:g}], or one number"
+        )
 
 
 def check_cloth(sheet: Sheet, thickness: float) -> None:

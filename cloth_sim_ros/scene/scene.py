@@ -389,3 +389,4 @@ class Scene:
         scene_obstacles.check_names(names, self.described, self.gripper_names, self.groups())
         if scene_pinch.pads_of(self, 1.0) or (names and self.solids) or self.contact.self_:
             scene_obstacles.check_cloth(self.sheet, self.contact.thickness)
+        scene_obstacles.check_friction("contact.friction", self.contact.friction)

@@ -190,6 +190,15 @@ class Contact:
         open_least=True,
         live=True,
     )
+    friction: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0),
+        "Coefficients of friction between layers of the cloth, with contact.self, at rest (sliding below 0.01 m/s) and "
+        "in motion (above 0.02 m/s), the latter no larger; one number counts for both; 0: layers slide off freely",
+        least=0.0,
+        most=1e3,
+        live=True,
+    )
     damping: float = parameter(
         "double",
         10.0,

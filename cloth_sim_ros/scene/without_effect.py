@@ -85,6 +85,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         lambda scene: not scene.obstacle_names and not scene.pinching and not scene.contact.self_,
         "there are no obstacles, no gripper pinches, and contact.self is false",
     ),
+    (("contact.friction",), lambda scene: not scene.contact.self_, "contact.self is false"),
 )
 
 

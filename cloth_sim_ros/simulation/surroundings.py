@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
+from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.movers import standing
@@ -129,7 +129,8 @@ def kept_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
     """
     pads = [f"{name}.{side}" for name in scene.pinching for side in ("left", "right")]
     rough = any(solid.friction[0] > 0.0 for solid in scene.solids) or (pads and scene.gripper.friction[0] > 0.0)
-    if not rough:
+    layered = scene.contact.self_ and scene.contact.friction[0] > 0.0
+    if not (rough or layered):
         return None
     # Which grippers pinch never changes.
     names, now = [*before.obstacle_names, *pads], [*scene.obstacle_names, *pads]
@@ -137,4 +138,8 @@ def kept_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
     for k, name in enumerate(now):
         if name in names:
             kept[k] = anchors[names.index(name)]
-    return kept
+    if not layered:
+        return kept
+    # Layers' anchors lie behind the obstacles'.
+    own = anchors[len(names) :]
+    return np.concatenate([kept, own if len(own) else np.zeros((LAYER_SIDES, *anchors.shape[1:]))])

@@ -83,7 +83,7 @@ class FineSteps:
         # Below what rounding makes of the difference of two combinations no step is better than another.
         least = 4.0 * ROUNDING * float(np.abs(start[0]).max()) * (amplification(FINE) + amplification(FINE[1:]))
         shortest, finest = _LEAST * duration, 0.5 * step
-        if plan.contact is not None and plan.contact.force.rough:
+        if plan.contact is not None and plan.contact.force.anchored:
             # Around such a jump the simulation takes steps of no length at all.
             shortest = _LEAST_ROUGH * duration
             finest = max(finest, shortest / FINE[0])

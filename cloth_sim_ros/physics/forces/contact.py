@@ -24,13 +24,21 @@ class OwnSurface:
         triangles: its triangles, shape (m, 3).
         positions: of its particles at rest [m], shape (n, 3).
         thickness: distance that it keeps from itself [m].
+        friction: coefficients of static and kinetic friction between its layers.
 
     Raises:
-        ValueError: for a surface without triangles, or a thickness above half its shortest edge: then neighbours would
-            touch at rest.
+        ValueError: for a surface without triangles, a thickness above half its shortest edge (neighbours would touch at
+            rest), or friction that is none.
     """
 
-    def __init__(self, triangles: ArrayLike, positions: ArrayLike, *, thickness: float) -> None:
+    def __init__(
+        self,
+        triangles: ArrayLike,
+        positions: ArrayLike,
+        *,
+        thickness: float,
+        friction: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         places = finite("positions of the surface", positions, np.shape(positions))
         self.triangles = indices("triangles of the surface", triangles, 3, len(places))
         if not len(self.triangles):
@@ -44,6 +52,13 @@ class OwnSurface:
             raise ValueError(
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.shortest:.4g} "
                 f"m: neighbours would touch at rest; take {0.49 * self.shortest:.2g} m or less, or a coarser cloth"
+            )
+        #: Coefficients of friction between layers, at rest and in motion.
+        self.friction = (float(friction[0]), float(friction[1]))
+        if not 0.0 <= self.friction[1] <= self.friction[0] < math.inf:
+            raise ValueError(
+                f"the cloth has friction {friction[0]} at rest and {friction[1]} in motion between its layers; both "
+                "must be finite and at least 0, the latter no larger"
             )
 
 
@@ -146,6 +161,16 @@ class Contact(EngineForce):
     def rough(self) -> bool:
         """Whether any obstacle has friction."""
         return any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
+
+    @property
+    def layered(self) -> bool:
+        """Whether layers of the cloth have friction."""
+        return self.surface is not None and self.surface.friction[0] > 0.0
+
+    @property
+    def anchored(self) -> bool:
+        """Whether there is friction anywhere, and so anchors."""
+        return self.rough or self.layered
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         for surface in (self.surface, self.faces):

@@ -1,0 +1,302 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Friction between layers of the cloth: each side of a particle holds on to a point of the layer that lies there.
+// docs/contact.md derives it. V is a number, or one with its derivative.
+#pragma once
+
+#include "contact_friction.hpp"
+#include "self_law.hpp"
+
+namespace cloth {
+
+/// Sides of a particle: a layer may lie on either.
+inline constexpr int layer_sides = 2;
+/// An anchor's numbers are the triangle that it lies in, its weights of that one's second and third corner, and its bond:
+/// anchor_numbers of them for each side and particle.
+struct LayerAnchor {
+    Index triangle = -1;
+    double second = 0.0, third = 0.0;
+    Bond bond = no_bond;
+};
+
+/// What pushes a particle off on one of its sides, as an acceleration, and the nearest triangle there, -1 for none.
+template <class V>
+struct Layer {
+    Vec3<V> push{};
+    Index triangle = -1;
+    double gap = 1e30;
+};
+
+/// How a particle stands to a triangle: the way from its anchor along the triangle, the slip against a body that is one
+/// with the triangle, and the push across it.
+template <class V>
+struct Stance {
+    Index corner[4];  ///< the particle, and the triangle's
+    double mass;
+    Vec3<V> way, normal, slip;
+    V gap, push;
+    V anchor[3], foot[3];  ///< weights of the triangle's corners
+    Vec3<V> slope[3];      ///< of those weights over a place
+
+    Vec3<V> weights_at(Vec3<V> along) const {
+        return {foot[0] + dot(slope[0], along), foot[1] + dot(slope[1], along), foot[2] + dot(slope[2], along)};
+    }
+};
+
+template <class V>
+class LayerFriction {
+public:
+    LayerFriction(const Roughness& rough, double frequency, const SelfLaw<V>& law)
+        : rub_(rough, frequency), law_(law), stiffness_(frequency * frequency) {}
+
+    /// The layers on a particle's sides, from the meeting of the particle. A side is told by the first triangle about it.
+    template <class X>
+    void sides(const Surface& s, const Meeting<V>& m, X&& at, Layer<V> (&out)[layer_sides]) const {
+        const V damped = law_.damped(m);
+        const Index i = m.gaps[0].corner[0];
+        Vec3<double> up{};
+        if (s.start[i] < s.start[i + 1]) {
+            const auto& t = s.triangles[s.fan[s.start[i]]];
+            const Vec3<double> a = place(at(t[0])), b = place(at(t[1])), c = place(at(t[2]));
+            up = cross(b - a, c - a);
+        }
+        for (const Gap<V>& g : m.gaps) {
+            Layer<V>& layer = out[dot(up, place(g.normal)) < 0.0 ? 1 : 0];
+            layer.push = fma(splat<V>(g.sign) * damped * law_.law(false).elastic(g.gap), g.normal, layer.push);
+            if (g.sign < 0.0 || g.corner[2] == i || !(value_of(g.gap) < layer.gap)) continue;
+            layer.gap = value_of(g.gap);
+            layer.triangle = triangle_of(s, g);
+        }
+    }
+    /// Stand on a layer. Without an anchor it is where the particle is.
+    template <class X, class U>
+    Stance<V> stand(const Surface& s, const Meeting<V>& m, const Layer<V>& layer, const LayerAnchor& anchor, X&& at,
+                    U&& moving) const {
+        const bool known = anchor.bond != no_bond;
+        const auto& t = s.triangles[known ? anchor.triangle : layer.triangle];
+        Stance<V> on;
+        on.corner[0] = m.gaps[0].corner[0];
+        for (int k = 0; k < 3; ++k) on.corner[k + 1] = t[k];
+        on.mass = m.mass;
+        const V one = splat<V>(1.0);
+        const Vec3<V> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a, r = at(on.corner[0]) - a, across = cross(e, g);
+        const V over = one / norm2(across);
+        on.normal = root(over) * across;
+        on.slope[1] = over * cross(g, across);
+        on.slope[2] = over * cross(across, e);
+        on.slope[0] = -(on.slope[1] + on.slope[2]);
+        on.gap = dot(r, on.normal);
+        on.foot[1] = dot(r, on.slope[1]);
+        on.foot[2] = dot(r, on.slope[2]);
+        on.foot[0] = one - on.foot[1] - on.foot[2];
+        on.anchor[1] = known ? splat<V>(anchor.second) : on.foot[1];
+        on.anchor[2] = known ? splat<V>(anchor.third) : on.foot[2];
+        on.anchor[0] = one - on.anchor[1] - on.anchor[2];
+        on.way = known ? (on.foot[1] - on.anchor[1]) * e + (on.foot[2] - on.anchor[2]) * g : Vec3<V>{};
+        // The normal turns by -sum (n . v_k) slope_k.
+        on.slip = moving(on.corner[0]);
+        for (int k = 0; k < 3; ++k) {
+            const Vec3<V> v = moving(t[k]);
+            on.slip = fma(-on.foot[k], v, on.slip);
+            on.slip = fma(on.gap * dot(on.normal, v), on.slope[k], on.slip);
+        }
+        const V push = dot(layer.push, on.normal);
+        on.push = larger(push, -push);
+        return on;
+    }
+    /// Call `what` with each side of a particle that something lies on, the layer there, the anchor that is held
+    /// (`anchor_of(side)`), and the stance on it.
+    template <class A, class X, class U, class F>
+    void each(const Surface& s, const Meeting<V>& m, A&& anchor_of, X&& at, U&& moving, F&& what) const {
+        if (m.edges || m.gaps.empty()) return;
+        Layer<V> layers[layer_sides];
+        sides(s, m, at, layers);
+        for (int side = 0; side < layer_sides; ++side) {
+            const Layer<V>& layer = layers[side];
+            if (layer.triangle < 0) continue;
+            const LayerAnchor anchor = near(s, m, anchor_of(side, m.gaps[0].corner[0]));
+            const Stance<V> on = stand(s, m, layer, anchor, at, moving);
+            if (value_of(on.push) > 0.0) what(side, layer, anchor, on);
+        }
+    }
+    auto rub(const Stance<V>& on) const { return rub_.rub(on.way, on.normal, on.slip, on.push); }
+
+    /// Call `what` with each corner and the force on it. The triangle's forces are those of a body that is one with it and
+    /// that friction pulls at where the particle is: they keep momentum and angular momentum.
+    template <class R, class F>
+    void forces(const Stance<V>& on, const R& rubbed, F&& what) const {
+        const V mass = splat<V>(on.mass);
+        const Vec3<V> force = mass * rubbed.push, damped = force + (mass * splat<V>(stiffness_)) * rubbed.stretch;
+        what(on.corner[0], force);
+        for (int k = 0; k < 3; ++k) {
+            const Vec3<V> pull = fma(on.anchor[k], force, (on.foot[k] - on.anchor[k]) * damped);
+            what(on.corner[k + 1], (on.gap * dot(force, on.slope[k])) * on.normal - pull);
+        }
+    }
+    /// Call `what` with each corner and a bound [N/m] of what the anchor's spring adds to its stiffness: for a spring
+    /// k G G', the sum of |G_c| over corners times k |G_c| (Gershgorin).
+    template <class F>
+    void bounds(const Stance<V>& on, F&& what) const {
+        double parts[4] = {1.0}, sum = 1.0;
+        for (int k = 0; k < 3; ++k) {
+            const double lever = absolute(value_of(on.gap)) * root(norm2(place(on.slope[k])));
+            sum += parts[k + 1] = absolute(value_of(on.anchor[k])) + lever;
+        }
+        for (int k = 0; k < 4; ++k) what(on.corner[k], on.mass * stiffness_ * sum * parts[k]);
+    }
+    /// The anchor of a stance at positions `at`, dragged by what slides: the place of the particle and of a further way
+    /// `rest` [m], less the stretch that is left, in the nearest triangle.
+    template <class X>
+    LayerAnchor dragged(const Surface& s, const Stance<V>& on, const Layer<V>& layer, const LayerAnchor& held,
+                        Vec3<V> rest, Vec3<V> stretch, X&& at) const {
+        const Vec3<V> b = on.weights_at(rest - stretch);
+        const Index own = held.bond != no_bond ? held.triangle : layer.triangle;
+        if (own == layer.triangle) return {own, b.y, b.z, slides};
+        return weighed(s, layer.triangle, b.x * at(on.corner[1]) + b.y * at(on.corner[2]) + b.z * at(on.corner[3]), at);
+    }
+    /// A place as an anchor in a triangle.
+    template <class X>
+    LayerAnchor weighed(const Surface& s, Index triangle, Vec3<V> p, X&& at) const {
+        const auto& t = s.triangles[triangle];
+        const Vec3<V> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a, r = p - a, across = cross(e, g);
+        const V over = splat<V>(1.0) / norm2(across);
+        return {triangle, dot(r, cross(g, across)) * over, dot(r, cross(across, e)) * over, slides};
+    }
+    /// An anchor, if its triangle is still near the particle.
+    LayerAnchor near(const Surface& s, const Meeting<V>& m, const LayerAnchor& anchor) const {
+        if (anchor.bond == no_bond) return {};
+        const auto& t = s.triangles[anchor.triangle];
+        for (const Gap<V>& g : m.gaps)
+            if (g.corner[1] == t[0] && g.corner[2] == t[1] && g.corner[3] == t[2]) return anchor;
+        return {};
+    }
+    const FrictionLaw<V>& law() const { return rub_; }
+    double stiffness() const { return stiffness_; }
+
+private:
+    static Vec3<double> place(Vec3<V> a) { return {value_of(a.x), value_of(a.y), value_of(a.z)}; }
+    static Index triangle_of(const Surface& s, const Gap<V>& g) {
+        for (Index k = s.start[g.corner[1]]; k < s.start[g.corner[1] + 1]; ++k) {
+            const auto& t = s.triangles[s.fan[k]];
+            if (t[0] == g.corner[1] && t[1] == g.corner[2] && t[2] == g.corner[3]) return s.fan[k];
+        }
+        return -1;
+    }
+    FrictionLaw<V> rub_;
+    const SelfLaw<V>& law_;
+    double stiffness_;
+};
+
+/// Anchors as a plan keeps them: (layer_sides, anchor_numbers, particles), by the particles' own numbers.
+struct LayerAnchors {
+    const double* from;
+    const std::int64_t* own;  ///< number of each particle as it stands inside runs
+    std::int64_t count;
+
+    LayerAnchor operator()(int side, Index i) const {
+        const double* const a = from + side * anchor_numbers * count + own[i];
+        const Bond bond = a[3 * count] == double(slides) ? slides : a[3 * count] == double(sticks) ? sticks : no_bond;
+        return {bond == no_bond ? Index(-1) : static_cast<Index>(a[0]), a[count], a[2 * count], bond};
+    }
+};
+inline void keep_anchor(double* to, std::int64_t count, int side, std::int64_t particle, const LayerAnchor& anchor) {
+    double* const a = to + side * anchor_numbers * count + particle;
+    const bool known = anchor.bond != no_bond;
+    a[0] = known ? double(anchor.triangle) : 0.0;
+    a[count] = known ? anchor.second : 0.0;
+    a[2 * count] = known ? anchor.third : 0.0;
+    a[3 * count] = double(anchor.bond);
+}
+
+/// The largest stiffness over mass [1/s^2] that anchors' springs come to at any particle.
+class LayerLoad {
+public:
+    void add(const Surface& s, Index c, double stiffness) {
+        if (!s.moves[c]) return;
+        if (load_.empty()) load_.assign(s.count, 0.0);
+        if (load_[c] == 0.0) touched_.push_back(c);
+        load_[c] += stiffness / s.masses[c];
+    }
+    /// Look at what was added since the last time.
+    void close() {
+        for (const Index c : touched_) {
+            most_ = larger(load_[c], most_);
+            load_[c] = 0.0;
+        }
+        touched_.clear();
+    }
+    double most() const { return most_; }
+
+private:
+    double most_ = 0.0;
+    std::vector<double> load_;
+    std::vector<Index> touched_;
+};
+
+/// Friction between layers over a run, by one thread.
+class LayerRun {
+public:
+    LayerRun(const Surface& surface, const Roughness& rough, double frequency, const SelfLaw<double>& law, double step,
+             const LayerAnchors& anchors)
+        : surface_(surface), friction_(rough, frequency, law), step_(step), anchors_(layer_sides * surface.count),
+          pushes_(anchors_.size(), 0.0), met_(anchors_.size(), -1) {
+        for (int side = 0; side < layer_sides; ++side)
+            for (std::int64_t i = 0; i < surface.count; ++i) anchors_[place(side, i)] = anchors(side, static_cast<Index>(i));
+    }
+    /// Add the forces of a particle's meeting at a step, and what they take [W] to `lost`. Anchors move from step 0 on.
+    template <class X, class F>
+    void add(std::int64_t step, const Meeting<double>& m, X&& at, X&& moving, F&& push, double* lost) {
+        // A bond ends with a step in which nothing is met.
+        const auto held = [&](int side, Index i) {
+            const std::size_t k = place(side, i);
+            return met_[k] + 1 >= step ? anchors_[k] : LayerAnchor{};
+        };
+        const auto rubs = [&](int side, const Layer<double>& layer, const LayerAnchor& anchor, const Stance<double>& on) {
+            const auto rubbed = friction_.rub(on);
+            friction_.forces(on, rubbed, push);
+            friction_.bounds(on, [&](Index c, double k) { load_.add(surface_, c, k); });
+            if (lost) *lost += on.mass * rubbed.lost;
+            if (step < 0) return;
+            // Forces are met at the middle of a step. Anchors go on to its end, as those on obstacles do.
+            const std::size_t k = place(side, on.corner[0]);
+            const double before = met_[k] + 1 == step ? pushes_[k] : 0.0;
+            const double then = larger(fma(0.5, before > 0.0 ? on.push - before : 0.0, on.push), 0.0);
+            const Vec3<double> along = on.slip - dot(on.slip, on.normal) * on.normal, rest = (0.5 * step_) * along;
+            const auto end = friction_.law().tried(on.way + rest, on.normal, on.slip, then);
+            if (end.slides)
+                anchors_[k] = friction_.dragged(surface_, on, layer, anchor, rest, end.stretch, at);
+            else if (anchor.bond != no_bond)
+                anchors_[k].bond = sticks;
+            else
+                anchors_[k] = {layer.triangle, on.foot[1], on.foot[2], sticks};
+            pushes_[k] = on.push;
+            met_[k] = step;
+        };
+        friction_.each(surface_, m, held, at, moving, rubs);
+    }
+    void close() { load_.close(); }
+    /// The anchors after `steps` steps.
+    void finish(std::int64_t steps, const std::int64_t* own, double* to) const {
+        for (int side = 0; side < layer_sides; ++side)
+            for (std::int64_t i = 0; i < surface_.count; ++i) {
+                const std::size_t k = place(side, i);
+                keep_anchor(to, surface_.count, side, own[i], met_[k] + 1 == steps ? anchors_[k] : LayerAnchor{});
+            }
+    }
+    /// Squared frequency [1/s^2] that anchors' springs come to: two layers make twice that of one spring.
+    double omega2() const { return larger(load_.most(), 2.0 * friction_.stiffness()); }
+
+private:
+    std::size_t place(int side, std::int64_t i) const { return static_cast<std::size_t>(side * surface_.count + i); }
+
+    const Surface& surface_;
+    LayerFriction<double> friction_;
+    double step_;
+    std::vector<LayerAnchor> anchors_;
+    std::vector<double> pushes_;
+    std::vector<std::int64_t> met_;  ///< step of the last meeting
+    LayerLoad load_;
+};
+
+}  // namespace cloth

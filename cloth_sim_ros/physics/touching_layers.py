@@ -1,0 +1,49 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A cloth that touches itself, and friction between its layers: what the engine is told of it, and what it is asked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.remembered import ANCHORS
+
+
+def tell_surface(handle: int, contact: Contact) -> None:
+    """Tell the engine the surface that is not to pass through itself, if any, and the friction between its layers."""
+    surface = contact.surface
+    if surface is None:
+        return
+    triangles = surface.triangles
+    check(library().cloth_plan_self(handle, len(triangles), triangles.ctypes.data, surface.shortest))
+    if contact.layered:
+        check(library().cloth_self_friction(handle, *surface.friction))
+
+
+def check_anchors(contact: Contact, anchors: Array) -> None:
+    """Refuse anchors, of obstacles and then of layers, in triangles that the cloth does not have.
+
+    Raises:
+        ValueError: naming the side of the cloth and the triangle.
+    """
+    if contact.surface is None or not contact.layered:
+        return
+    count = len(contact.surface.triangles)
+    for side, rows in enumerate(anchors[len(contact.obstacles) :]):
+        held = rows[0][rows[3] > 0.0]
+        bad = held[(held < 0.0) | (held >= count) | (held != np.floor(held))]
+        if len(bad):
+            raise ValueError(
+                f"memory '{ANCHORS}' has an anchor of side {side} of the cloth in triangle {bad[0]}; it must be a "
+                f"whole number from 0 to {count - 1}: the state is of another cloth"
+            )
+
+
+def rubbed(handle: int, x: Array, v: Array) -> float:
+    """Return the power that friction between layers takes [W], with the anchors that were laid."""
+    out = np.empty(1)
+    check(library().cloth_self_rubbed(handle, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)))
+    return float(out[0])

@@ -1,0 +1,146 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Friction between layers: its forces at one moment, with anchors of the caller's choice."""
+
+import numpy as np
+import pytest
+from support import self_scenes as own
+
+from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import compile
+
+THICKNESS = 4e-3
+MU = (0.6, 0.4)
+
+
+def stacked(friction=MU, *, heights=(0.0, 0.7 * THICKNESS), rough=2e-4, damping=10.0, **options):
+    """The plan of layers with nothing but contact, positions (3, n) and masses."""
+    triangles, rest, x, masses = own.sheets(*heights, rough=rough, shift=(0.0061, 0.0037), seed=4)
+    surface = OwnSurface(triangles, rest, thickness=THICKNESS, friction=friction)
+    force = Contact(thickness=THICKNESS, damping=damping, surface=surface)
+    return compile(Model(masses, [force], **options)), np.ascontiguousarray(x.T), masses
+
+
+def laid(plan, x):
+    """Let what follows start with anchors where particles are; return them."""
+    plan.contact.lay(None)
+    anchors = plan.contact.settle(0.0, x, np.zeros_like(x), np.zeros((1, *plan.contact.anchors_shape)), [1.0])
+    return plan.contact.lay(anchors)
+
+
+def forces(plan, x, v, masses):
+    a = np.empty_like(x)
+    plan.accelerations(0.0, x, v, a)
+    return masses * a
+
+
+def friction(x, v, *, moved=0.0, anchored=True, seed=3):
+    """Forces with friction less those without, after particles moved away from their anchors by some noise [m]."""
+    plan, _, masses = stacked()
+    if anchored:
+        laid(plan, x)
+    away = x + moved * np.random.default_rng(seed).normal(size=x.shape)
+    without, _, _ = stacked((0.0, 0.0))
+    return forces(plan, away, v, masses) - forces(without, away, v, masses), away
+
+
+@pytest.mark.parametrize("moved", [2e-8, 1e-3])
+def test_it_keeps_momentum_and_angular_momentum(moved):
+    _, x, _ = stacked()
+    v = 0.05 * np.random.default_rng(1).normal(size=x.shape)
+    f, away = friction(x, v, moved=moved)
+    size = np.abs(f).sum()
+    assert size > 1e-3
+    assert np.abs(f.sum(axis=1)).max() < 1e-12 * size
+    assert np.abs(np.cross(away.T, f.T).sum(axis=0)).max() < 1e-12 * size
+
+
+def test_what_sticks_is_pulled_by_the_gradient_of_its_energy():
+    plan, x, masses = stacked(damping=0.0)
+    laid(plan, x)
+    x = x + 2e-8 * np.random.default_rng(2).normal(size=x.shape)
+    without, _, _ = stacked((0.0, 0.0), damping=0.0)
+    none = np.zeros_like(x)
+    f = forces(plan, x, none, masses) - forces(without, x, none, masses)
+    assert np.abs(f).max() > 1e-5
+
+    def energy(y):
+        return plan.energy(0.0, y, none) - without.energy(0.0, y, none)
+
+    step = 1e-8
+    for c, i in [(0, 7), (1, 30), (2, 12), (2, 33), (0, 41), (1, 18)]:
+        up, down = x.copy(), x.copy()
+        up[c, i] += step
+        down[c, i] -= step
+        found = (energy(down) - energy(up)) / (2 * step)
+        assert found == pytest.approx(f[c, i], abs=2e-7)
+
+
+def test_its_spring_counts_in_the_bounds():
+    plan, x, masses = stacked()
+    without, _, _ = stacked((0.0, 0.0))
+    laid(plan, x)
+    own_rates, bare = plan.contact.own_ahead(0.0, x, 0 * x), without.contact.own_ahead(0.0, x, 0 * x)
+    # Derivative of the forces by differences, in directions of the largest growth.
+    none, rng = np.zeros_like(x), np.random.default_rng(5)
+    u = rng.normal(size=x.shape)
+    for _ in range(30):
+        u /= np.sqrt((masses * u * u).sum())
+        step = 1e-10
+        with_ = forces(plan, x + step * u, none, masses) - forces(plan, x - step * u, none, masses)
+        off = forces(without, x + step * u, none, masses) - forces(without, x - step * u, none, masses)
+        k = -(with_ - off) / (2 * step)
+        omega2, u = float((u * k).sum()), k / masses
+    assert omega2 > 0.2 * 2000.0**2
+    assert omega2 < own_rates[0] - bare[0]
+
+
+def test_damping_and_sliding_only_take_energy():
+    plan, x, _ = stacked()
+    rng = np.random.default_rng(6)
+    for moved, speed in ((0.0, 1e-3), (1e-7, 0.05), (1e-3, 0.5)):
+        laid(plan, x)
+        away, v = x + moved * rng.normal(size=x.shape), speed * rng.normal(size=x.shape)
+        plan.contact.lay(plan.contact.settle(0.0, away, v, laid(plan, x)[None], [1.0]))
+        assert plan.contact.rubbed(away, v) > 0.0
+
+
+def test_friction_stays_within_the_cone_and_follows_both_sides():
+    # The middle layer is pushed by both others, whose pushes cancel: friction does not.
+    heights = (0.0, 0.98 * THICKNESS, 1.96 * THICKNESS)
+    plan, x, masses = stacked(heights=heights, rough=0.0)
+    without, _, _ = stacked((0.0, 0.0), heights=heights, rough=0.0)
+    anchors = laid(plan, x)
+    v = np.zeros_like(x)
+    v[0, 25:50] = 0.5
+    a, b = forces(plan, x, v, masses), forces(without, x, v, masses)
+    rubbed = (a - b)[0]
+    push = b[2, 50:].sum()
+    assert rubbed[25:50].sum() < 0.0
+    assert (anchors[:, 3, 25:50] > 0.0).any(axis=1).all()
+    # Damping takes what the cone has room for.
+    assert abs(rubbed[25:50].sum()) == pytest.approx(2 * MU[1] * push, rel=0.05)
+
+
+def test_the_derivative_is_that_of_the_forces():
+    plan, x, masses = stacked()
+    laid(plan, x)
+    rng = np.random.default_rng(8)
+    x = x + 2e-8 * rng.normal(size=x.shape)
+    v = 1e-4 * rng.normal(size=x.shape)
+    dx, dv = rng.normal(size=x.shape), rng.normal(size=x.shape)
+    out, step = np.zeros_like(x), 1e-10
+    plan.add_jacobian_product(0.0, x, v, dx, dv, out)
+    both = [forces(plan, x + sign * step * dx, v + sign * step * dv, masses) for sign in (1, -1)]
+    assert (both[0] - both[1]) / (2 * step) == pytest.approx(out, rel=1e-4, abs=1e-3 * np.abs(out).max())
+
+
+def test_coefficients_and_anchors_that_can_not_be_are_refused():
+    with pytest.raises(ValueError, match=r"friction 0\.2 at rest and 0\.4 in motion"):
+        stacked((0.2, 0.4))
+    plan, x, _ = stacked()
+    anchors = laid(plan, x).copy()
+    anchors[0, 0, :], anchors[0, 3, :] = 1e6, 1.0
+    with pytest.raises(ValueError, match=r"in triangle 1000000\.0; it must be a whole number from 0 to 63"):
+        plan.contact.lay(anchors)

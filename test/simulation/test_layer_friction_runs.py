@@ -1,0 +1,134 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Friction between layers over frames: stacks that stick and slide, anchors that are state, sessions that re-run."""
+
+import math
+
+import numpy as np
+import pytest
+from support.self_scenes import folded
+
+from cloth_sim_ros.bench import contact_layers as bench
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
+
+MU = 0.5
+STEEP = math.degrees(math.atan(MU))
+GIVEN = {
+    "cloth.resolution": [10, 10],
+    "cloth.size": [0.3, 0.3],
+    "cloth.anchors": [""],
+    "contact.self": True,
+    "contact.thickness": 0.004,
+    "contact.friction": [0.6, 0.5],
+    "obstacles": ["table"],
+    "table.shape": "plane",
+    "table.position": [0.0, 0.0, -0.003],
+    "table.friction": [0.3],
+}
+
+
+def fold(**values):
+    """A simulation of a sheet that starts folded, and comes down on itself."""
+    wanted = Scene.from_parameters({**GIVEN, **{name.replace("__", "."): value for name, value in values.items()}})
+    _, places, velocities = folded(10)
+    state = Simulation(wanted).state.copy()
+    state.x, state.v = State(places, velocities).x, State(places, velocities).v
+    return Simulation(wanted, state)
+
+
+def layers(simulation):
+    """Anchors on layers, shape (sides, 4, particles)."""
+    return simulation.state.memory[ANCHORS][-2:]
+
+
+def pressed(**values):
+    """One whose halves have come to touch."""
+    simulation = fold(**values)
+    for _ in range(10):
+        simulation.advance()
+    assert (layers(simulation)[:, 3] > 0.0).sum() > 5
+    return simulation
+
+
+def test_a_stack_below_the_angle_of_friction_stays_to_the_bit_of_its_anchors():
+    below = bench.stack(6, 9, STEEP - 0.5, (MU,))
+    bench.advance(below, 45)
+    kept, x = bench.anchors(below), below.state.x.copy()
+    assert (kept[:, 3] == 1.0).any()
+    bench.advance(below, 30)
+    assert np.array_equal(bench.anchors(below), kept)
+    assert np.abs(below.state.x - x).max() < 1e-6
+
+
+def test_a_stack_slides_where_coulomb_says_and_friction_in_motion_is_mu_n():
+    assert not bench.slides(bench.stack(6, 9, math.degrees(math.atan(0.98 * MU)), (MU,)))
+    assert bench.slides(bench.stack(6, 9, math.degrees(math.atan(1.02 * MU)), (MU,)))
+    assert abs(bench.friction_off(6, 9, MU)) < 0.02
+
+
+def test_friction_only_takes_energy_and_the_balance_tells_how_much():
+    balance, worst, least = bench.balanced(bench.stack(6, 9, 40.0, (MU, 0.4)), 12)
+    assert least > 0.0
+    assert 0.5 * balance.lost < balance.rubbed <= balance.lost
+    assert worst <= 1e-3 * balance.turned_over
+
+
+def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
+    simulation = pressed()
+    again = Simulation(simulation.scene, State.from_bytes(simulation.state.to_bytes()))
+    for _ in range(5):
+        simulation.advance()
+        again.advance()
+    assert simulation.state.digest() == again.state.digest()
+    # Anchors are in the digest.
+    changed = simulation.state.copy()
+    changed.memory = {**changed.memory, ANCHORS: changed.memory[ANCHORS].copy()}
+    changed.memory[ANCHORS][-1, 1, 3] += 1e-9
+    assert changed.digest() != simulation.state.digest()
+
+
+def test_without_friction_bits_are_those_of_a_scene_that_does_not_name_it():
+    digests = []
+    for friction in ({}, {"contact__friction": [0.0]}, {"contact__friction": [0.0, 0.0]}):
+        simulation = fold(**{"contact__friction": [0.0, 0.0], **friction})
+        for _ in range(8):
+            simulation.advance()
+        assert len(simulation.state.memory[ANCHORS]) == 1
+        digests.append(simulation.state.digest())
+    assert len(set(digests)) == 1
+    rough = fold()
+    for _ in range(8):
+        rough.advance()
+    assert rough.state.digest() != digests[0]
+
+
+def test_friction_may_change_while_it_runs():
+    simulation = pressed()
+    simulation.advance([SetParameters({"contact.friction": [0.0]})])
+    assert len(simulation.state.memory[ANCHORS]) == 1
+    simulation.advance([SetParameters({"contact.friction": [0.4]})])
+    simulation.advance()
+    assert (layers(simulation)[:, 3] > 0.0).any()
+
+
+def test_what_can_not_be_is_refused():
+    with pytest.raises(ParameterError, match=r"contact\.friction has 3 entries, \[0\.1, 0\.1, 0\.1\]; give one number"):
+        fold(contact__friction=[0.1, 0.1, 0.1])
+    with pytest.raises(ParameterError, match=r"contact\.friction is 0\.2 at rest and 0\.3 in motion; the latter must"):
+        fold(contact__friction=[0.2, 0.3])
+    off = Scene.from_parameters({**GIVEN, "contact.self": False})
+    assert any(
+        "contact.friction is set and has no effect" in line for line in without_effect(off, ["contact.friction"])
+    )
+    simulation = pressed()
+    state = simulation.state.copy()
+    state.memory = {**state.memory, ANCHORS: state.memory[ANCHORS].copy()}
+    state.memory[ANCHORS][-1, 0], state.memory[ANCHORS][-1, 3] = 1e5, 1.0
+    with pytest.raises(ValueError, match=r"in triangle 100000\.0; it must be a whole number from 0 to 161"):
+        Simulation(simulation.scene, state).advance()

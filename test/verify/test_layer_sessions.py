@@ -1,0 +1,48 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions in which layers of the cloth rub on each other: run again to the same bits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from support.self_scenes import folded
+from support.session_maker import SessionMaker
+
+from cloth_sim_ros.bench.garment import as_obj
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.sheets.grid import grid_triangles
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.verify.run import verify
+
+
+def test_a_session_of_layers_that_rub_runs_again_to_the_same_bits(tmp_path: Path) -> None:
+    _, places, _ = folded(8, radius=0.012)
+    mesh = tmp_path / "fold.obj"
+    mesh.write_bytes(as_obj(places, grid_triangles(8, 8, "alternating")))
+    given = {
+        "cloth.mesh": str(mesh),
+        "cloth.anchors": [""],
+        "cloth.position": [0.0, 0.0, 0.0],
+        "bending.model": "none",
+        "grippers": [""],
+        "tolerance": 1e-3,
+        "gravity": [3.0, 0.0, -9.81],
+        "contact.self": True,
+        "contact.thickness": 0.004,
+        "contact.friction": [0.5, 0.4],
+        "obstacles": ["floor"],
+        "floor.shape": "plane",
+        "floor.position": [0.0, 0.0, -0.003],
+        "floor.friction": [0.2],
+    }
+    folder = tmp_path / "session"
+    folder.mkdir()
+    maker = SessionMaker(folder, Scene.from_parameters(given))
+    for _ in range(15):
+        maker.add([])
+    maker.finish()
+    assert (maker.simulation.state.memory[ANCHORS][-2:, 3] > 0.0).sum() > 5
+    verdict = verify(sorted(folder.glob("*.mcap")))
+    assert verdict.same, verdict.first_reason
+    assert verdict.frames == 15
