@@ -137,7 +137,7 @@ public:
         const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
         for (int k = 0; k < 4; ++k) {
             m.slope[k] = energy * m.slope[k];
-            m.rate = m.rate - dot(m.slope[k], moving(corner[k]));
+            m.rate = m.rate + dot(m.slope[k], moving(corner[k]));
         }
     }
     /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
