@@ -81,7 +81,7 @@ def test_its_spring_counts_in_the_bounds():
     plan, x, masses = stacked()
     without, _, _ = stacked((0.0, 0.0))
     laid(plan, x)
-    own_rates, bare = plan.contact.own_ahead(0.0, x, 0 * x), without.contact.own_ahead(0.0, x, 0 * x)
+    own_rates, bare = (each.contact.own_ahead(0.0, 0.0, x, 0 * x) for each in (plan, without))
     # Derivative of the forces by differences, in directions of the largest growth.
     none, rng = np.zeros_like(x), np.random.default_rng(5)
     u = rng.normal(size=x.shape)
