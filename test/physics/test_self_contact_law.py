@@ -126,6 +126,20 @@ def test_damping_takes_what_it_says_and_never_gives(seed):
     assert plan.dissipation(0.0, x, -v) > 0.0
 
 
+@pytest.mark.parametrize("turning", [-1.0, 1.0])
+def test_damping_takes_what_it_says_where_edges_turn_parallel(turning):
+    # Two edges 10 mm apart, a hundredth of a radian from parallel: their energy fades with the angle.
+    rods = np.array([[0, 1, 2], [3, 4, 5]])
+    x = np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -9], [-1, -0.01, 0.01], [1, 0.01, 0.01], [0, 0, 9]], dtype=float)
+    plan = compile(own.alone(rods, x, np.ones(6), 0.05))
+    v = np.zeros_like(x)
+    v[3:5, 1] = turning * x[3:5, 0]
+    x, v = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
+    lost = plan.dissipation(0.0, x, v)
+    assert lost == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
+    assert lost > 0.0
+
+
 @pytest.mark.parametrize("seed", [9, 10])
 def test_bounds_are_above_the_largest_eigenvalue(seed):
     _, plan, x, _ = layers(seed=seed, rows=3, columns=3)

@@ -24,6 +24,7 @@ def test_a_session_of_layers_that_rub_runs_again_to_the_same_bits(tmp_path: Path
         "cloth.mesh": str(mesh),
         "cloth.anchors": [""],
         "cloth.position": [0.0, 0.0, 0.0],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
         "bending.model": "none",
         "grippers": [""],
         "tolerance": 1e-3,
@@ -33,7 +34,7 @@ def test_a_session_of_layers_that_rub_runs_again_to_the_same_bits(tmp_path: Path
         "contact.friction": [0.5, 0.4],
         "obstacles": ["floor"],
         "floor.shape": "plane",
-        "floor.position": [0.0, 0.0, -0.003],
+        "floor.position": [0.0, 0.0, -0.016],
         "floor.friction": [0.2],
     }
     folder = tmp_path / "session"
