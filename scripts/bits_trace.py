@@ -37,6 +37,7 @@ from typing import Any, BinaryIO
 import xxhash
 
 from cloth_sim_ros.engine import binding
+from cloth_sim_ros.physics.remembered import LAYER_SIDES
 
 #: Gives the size of a memory argument, in 8-byte numbers, from all arguments of the call and what is known of its plan.
 Size = Callable[[Sequence[Any], dict[str, Any]], int]
@@ -63,7 +64,7 @@ def _pinches(factor: int) -> Size:
 
 
 def _anchors(plan: dict[str, Any]) -> int:
-    return binding.ANCHOR_NUMBERS * plan["obstacles"] * plan["n"]
+    return binding.ANCHOR_NUMBERS * (plan["obstacles"] + plan["sides"]) * plan["n"]
 
 
 def _matrix(count: int, width: int) -> Size:
@@ -125,7 +126,16 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     ),
     "cloth_plan_contact_paths": ("i", ("h", _obstacles(binding.PATH_NUMBERS))),
     "cloth_plan_pinches": ("i", ("h", "i", _given(2, 1), _given(binding.DRIVE_NUMBERS, 1))),
+    "cloth_plan_mesh": ("i", ("h", "i", "i", _given(3, 2), "i", _given(3, 4))),
+    "cloth_plan_faces": ("i", ("h", "i", _given(3, 1), "d")),
+    "cloth_plan_features": ("i", ("h", "i", "i", _given(3, 2), "i", _given(2, 4), "d")),
+    "cloth_features_rest": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_features_ahead": ("i", ("h", "d", "d", "d", _X, _X, _fixed(2))),
+    "cloth_features_cross": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_features_pierce": ("i", ("h", "d", _X, _fixed(3))),
     "cloth_plan_self": ("i", ("h", "i", _given(3, 1), "d")),
+    "cloth_self_friction": ("i", ("h", "d", "d")),
+    "cloth_self_rubbed": ("i", ("h", _X, _X, _fixed(1))),
     "cloth_contact_pinched": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
     "cloth_contact_anchors": ("i", ("h", lambda _, plan: _anchors(plan))),
     "cloth_contact_settle": (
@@ -250,6 +260,7 @@ class Traced:
                 "n": arguments[0],
                 "grippers": 0,
                 "obstacles": 0,
+                "sides": 0,
                 "pinches": 0,
                 "met": 0,
                 "lists": [],
@@ -262,6 +273,8 @@ class Traced:
             plan["obstacles"], plan["met"] = arguments[1], binding.TOUCHED_NUMBERS
         elif name == "cloth_plan_self":
             plan["met"] = binding.TOUCHED_NUMBERS
+        elif name == "cloth_self_friction":
+            plan["sides"] = LAYER_SIDES
         elif name == "cloth_plan_pinches":
             plan["pinches"] = arguments[1]
 

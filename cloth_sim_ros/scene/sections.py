@@ -240,7 +240,8 @@ class Obstacle:
         "string",
         "",
         "File of a mesh (OBJ, PLY, STL) in metres and in the obstacle's frame: closed, its triangles counterclockwise "
-        "seen from outside; set at start",
+        "seen from outside; a file can't be named while the cloth runs",
+        live=True,
     )
     position: tuple[float, ...] = parameter(
         "double[]",

@@ -169,7 +169,7 @@ def test_pads_that_would_be_placed_in_the_cloth_are_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda memory: memory.pop(PINCHED), "memory 'contact.anchors' is of 2 obstacles, 'obstacle.pose' of 0"),
+        (lambda memory: memory.pop(PINCHED), "memory 'contact.settled' has shape (1,); it must be (0,)"),
         (lambda memory: memory.update({SETTLED: np.ones(2, dtype=bool)}), "has shape (2,); it must be (1,)"),
         (lambda memory: memory.update({PINCHED: np.full((1, 2), np.nan)}), "must be finite"),
         (lambda memory: memory.update({ANCHORS: np.zeros((3, 4, 36))}), "of 3 obstacles and pads"),
