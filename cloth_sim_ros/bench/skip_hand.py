@@ -9,7 +9,7 @@ import ctypes
 import numpy as np
 
 from cloth_sim_ros.bench.skip_scenes import swinging
-from cloth_sim_ros.engine.binding import Frame, check, library
+from cloth_sim_ros.engine.binding import TOLD_NUMBERS, Frame, check, library
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
@@ -46,7 +46,7 @@ class HandMadeLoop:
         #: Steps of the newest frame.
         self.steps = 0
         self._counts = np.zeros(1, dtype=np.int64)
-        self._told = np.zeros(3)
+        self._told = np.zeros(TOLD_NUMBERS)
         #: Positions and velocities of the run that is made, and of the one before, which the next one starts from.
         self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
         self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1)

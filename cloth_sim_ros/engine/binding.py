@@ -26,6 +26,8 @@ _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE = 4
 #: Runs of one frame at most; see frame.hpp.
 MOST_RUNS = 8
+#: Numbers that a frame tells of its combination; see `told` in frame.hpp.
+TOLD_NUMBERS = 6
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.

@@ -24,6 +24,7 @@ from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
     FRAME,
     MOST_RUNS,
+    TOLD_NUMBERS,
     TOUCHED_NUMBERS,
     Frame,
     address,
@@ -78,7 +79,7 @@ class Plan:
         self.turn = threading.Lock()
         # The engine's request, made once: what a frame asks for is written into it.
         self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
-        self._told = (ctypes.c_double * 6)()
+        self._told = (ctypes.c_double * TOLD_NUMBERS)()
         self._steps_at, self._weights_at = addressof(self._steps), addressof(self._weights)
         self._frame = Frame()
         #: Steps that are written down in the request.
