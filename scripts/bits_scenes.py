@@ -84,7 +84,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "finger.position": [0.05, -0.5, 1.65],
         "drum.shape": "cylinder",
         "drum.size": [0.06, 0.3],
-        "drum.position": [0.1, -0.2, 2.0],
+        "drum.position": [-0.1, -0.2, 2.0],
     },
     "friction": {
         **_FLAT,
@@ -142,7 +142,7 @@ MOVED = {
     "obstacles": {
         "floor": (0.0, 0.0, 0.05),
         "ball": (0.0, 0.5, 0.0),
-        "crate": (0.1, -0.3, 0.0),
+        "crate": (0.1, -0.25, 0.0),
         "finger": (0.0, 0.4, 0.1),
         "drum": (0.0, 0.0, -0.25),
     },
