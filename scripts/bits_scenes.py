@@ -52,6 +52,7 @@ SCENES: dict[str, dict[str, Any]] = {
         **_GRID,
         "cloth.resolution": [6, 7],
         "integrator": "implicit",
+        "tolerance": 1e-2,
         "material.stretch_modulus": 3e4,
         "material.shear_modulus": 3e3,
     },

@@ -157,9 +157,11 @@ def test_square_roots_call_no_library_and_all_sets_build(sources: Path, tmp_path
 
 
 def test_the_engine_itself_is_built_without_a_warning(tmp_path: Path, compiler: str) -> None:
-    libraries = build.build(tmp_path / "out")
-    assert [path.name for path in libraries] == [build.file_name(name) for name in build.names_for()]
-    assert all(path.is_file() for path in libraries)
+    # With the widest vectors that this machine has; `make bits` builds all of them with each compiler.
+    name = instruction_set.libraries()[0]
+    (library,) = build.build(tmp_path / "out", names=[name])
+    assert library.name == build.file_name(name)
+    assert library.is_file()
 
 
 def test_is_built_again_only_when_something_changed(sources: Path, tmp_path: Path) -> None:

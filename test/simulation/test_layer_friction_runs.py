@@ -26,6 +26,7 @@ GIVEN = {
     "contact.self": True,
     "contact.thickness": 0.004,
     "contact.friction": [0.6, 0.5],
+    "tolerance": 1e-3,
     "obstacles": ["table"],
     "table.shape": "plane",
     "table.position": [0.0, 0.0, -0.003],
