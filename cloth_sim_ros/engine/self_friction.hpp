@@ -33,6 +33,7 @@ struct Layer {
 template <class V>
 struct Stance {
     Index corner[4];  ///< the particle, and the triangle's
+    Index triangle;
     double mass;
     Vec3<V> way, normal, slip;
     V gap, push;
@@ -74,8 +75,9 @@ public:
     Stance<V> stand(const Surface& s, const Meeting<V>& m, const Layer<V>& layer, const LayerAnchor& anchor, X&& at,
                     U&& moving) const {
         const bool known = anchor.bond != no_bond;
-        const auto& t = s.triangles[known ? anchor.triangle : layer.triangle];
         Stance<V> on;
+        on.triangle = known ? anchor.triangle : layer.triangle;
+        const auto& t = s.triangles[on.triangle];
         on.corner[0] = m.gaps[0].corner[0];
         for (int k = 0; k < 3; ++k) on.corner[k + 1] = t[k];
         on.mass = m.mass;
@@ -113,9 +115,11 @@ public:
         Layer<V> layers[layer_sides];
         sides(s, m, at, layers);
         for (int side = 0; side < layer_sides; ++side) {
-            const Layer<V>& layer = layers[side];
+            Layer<V>& layer = layers[side];
             if (layer.triangle < 0) continue;
-            const LayerAnchor anchor = near(s, m, anchor_of(side, m.gaps[0].corner[0]));
+            const Index i = m.gaps[0].corner[0];
+            const LayerAnchor anchor = near(s, layer.triangle, anchor_of(side, i));
+            if (anchor.bond == no_bond) layer.triangle = under(s, layer.triangle, i, at);
             const Stance<V> on = stand(s, m, layer, anchor, at, moving);
             if (value_of(on.push) > 0.0) what(side, layer, anchor, on);
         }
@@ -146,14 +150,37 @@ public:
         for (int k = 0; k < 4; ++k) what(on.corner[k], on.mass * stiffness_ * sum * parts[k]);
     }
     /// The anchor of a stance at positions `at`, dragged by what slides: the place of the particle and of a further way
-    /// `rest` [m], less the stretch that is left, in the nearest triangle.
+    /// `rest` [m], less the stretch that is left. It stays in its triangle until the particle's foot has left that one by
+    /// `kept`.
     template <class X>
-    LayerAnchor dragged(const Surface& s, const Stance<V>& on, const Layer<V>& layer, const LayerAnchor& held,
-                        Vec3<V> rest, Vec3<V> stretch, X&& at) const {
+    LayerAnchor dragged(const Surface& s, const Stance<V>& on, const Layer<V>& layer, Vec3<V> rest, Vec3<V> stretch,
+                        X&& at) const {
         const Vec3<V> b = on.weights_at(rest - stretch);
-        const Index own = held.bond != no_bond ? held.triangle : layer.triangle;
-        if (own == layer.triangle) return {own, b.y, b.z, slides};
-        return weighed(s, layer.triangle, b.x * at(on.corner[1]) + b.y * at(on.corner[2]) + b.z * at(on.corner[3]), at);
+        if (within(on.foot, kept)) return {on.triangle, b.y, b.z, slides};
+        const Index next = under(s, layer.triangle, on.corner[0], at);
+        return weighed(s, next, b.x * at(on.corner[1]) + b.y * at(on.corner[2]) + b.z * at(on.corner[3]), at);
+    }
+    /// The triangle that a particle stands on: of the nearest one and those about it the first that its foot is in, or
+    /// out of by less than `entered`. Over an edge or a corner, where the nearest one is a matter of rounding, it is
+    /// always the same.
+    template <class X>
+    Index under(const Surface& s, Index nearest, Index i, X&& at) const {
+        Index found = nearest;
+        const Vec3<double> p = place(at(i));
+        for (const Index corner : s.triangles[nearest])
+            for (Index k = s.start[corner]; k < s.start[corner + 1]; ++k) {
+                const Index triangle = s.fan[k];
+                if (triangle >= found || s.has(triangle, i)) continue;
+                const auto& t = s.triangles[triangle];
+                const Vec3<double> a = place(at(t[0])), e = place(at(t[1])) - a, g = place(at(t[2])) - a, r = p - a;
+                const Vec3<double> across = cross(e, g);
+                const double square = norm2(across), away = dot(r, across), over = 1.0 / square;
+                const double second = dot(r, cross(g, across)) * over, third = dot(r, cross(across, e)) * over;
+                const double foot[3] = {1.0 - second - third, second, third};
+                const double reach = law_.thickness(false);
+                if (within(foot, entered) && away * away < reach * reach * square) found = triangle;
+            }
+        return found;
     }
     /// A place as an anchor in a triangle.
     template <class X>
@@ -163,18 +190,25 @@ public:
         const V over = splat<V>(1.0) / norm2(across);
         return {triangle, dot(r, cross(g, across)) * over, dot(r, cross(across, e)) * over, slides};
     }
-    /// An anchor, if its triangle is still near the particle.
-    LayerAnchor near(const Surface& s, const Meeting<V>& m, const LayerAnchor& anchor) const {
+    /// An anchor, if its triangle is the nearest one or touches that.
+    LayerAnchor near(const Surface& s, Index nearest, const LayerAnchor& anchor) const {
         if (anchor.bond == no_bond) return {};
-        const auto& t = s.triangles[anchor.triangle];
-        for (const Gap<V>& g : m.gaps)
-            if (g.corner[1] == t[0] && g.corner[2] == t[1] && g.corner[3] == t[2]) return anchor;
+        for (const Index corner : s.triangles[anchor.triangle])
+            if (s.has(nearest, corner)) return anchor;
         return {};
     }
     const FrictionLaw<V>& law() const { return rub_; }
     double stiffness() const { return stiffness_; }
 
 private:
+    /// Weights below zero that a foot may have in a triangle that it is taken to be in, at first and later. What slides
+    /// along an edge changes sides once and not in every step.
+    static constexpr double entered = 0.1, kept = 0.2;
+
+    template <class W>
+    static bool within(const W (&foot)[3], double margin) {
+        return value_of(foot[0]) >= -margin && value_of(foot[1]) >= -margin && value_of(foot[2]) >= -margin;
+    }
     static Vec3<double> place(Vec3<V> a) { return {value_of(a.x), value_of(a.y), value_of(a.z)}; }
     static Index triangle_of(const Surface& s, const Gap<V>& g) {
         for (Index k = s.start[g.corner[1]]; k < s.start[g.corner[1] + 1]; ++k) {
@@ -265,7 +299,7 @@ public:
             const Vec3<double> along = on.slip - dot(on.slip, on.normal) * on.normal, rest = (0.5 * step_) * along;
             const auto end = friction_.law().tried(on.way + rest, on.normal, on.slip, then);
             if (end.slides)
-                anchors_[k] = friction_.dragged(surface_, on, layer, anchor, rest, end.stretch, at);
+                anchors_[k] = friction_.dragged(surface_, on, layer, rest, end.stretch, at);
             else if (anchor.bond != no_bond)
                 anchors_[k].bond = sticks;
             else

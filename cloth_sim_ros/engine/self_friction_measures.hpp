@@ -104,7 +104,7 @@ inline void settle_layers(const Plan& plan, const SelfLaw<double>& law, const Me
                       const auto rubbed = friction.rub(on);
                       LayerAnchor kept = anchor;
                       if (rubbed.slides)
-                          kept = friction.dragged(s, on, layer, anchor, Vec3<double>{}, rubbed.stretch, at);
+                          kept = friction.dragged(s, on, layer, Vec3<double>{}, rubbed.stretch, at);
                       else if (anchor.bond == no_bond)
                           kept = {layer.triangle, on.foot[1], on.foot[2], sticks};
                       else
