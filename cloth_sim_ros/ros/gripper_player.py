@@ -63,21 +63,23 @@ class GripperPlayer:
             GripperError: if the node does not come, does not answer, or has no such gripper.
         """
         begun = time.monotonic()
-        settling: float | None = None
+        settling, known = begun, list[str]()
         while self._proceed():
             missing = [hand.script.gripper for hand in self.hands if not hand.is_met()]
             if not missing:
                 return self._begin_open(begun + limit)
             now = time.monotonic()
-            # A node that only has a name is still preparing.
-            settling = (settling or now) if self._is_served() else None
-            if settling is not None and now - settling > _SETTLING:
-                known = self._known_grippers()
+            # A node that only has a name is still preparing, and its grippers come to be known one by one.
+            served = self._is_served()
+            before, known = known, self._known_grippers() if served else []
+            settling = settling if known == before else now
+            late = now - begun > limit
+            if served and (late or (known and now - settling > _SETTLING)):
                 for name in missing:
                     if name not in known:
                         there = ", ".join(known) or "none"
                         raise GripperError(f"{self._target} has no gripper '{name}'; it has {there}")
-            if now - begun > limit:
+            if late:
                 raise GripperError(self._what_is_missing(limit))
             self._executor.spin_once(timeout_sec=0.02)
         return False

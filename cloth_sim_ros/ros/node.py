@@ -39,6 +39,7 @@ from cloth_sim_ros.ros.recording import (
 from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report, introduction
 from cloth_sim_ros.ros.services import Services
+from cloth_sim_ros.ros.shut_down import unless_shut_down
 from cloth_sim_ros.ros.states import States
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
@@ -241,15 +242,11 @@ class ClothNode:
         self._queue.clear("the node stops")
         # If a signal cut a frame off, there is no whole state to report.
         if self._pacer is not None and not self.cut_off and self.node.context.ok():
-            try:
+            with unless_shut_down(self.node):
                 self._states.end(self.node.get_clock().now().nanoseconds)
                 self._diagnostics.send()
                 self._outputs.flush()
                 self._diagnostics.flush()
-            except RuntimeError:
-                # They may do so meanwhile, too.
-                if self.node.context.ok():
-                    raise
         status = self._recording.end(reason="node stopped", timeout=timeout)
         if status is not None:
             tell_end(self.node.get_logger(), status)
@@ -258,7 +255,7 @@ class ClothNode:
     # Frames
 
     def _on_due(self, due: Due) -> None:
-        with self._turn:
+        with self._turn, unless_shut_down(self.node):
             self._frame(due)
 
     def _frame(self, due: Due) -> None:

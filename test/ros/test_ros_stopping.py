@@ -14,10 +14,12 @@ from typing import Any
 
 import pytest
 import rclpy
+from std_msgs.msg import Bool
 from support.ros_client import start_cloth
 
 from cloth_sim_ros.ros.aside import Aside
 from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.shut_down import unless_shut_down
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
 
 #: What issue and launch files promise is 2 s; the rest is for a busy machine.
@@ -45,6 +47,20 @@ def test_a_signal_closes_the_recording(
     with SessionReader(path, strict=True) as reader:
         list(reader.messages())
         assert reader.complete
+
+
+def test_a_context_that_is_shut_down_amid_a_frame_is_no_error(ros_domain: int) -> None:
+    # As rclpy's own signal handlers do in a process that has several nodes.
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("speaks", context=context)
+    publisher = node.create_publisher(Bool, "~/spoken", 1)
+    with pytest.raises(RuntimeError, match="of its own"), unless_shut_down(node):
+        raise RuntimeError("of its own")
+    with unless_shut_down(node):
+        rclpy.shutdown(context=context)
+        publisher.get_subscription_count()
+        raise AssertionError("a publisher without a context speaks")
 
 
 #: A node whose frames, from the twentieth on, are in the engine for ever.
