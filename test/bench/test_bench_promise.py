@@ -263,3 +263,10 @@ def test_a_violent_scene_is_counted():
     assert not found.trouble
     assert found.evaluations > 0
     assert found.gain < 0.01
+
+
+def test_no_frame_of_a_violent_scene_exceeds_its_work():
+    # Its 49th frame is halved 20 times around a blow; what was left over for what came after took 1.2 times the limit.
+    found = run_violent((1, 146))
+    assert found.flagged > 0
+    assert 0.5 < found.of_cap <= 1.0

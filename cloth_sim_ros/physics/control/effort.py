@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import attrs
 
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.control.choice import Options
+from cloth_sim_ros.physics.control.choice import Choice, Options
 from cloth_sim_ros.physics.control.energy import EnergyRule
+from cloth_sim_ros.physics.control.fallback import FINISHED, within_reach
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.plan import Plan
@@ -46,3 +49,16 @@ class Effort:
     def affords(self, work: float) -> bool:
         """Whether so many force evaluations more fit the cap."""
         return self.evaluations + self.calls + work <= self.cap
+
+    def fitted(self, choice: Choice, work: Callable[[int, float], float], ahead: float) -> Choice:
+        """Return what fits the cap of a choice whose work is told, with so much ahead. Explicit steps are given up
+        where the longest stable ones exceed it by more than implicit ones take to finish the frame.
+        """
+        needed = work(choice.columns, choice.refine)
+        if self.options.tolerance is None or self.affords(ahead + needed):
+            return choice
+        left = self.cap - self.evaluations - self.calls - ahead
+        refine = max(1.0, choice.refine * left / needed)
+        self.spent = True
+        self.lost = work(choice.columns, refine) > left + FINISHED and within_reach(self.plan)
+        return Choice(choice.columns, refine, True)

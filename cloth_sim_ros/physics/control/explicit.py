@@ -91,13 +91,16 @@ class ExplicitAdvance:
             refuse_unstable(options.step, self._limit, options.name)
         # Even the longest stable steps may exceed the frame's work.
         effort.lost = self._duration / self._bare > effort.cap and within_reach(self._plan)
-        if options.tolerance is not None and not whole.affords(whole.choice.columns, whole.choice.refine):
+        fits = whole.affords(whole.choice.columns, whole.choice.refine)
+        if options.tolerance is not None and not fits:
             # What the last frame would have needed is beyond the cap: no more is tried than leaves room for a retry.
             most = effort.cap / whole.work(whole.choice.columns, 1.0) / CONSTANTS.finer
             whole.choice = Choice(whole.choice.columns, max(1.0, min(whole.choice.refine, most)), True)
         if whole.choice.judge and not effort.lost:
             step = CONSTANTS.safety * self._limit
             effort.evaluations += effort.precision.measure(self._t, state, step, whole.choice)
+            if fits:
+                whole.choice = effort.fitted(whole.choice, whole.work, 0.0)
         if self._book is not None:
             self._book.restart()
         try:

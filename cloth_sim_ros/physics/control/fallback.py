@@ -19,6 +19,9 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
 
+#: Force evaluations that finishing a frame is counted with: ten a step. Of the cap they are left over, by half at most.
+FINISHED = 10.0 * CONSTANTS.last_steps
+
 
 def within_reach(plan: Plan) -> bool:
     """Whether the implicit method comes into question for a sheet of this size: a frame of a larger one would take half
@@ -28,7 +31,7 @@ def within_reach(plan: Plan) -> bool:
 
 
 def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float) -> float:
-    """Return the most force evaluations of an advance; a count, never a clock.
+    """Return the most force evaluations of an advance by explicit steps; a count, never a clock.
 
     What could not be followed in the frames before is tried with half the effort in each further one.
 
@@ -44,7 +47,7 @@ def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: f
     evaluation = 1e-9 * plan.step_cost * plan.model.particle_count
     most = math.ldexp(work, -int(fallen)) * duration / evaluation
     # Where implicit steps are out of reach, explicit ones are all that there is.
-    return most if within_reach(plan) else max(most, CONSTANTS.work * duration / longest)
+    return max(most - FINISHED, 0.5 * most) if within_reach(plan) else max(most, CONSTANTS.work * duration / longest)
 
 
 def part_cost(plan: Plan) -> float:

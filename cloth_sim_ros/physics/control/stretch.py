@@ -44,8 +44,7 @@ class Stretch:
         stability: the rule of stability for this length.
         ahead: force evaluations that the rest of the advance needs at least.
         halvings: how often the advance was halved for it.
-        most: steps of a first run; where there are more, it is halved untried: steps that are short at its beginning
-            need not be so for long.
+        most: steps of a first run; of more it is halved untried, for they need not be as short for long.
     """
 
     def __init__(
@@ -100,6 +99,8 @@ class Stretch:
             effort.lost = self._duration > self._most * self.longest and within_reach(effort.plan)
         if effort.touch.is_brief(self.longest, self._duration) and self._halvings < _MOST_HALVINGS:
             return self._halves(untried=True)
+        if self._halvings and not effort.lost:
+            self.choice = effort.fitted(self.choice, self.work, self._ahead)
         while not effort.lost:
             error = self._attempt(start)
             if error is not None and self._halvings:
@@ -296,8 +297,7 @@ class Stretch:
         sums.add(errors, choice.columns, predicted, activity)
         if accepted:
             return True
-        if sums.error <= rule.floor(choice.columns):
-            # No step gets below rounding.
+        if sums.error <= rule.floor(choice.columns):  # no step gets below rounding
             return True
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         if wanted == choice.columns:
@@ -350,12 +350,12 @@ class Stretch:
 
     def _beyond_order(self, refine: float) -> bool:
         """Whether more is wanted than the order of the error promised when steps were made finer the last time."""
-        return self._halvings + self._rejected > 0 and refine > CONSTANTS.trust * self.choice.refine
+        return bool(self._halvings + self._rejected) and refine > CONSTANTS.trust * self.choice.refine
 
     def _can_halve(self) -> bool:
         """Whether the stretch has steps enough to be halved, and halves fit the cap as it did."""
-        enough = self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
-        return enough and self.affords(self.choice.columns, self.choice.refine)
+        choice, enough = self.choice, self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
+        return enough and self.affords(choice.columns, choice.refine)
 
     def _difference(self, columns: Columns, count: int) -> float:
         """Return the error of a combination [m], the run that it takes counted."""
@@ -370,9 +370,9 @@ class Stretch:
 
     def work(self, columns: int, refine: float) -> float:
         """Force evaluations of an attempt that is judged, the calls that it takes included."""
-        steps = self._duration / (CONSTANTS.safety * self.limit) * refine
-        parts = self._parts(columns, math.ceil(steps))
-        return steps * sum(RATIOS[: columns + 1]) + parts * (columns + 1 + self._effort.part_cost)
+        steps = steps_for(self._duration, self.longest / max(refine, self._stability.least(columns)))
+        calls = self._parts(columns, steps) * (columns + 1 + self._effort.part_cost)
+        return steps * sum(RATIOS[: columns + 1]) + calls
 
     def _instead(self, finer: float, why: str) -> bool:
         """Try finer steps from the start, or give explicit ones up; return False.
