@@ -1,41 +1,26 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What decides over commands without a graph: stamps, the queue, the throttled log, frames, the script of a gripper."""
+"""What decides over commands without a graph: stamps, the queue, the throttled log, the script of a gripper."""
 
 from __future__ import annotations
 
-import sys
-from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from support.kept_log import Log
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
-from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.stepper import Stepper
-from cloth_sim_ros.simulation.events import Event, Move, Pause, Step
+from cloth_sim_ros.simulation.events import Event, Pause, Step
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND
-
-
-class Log:
-    """Keeps what is logged."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def warning(self, text: str) -> None:
-        self.lines.append(text)
-
-    info = error = warning
 
 
 def test_stamps() -> None:
@@ -190,185 +175,6 @@ def test_stamps_that_are_no_time_are_refused(sec: int, nanosec: int, reason: str
     assert checked(5, 999_999_999) == 6 * SECOND - 1
     with pytest.raises(StampError, match=reason):
         checked(sec, nanosec)
-
-
-def transformer(frame_id: str = "world") -> FrameTransformer:
-    return FrameTransformer(SimpleNamespace(), frame_id)  # type: ignore[arg-type]
-
-
-def test_frames_without_tf2_are_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "tf2_ros", None)
-    frames = transformer()
-    assert frames.to_cloth("", (1.0, 2.0, 3.0), None, 0) == ((1.0, 2.0, 3.0), None)
-    assert frames.to_cloth("world", (1.0, 2.0, 3.0), None, 0) == ((1.0, 2.0, 3.0), None)
-    with pytest.raises(
-        FrameError,
-        match=r"'base' is not the cloth's frame 'world', and tf2_ros.* sudo apt install ros-jazzy-tf2-ros-py",
-    ):
-        frames.to_cloth("base", (1.0, 2.0, 3.0), None, 0)
-
-
-#: Stamp of the newest transform that the stand-in for tf2 knows [ns].
-NEWEST = 5 * SECOND + 7
-
-
-def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
-    """A tf2_ros that knows one transform: base is turned a quarter about z and stands at x = 1."""
-    asked: list[tuple[str, str, int]] = []
-
-    class TransformException(Exception):
-        pass
-
-    class Buffer:
-        def lookup_transform(self, target: str, source: str, time: Any) -> Any:
-            asked.append((target, source, time.nanoseconds))
-            if source != "base":
-                raise TransformException(f"'{source}' does not exist")
-            if time.nanoseconds > NEWEST:
-                raise TransformException("lookup would require extrapolation into the future")
-            half = np.sqrt(0.5)
-            return SimpleNamespace(
-                header=SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=7)),  # NEWEST
-                transform=SimpleNamespace(
-                    translation=SimpleNamespace(x=1.0, y=0.0, z=0.0),
-                    rotation=SimpleNamespace(x=0.0, y=0.0, z=half, w=half),
-                ),
-            )
-
-    module = ModuleType("tf2_ros")
-    module.Buffer = Buffer  # type: ignore[attr-defined]
-    module.TransformException = TransformException  # type: ignore[attr-defined]
-    module.TransformListener = lambda buffer, node: None  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "tf2_ros", module)
-    return asked
-
-
-def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = stub_tf2(monkeypatch)
-    frames = transformer()
-    position, orientation = frames.to_cloth("base", (1.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), 42)
-    assert asked == [("world", "base", 42)]
-    assert position == pytest.approx((1.0, 1.0, 0.5))
-    assert orientation == pytest.approx((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
-    with pytest.raises(
-        FrameError, match="no transform from 'moon' to the cloth's frame 'world': 'moon' does not exist"
-    ):
-        frames.to_cloth("moon", (1.0, 0.0, 0.5), None, 0)
-
-
-def test_a_command_of_now_does_not_wait_for_the_transform_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = stub_tf2(monkeypatch)
-    frames = transformer()
-    position, _ = frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10)
-    assert position == pytest.approx((1.0, 1.0, 0.5))
-    assert asked[-1] == ("world", "base", 0)
-    with pytest.raises(FrameError, match=r"no transform from 'base' .*: lookup would require extrapolation"):
-        frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10 + 1)
-    with pytest.raises(FrameError, match="'moon' does not exist"):
-        frames.to_cloth("moon", (1.0, 0.0, 0.5), None, NEWEST + 1)
-
-
-def test_transforms_are_forgotten_when_the_clock_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    stub_tf2(monkeypatch)
-    frames = transformer()
-    frames.forget()
-    frames.to_cloth("base", (1.0, 0.0, 0.5), None, 42)
-    cleared: list[bool] = []
-    frames._buffer.clear = lambda: cleared.append(True)
-    frames.forget()
-    assert cleared == [True]
-
-
-def companions(heard: int | None, **values: Any) -> tuple[Simulation, Companions, Log]:
-    simulation = Simulation(
-        Scene.from_parameters(
-            {"cloth.resolution": (5, 5), **{name.replace("__", "."): v for name, v in values.items()}}
-        )
-    )
-    log = Log()
-    return simulation, Companions(simulation, transformer(), lambda _: heard, ThrottledLog(log)), log
-
-
-def test_a_silent_gripper_lets_go_only_if_asked() -> None:
-    simulation, own, log = companions(NOW, gripper__timeout=0.5)
-    simulation.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
-    assert own.events(NOW + SECOND // 2) == []
-    assert own.events(NOW + SECOND) == [Grasp("gripper", False)]
-    assert "no target has come for 1.00 s" in log.lines[0]
-    simulation.advance([Grasp("gripper", False)])
-    assert own.events(NOW + SECOND) == []
-    patient, own, _ = companions(NOW)
-    patient.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
-    assert own.events(NOW + 1000 * SECOND) == []
-
-
-def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    stub_tf2(monkeypatch)
-    _, own, _ = companions(None, gripper__frame="base")
-    (target,) = own.events(NOW)
-    assert isinstance(target, Target)
-    assert target.position == pytest.approx((1.0, 0.0, 0.0))
-    assert own.events(NOW) == [], "the same transform is no news"
-    _, own, log = companions(None, gripper__frame="{gripper}_tool")
-    assert own.events(NOW) == []
-    assert "'gripper_tool' does not exist" in log.lines[0]
-
-
-def test_a_frame_that_can_not_be_followed_is_told_when_it_gets_lost_and_when_it_is_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    stub_tf2(monkeypatch)
-    _, own, log = companions(None, gripper__frame="base")
-    newest = own._frames.newest
-
-    def lost(frame_id: str) -> Any:
-        raise FrameError(f"{frame_id} is gone")
-
-    monkeypatch.setattr(own._frames, "newest", lost)
-    monkeypatch.setattr(own._log, "_seconds", 0.0)  # nothing is left to the throttle of the log
-    for second in range(60):
-        assert own.events(NOW + second * SECOND) == []
-    assert log.lines == ["'gripper' can't follow frame 'base': base is gone"]
-    own.events(NOW + 60 * SECOND)
-    assert len(log.lines) == 2
-    # The clock is set back: what was told then says nothing of now.
-    own.events(NOW)
-    assert len(log.lines) == 3
-    monkeypatch.setattr(own._frames, "newest", newest)
-    assert len(own.events(NOW + SECOND)) == 1
-    assert log.lines[3:] == ["'gripper' follows frame 'base'"]
-    own.events(NOW + 2 * SECOND)
-    assert len(log.lines) == 4
-
-
-def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    stub_tf2(monkeypatch)
-    ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.frame": "base"}
-    _, own, _ = companions(None, **ball)
-    (move,) = own.events(NOW)
-    assert isinstance(move, Move)
-    assert move.obstacle == "ball"
-    assert move.position == pytest.approx((1.0, 0.0, 0.0))
-    assert own.events(NOW) == [], "the same transform is no news"
-
-
-def test_a_gripper_whose_frame_stands_still_lets_go_as_a_silent_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    stub_tf2(monkeypatch)
-    simulation, own, log = companions(None, gripper__frame="base", gripper__timeout=0.5)
-    simulation.advance(own.events(NOW))
-    simulation.advance([Grasp("gripper", True)])
-    assert own.events(NOW + SECOND // 2) == []
-    assert own.events(NOW + SECOND) == [Grasp("gripper", False)]
-    assert "no target has come for 1.00 s" in log.lines[0]
-
-
-def test_a_clock_that_was_set_back_leaves_a_gripper_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    stub_tf2(monkeypatch)
-    simulation, own, _ = companions(None, gripper__frame="base", gripper__timeout=0.5)
-    simulation.advance(own.events(NOW))
-    simulation.advance([Grasp("gripper", True)])
-    assert own.events(NOW - 100 * SECOND) == []
-    assert own.events(NOW - 99 * SECOND) == [Grasp("gripper", False)]
 
 
 def script(*steps: dict[str, Any], **entries: Any) -> dict[str, Any]:
