@@ -64,6 +64,17 @@ EXTRAS = {
     # Trajectories as Parquet.
     "export": ["pyarrow>=18.0"],
     "mesh": ["trimesh>=4.0"],
+    # Studies on Dask (bokeh draws its dashboard), environments of gymnasium, datasets as zarr and Parquet with video.
+    "batch": [
+        *SESSION,
+        "distributed>=2025.1",
+        "bokeh>=3.4",
+        "gymnasium>=1.1",
+        "zarr>=3.0",
+        "pyarrow>=18.0",
+        "av>=14.0",
+        "matplotlib>=3.8",
+    ],
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
     # The site, built as rosdoc2 builds it.
     "docs": ["sphinx>=7.2", "myst-parser>=2.0", "sphinx-rtd-theme>=2.0"],
@@ -83,6 +94,7 @@ EXTRAS["dev"] = [
     *EXTRAS["demo"],
     *EXTRAS["export"],
     *EXTRAS["mesh"],
+    *EXTRAS["batch"],
     *EXTRAS["bench"],
     *EXTRAS["docs"],
     *EXTRAS["test"],

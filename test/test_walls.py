@@ -23,10 +23,11 @@ PACKAGE = ROOT / "cloth_sim_ros"
 
 ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
 VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
+STUDIES = {"dask", "distributed", "gymnasium", "zarr", "bokeh", "av"}
 # Libraries that take long to load, or that a robot may lack: loaded only where they are first needed.
-LATE = {"matplotlib", "numba", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *VIEWER}
+LATE = {"matplotlib", "numba", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *STUDIES, *VIEWER}
 FILES = {"mcap", "rosbags", "yaml"}
-ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "ros", "replay", "bench")
+ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "batch", "ros", "replay", "bench")
 
 # Each room: the rooms it may load, and the libraries that must not come with it.
 WALLS: dict[str, tuple[set[str], set[str]]] = {
@@ -38,6 +39,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "session": (set(), ROS | LATE | {"scipy"}),
     "replay": ({"session"}, ROS | {"scipy"}),
     "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
+    "batch": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
     # Problems that scipy solves for comparison import it at the top; the command imports a problem when asked for it.
     "bench": ({"engine", "physics", "scene", "simulation"}, ROS | LATE - {"scipy.sparse", "scipy.optimize"}),
     "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
