@@ -36,7 +36,7 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run docs docs-check engine sanitize bits test check format soak bench benchmarks screenshots colcon clean
+.PHONY: help run docs docs-check engine engines sanitize bits test check format soak bench benchmarks screenshots colcon clean
 .DEFAULT_GOAL := help
 
 help:
@@ -46,26 +46,27 @@ run: $(DEMO) engine
 	@$(BIN)/python -m cloth_sim_ros.ros.demo $(ARGS)
 
 # A process a core; a file's tests stay together. ARGS="-n 0" runs them in one process.
-test: $(DEV) engine
+test: $(DEV) engines
 	@$(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
 
-check: $(DEV) engine
+check: $(DEV) engines
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	@$(MAKE) --no-print-directory test
 
-# Builds what is not up to date, beside its sources, which is where an environment finds it.
-engine:
+# Builds what is not up to date, beside its sources, which is where an environment finds it: `engine` the library that
+# this machine loads, `engines` all that it can run, whose bits the tests compare.
+engine engines:
 	@python=$$(test -x $(BIN)/python && echo $(BIN)/python || scripts/find_python.sh) && \
-	    "$$python" scripts/engine.py
+	    "$$python" scripts/engine.py $(if $(filter engines,$@),--every)
 
 # Tests with the engine under the address and the undefined-behaviour sanitizer.
 sanitize: $(DEV)
 	@$(BIN)/python scripts/engine.py --sanitize $(TESTS) $(ARGS)
 
 # The same scenes in ways that bits must not depend on: vectors, C library, numpy, compilers.
-bits: $(DEV) engine
+bits: $(DEV) engines
 	@$(BIN)/python scripts/bits.py $(ARGS)
 
 # The site, into build/docs: docs/*.md, the API from docstrings, the parameters' page from the parameters. Every warning
@@ -84,7 +85,7 @@ format: $(DEV)
 
 # A real hour of grasping; CLOTH_SIM_ROS_SOAK_SECONDS sets another length.
 soak: export CLOTH_SIM_ROS_SOAK_SECONDS ?= 3600
-soak: $(DEV) engine
+soak: $(DEV) engines
 	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
 	@$(BIN)/python -m pytest -m hypothesis --hypothesis-profile random $(ARGS)
 	@$(BIN)/python test/soak_session_kills.py --count 500

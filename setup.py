@@ -27,13 +27,17 @@ class BuildEngine(build_ext):
         return os.path.join(*fullname.split(".")) + ".so"
 
     def run(self):
-        """Into the build folder, or beside the sources where the package is used in place."""
+        """All into the build folder, or this machine's beside the sources where the package is used in place."""
+        names = None
         if self.inplace:
             folder = self.get_finalized_command("build_py").get_package_dir(ENGINE)
+            names = engine.names_here()[:1]
         else:
             folder = os.path.join(self.build_lib, *ENGINE.split("."))
         try:
-            engine.build(Path(folder).absolute(), say=lambda text: self.announce(f"{NAME}: {text}", level=2))
+            engine.build(
+                Path(folder).absolute(), names=names, say=lambda text: self.announce(f"{NAME}: {text}", level=2)
+            )
         except engine.BuildError as error:
             raise SystemExit(str(error)) from None
 

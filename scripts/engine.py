@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the engine beside its sources, for an environment that uses the package in place. Run by the Makefile.
 
-Finds out in a tenth of a second that there is nothing to do. With `--sanitize` it builds the engine with the address
+Finds out in a tenth of a second that there is nothing to do. Builds the library that this machine loads; with `--every`
+all that it can run, which the tests compare. With `--sanitize` it builds the engine with the address
 and the undefined-behaviour sanitizer, into a folder of its own, and runs tests with it.
 """
 
@@ -80,6 +81,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
     parser.add_argument("--sanitize", nargs="+", metavar="TEST", help="run these tests under the sanitizers")
+    parser.add_argument("--every", action="store_true", help="every library that this machine can run")
     arguments, others = parser.parse_known_args()
     if not compiler.ensure():
         return 1
@@ -89,7 +91,10 @@ def main() -> int:
         parser.error(f"unknown: {' '.join(others)}")
     build = compiler.load_build()
     try:
-        build.build(say=lambda text: compiler.say(f"cloth_sim_ros: {text}"))
+        names = build.names_here()
+        build.build(
+            names=names if arguments.every else names[:1], say=lambda text: compiler.say(f"cloth_sim_ros: {text}")
+        )
     except build.BuildError as error:
         compiler.say(str(error))
         return 1

@@ -9,12 +9,14 @@ whose making was interrupted is made anew. Two at a time wait for each other.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import fcntl
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -77,6 +79,13 @@ def install(folder: Path, extras: str) -> None:
     unfinished.unlink(missing_ok=True)
 
 
+def build_engine() -> None:
+    """Build the engine while pip fetches packages; pip's own build then finds it done, or says what is wrong."""
+    build = compiler.load_build()
+    with contextlib.suppress(build.BuildError, OSError):
+        build.build(names=build.names_here()[:1])
+
+
 def packages(folder: Path) -> set[tuple[str, int]]:
     """Name and date of all that is installed at the top level of the environment."""
     return {(path.name, path.stat().st_mtime_ns) for path in folder.glob("lib/python*/site-packages/*")}
@@ -114,6 +123,7 @@ def main() -> int:
     if not compiler.ensure():  # pip builds the engine
         return 1
     start = time.monotonic()
+    threading.Thread(target=build_engine, daemon=True).start()
     try:
         install(folder, arguments.extras)
     except subprocess.CalledProcessError as error:

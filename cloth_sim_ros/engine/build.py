@@ -16,6 +16,7 @@ import fcntl
 import hashlib
 import os
 import platform
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -49,7 +50,9 @@ LANGUAGE = ["-std=c++20", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden",
 # -Wno-psabi: GCC notes that functions which pass vectors changed in GCC 4.6; they are all inside one library.
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-Wl,--version-script=library.map"]
-PLAIN = ["-O3", "-Werror", "-Wl,-z,defs"]
+PLAIN = ["-Werror", "-Wl,-z,defs"]
+# The baseline emulates fma and is slow whatever the compiler does: half the time to compile it is worth more.
+OPTIMIZED = {"baseline": "-O1"}
 # The sanitizers' own code gives false warnings, so these are no errors here.
 SANITIZED = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
@@ -80,6 +83,14 @@ def names_for(machine: str | None = None) -> tuple[str, ...]:
         raise BuildError(f"cloth_sim_ros: its engine is written for {known}, and this machine is {machine}.") from None
 
 
+def names_here() -> list[str]:
+    """The libraries that this machine can run, the one that it loads first; all of `names_for` on a stranger's machine.
+
+    Where the package is used in place no other machine loads them, so no other need be built.
+    """
+    return list(runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()) or list(names_for())
+
+
 def file_name(name: str) -> str:
     """The file of a library."""
     return f"_{name}.so"
@@ -87,7 +98,8 @@ def file_name(name: str) -> str:
 
 def flags(name: str, *, sanitize: bool = False) -> list[str]:
     """What the compiler is told for a library; CXXFLAGS is not read, for it could change results."""
-    return [*LANGUAGE, *(SANITIZED if sanitize else PLAIN), *ARITHMETIC, *INSTRUCTION_SETS[name], *WARNINGS, *LINKED]
+    purpose = SANITIZED if sanitize else [OPTIMIZED.get(name, "-O3"), *PLAIN]
+    return [*LANGUAGE, *purpose, *ARITHMETIC, *INSTRUCTION_SETS[name], *WARNINGS, *LINKED]
 
 
 def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:

@@ -126,7 +126,7 @@ CLOTH_INLINE V fma(V a, V b, V c) {
     if constexpr (sizeof(V) == 16 && wide) return V(vfmaq_f64(float64x2_t(c), float64x2_t(a), float64x2_t(b)));
     if constexpr (sizeof(V) == 16 && !wide) return V(vfmaq_f32(float32x4_t(c), float32x4_t(a), float32x4_t(b)));
 #endif
-    V r;
+    V r{};
     for (std::size_t k = 0; k < sizeof(V) / sizeof(scalar<V>); ++k) r[k] = fma(a[k], b[k], c[k]);
     return r;
 }
@@ -146,7 +146,7 @@ CLOTH_INLINE V root(V a) {
     if constexpr (sizeof(V) == 32 && wide) return V(_mm256_sqrt_pd(__m256d(a)));
     if constexpr (sizeof(V) == 32 && !wide) return V(_mm256_sqrt_ps(__m256(a)));
 #endif
-    V r;
+    V r{};
     for (std::size_t k = 0; k < sizeof(V) / sizeof(scalar<V>); ++k) r[k] = root(a[k]);
     return r;
 }
