@@ -37,6 +37,7 @@ class Constants:
 
     # Single precision.
     rounding: float = _number(0.02, "part of the budget that single precision may change")
+    sample: float = _number(8.0, "part of a stretch's steps, as its inverse, by which single precision is judged")
     motion: float = _number(1e3, "least way of the fastest particle in a frame, in changes by single precision")
 
     # Energy.
@@ -47,7 +48,6 @@ class Constants:
     # Implicit steps and the choice of integrator.
     last_steps: float = _number(8.0, "steps of a frame that is finished by implicit steps")
     affordable: float = _number(0.5, "part of real time that explicit steps may cost before implicit ones come in")
-    iterations: float = _number(10.0, "Newton iterations of an implicit frame, until one was run")
     implicit: float = _number(5e4, "most particles of a sheet that implicit steps are tried for")
 
     # Estimated cost, so that no clock is read.

@@ -124,7 +124,7 @@ class Automatic(Integrator):
         memory.explicit, memory.vain = _explicit_frame(plan, state, duration), 0.0
         better = memory.explicit > CONSTANTS.affordable * duration * 1e9 and within_reach(plan)
         if better:
-            implicit = memory.cost or CONSTANTS.iterations * _iteration(plan)
+            implicit = memory.cost or _first(plan)
             better = implicit <= (CONSTANTS.trust if memory.implicit else 1.0) * memory.explicit
         if better != bool(memory.implicit):
             restart(state)
@@ -141,6 +141,13 @@ def _explicit_frame(plan: Plan, state: State, duration: float) -> float:
     rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
     steps = max(1.0, duration / (CONSTANTS.safety * leapfrog_limit(*rates)))
     return steps * plan.step_cost * plan.model.particle_count
+
+
+def _first(plan: Plan) -> float:
+    """Estimated cost of a first frame by the implicit method [ns]."""
+    from cloth_sim_ros.physics.integrators.implicit_run import EXPECTED_ITERATIONS
+
+    return EXPECTED_ITERATIONS * _iteration(plan)
 
 
 def _iteration(plan: Plan) -> float:

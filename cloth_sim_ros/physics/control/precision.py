@@ -14,9 +14,6 @@ from cloth_sim_ros.physics.state import State
 
 #: Spacing of single precision's numbers: a stretch changes no less than a few tenths of it, relative to the sheet.
 _SPACING = 2.0**-24
-#: What is measured over this part of a frame's steps stands for all of them: positions carry what rounding takes, and
-#: what is left is a last bit of the sheet's extent, whatever the number of steps.
-_PART = 8
 
 
 class PrecisionRule:
@@ -43,7 +40,9 @@ class PrecisionRule:
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._room:
             return 0
-        steps = max(1, steps_for(self._duration, step) // _PART)
+        # A part of the steps stands for all of them: positions carry what rounding takes, and what is left is a last
+        # bit of the sheet's extent, whatever the number of steps.
+        steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.sample))
         ends = [
             self._plan.runs(t, steps * step, (state.x, state.v), [steps], narrow=narrow)[0][0].x
             for narrow in (False, True)

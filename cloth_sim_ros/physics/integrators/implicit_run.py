@@ -38,6 +38,8 @@ _ATTEMPTS = 12
 _MOST_STEPS = 2048
 #: Without a tolerance: that distance [m].
 CONVERGED_DISTANCE = 1e-9
+#: Iterations of an advance, until one was run: two stages of five.
+EXPECTED_ITERATIONS = 10
 #: A stage that takes more iterations is given up, and the step made smaller.
 MOST_ITERATIONS = 30
 #: So is one whose corrections shrink slowly from this iteration on: compression's negative stiffness,
