@@ -341,7 +341,7 @@ numbers = st.one_of(st.floats(), st.integers(-(2**70), 2**70), st.none(), st.tex
 nested = st.recursive(numbers, lambda inner: st.lists(inner, max_size=4), max_leaves=16)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(nested, nested, nested, nested)
 def test_whatever_it_is_given_a_force_is_made_or_refused_and_never_crashes(first, second, third, fourth):
     """Anything that is made runs too: what the engine is told lies within the model."""

@@ -156,7 +156,7 @@ def running(ros_domain: int) -> Any:
 
 
 @given(changes=st.lists(CHANGES, min_size=1, max_size=3))
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_random_parameters(running: Any, changes: list[tuple[Any, Any]]) -> None:
     node, simulation, stepper, live = running
     for entry, value in changes:
