@@ -20,8 +20,9 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         "scene",
         "cloth_sim",
         "which of the package's scenes: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
-        "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold",
-        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold"],
+        "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold, three "
+        "towels in a stack, a strip that two grippers twist",
+        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist"],
     ),
     ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),
     ("namespace", "", "namespace of the node", None),
@@ -36,6 +37,8 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
     ("rviz", "false", "whether RViz shows the cloth (needs rviz2)", ["true", "false", "True", "False"]),
     ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
 ]
+#: Meshes of scenes, which a node is given by their whole path.
+_MESHES = {"stack": "stack.obj"}
 #: Topics of the RViz configuration, which is that of a node /cloth_sim with a gripper `gripper`.
 _SHOWN = ("points", "mesh", "obstacles", "gripper/point")
 
@@ -52,12 +55,15 @@ def generate_launch_description() -> LaunchDescription:
 def _actions(context: LaunchContext) -> list[Any]:
     given = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
     clock = [{"use_sim_time": given["use_sim_time"].lower() == "true"}] if given["use_sim_time"] else []
+    scene = [given["params_file"] or PathJoinSubstitution([_CONFIG, f"{given['scene']}.yaml"])]
+    if not given["params_file"] and given["scene"] in _MESHES:
+        scene.append({"cloth.mesh": PathJoinSubstitution([_CONFIG, _MESHES[given["scene"]]])})
     cloth = Node(
         package="cloth_sim_ros",
         executable="cloth_sim",
         name=given["name"],
         namespace=given["namespace"],
-        parameters=[given["params_file"] or PathJoinSubstitution([_CONFIG, f"{given['scene']}.yaml"]), *clock],
+        parameters=[*scene, *clock],
         ros_arguments=["--log-level", given["log_level"]],
         output="screen",
         emulate_tty=True,

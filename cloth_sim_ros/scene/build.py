@@ -98,7 +98,7 @@ def build_sheet(scene: Configuration) -> Sheet:
         name = "cloth.mesh" if cloth.mesh else "cloth.springs"
         path = cloth.mesh or cloth.springs
         try:
-            return _parsed(name, path, scene.files[path])
+            return _parsed(name, path, scene.files[path], scene.contact.self_)
         except ValueError as error:
             raise ParameterError(f"{name} '{path}': {error}") from error
     rows, columns = cloth.resolution
@@ -107,11 +107,11 @@ def build_sheet(scene: Configuration) -> Sheet:
 
 
 @lru_cache(maxsize=8)
-def _parsed(parameter: str, path: str, data: bytes) -> MeshSheet | RawSprings:
+def _parsed(parameter: str, path: str, data: bytes, several: bool) -> MeshSheet | RawSprings:
     if parameter == "cloth.mesh":
         from cloth_sim_ros.scene import mesh_file
 
-        return mesh_file.parse(data, name=path)
+        return mesh_file.parse(data, name=path, several=several)
     from cloth_sim_ros.scene import springs_file
 
     return springs_file.parse(data)

@@ -30,19 +30,24 @@ _Read: TypeAlias = tuple[NDArray[np.float64], NDArray[np.int64], list[str]]
 _log = logging.getLogger(__name__)
 
 
-def parse(data: bytes, *, name: str) -> MeshSheet:
+def parse(data: bytes, *, name: str, several: bool = False) -> MeshSheet:
     """Return the sheet of a mesh file's content, its name given for its kind and for messages; says what it repaired.
+
+    Args:
+        data: the content.
+        name: of the file.
+        several: whether it may hold several pieces of cloth.
 
     Raises:
         ValueError: if it is not such a file, or holds no surface of one cloth.
     """
-    mesh = read(data, name=name)
+    mesh = read(data, name=name, several=several)
     for repair in mesh.repairs:
         _log.warning("mesh '%s': %s", name, repair)
     return MeshSheet(rest=mesh.positions, surface=mesh.surface)
 
 
-def read(data: bytes, *, name: str) -> CheckedMesh:
+def read(data: bytes, *, name: str, several: bool = False) -> CheckedMesh:
     """Return the checked mesh of a file's content; `parse` without words.
 
     An STL file repeats a vertex in each of its triangles: that is how the format is, so making them one is no repair
@@ -52,7 +57,7 @@ def read(data: bytes, *, name: str) -> CheckedMesh:
         ValueError: if it is not such a file, or holds no surface of one cloth.
     """
     kind, (points, faces, words) = _content(data, name)
-    mesh = checked_mesh(points, faces)
+    mesh = checked_mesh(points, faces, several=several)
     repairs = [repair for repair in mesh.repairs if kind != "stl" or "at the place of another" not in repair]
     return CheckedMesh(
         positions=mesh.positions, surface=mesh.surface, kept=mesh.kept, repairs=tuple((*words, *repairs))

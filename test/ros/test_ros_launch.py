@@ -24,6 +24,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from support.ros_client import Client, pose, positions
 
+from cloth_sim_ros.scene.parameter_file import read
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -173,6 +174,12 @@ def test_each_scene_of_the_package_is_an_argument_away(monkeypatch: pytest.Monke
         path = Path(text_of(cloth["parameters"][0], {}))
         assert path == ROOT / "config" / f"{scene}.yaml"
         Simulation(Scene.from_file(path))
+        # A node has no folder of its own: what a scene's file names beside itself is given by its whole path.
+        further = [value for values in cloth["parameters"][1:] for value in values.items()]
+        given = read(path)
+        assert [(name, text_of(value, {})) for name, value in further] == [
+            (name, str(path.parent / given[name])) for name in ("cloth.mesh", "cloth.springs") if name in given
+        ]
 
 
 def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,8 @@ import trimesh
 from cloth_sim_ros.physics.sheets.meshes import checked_mesh
 from cloth_sim_ros.physics.sheets.surface import SurfaceError, grid_triangles
 from cloth_sim_ros.scene import mesh_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
 
 ROWS, COLUMNS = 4, 5
 TRIANGLES = grid_triangles(ROWS, COLUMNS, "alternating")
@@ -176,6 +178,17 @@ def spoiled(kind):
 def test_what_can_not_be_mended_is_refused_with_the_place(kind, words):
     with pytest.raises(SurfaceError, match=words):
         checked_mesh(*spoiled(kind))
+
+
+def test_several_pieces_are_one_cloth_where_it_keeps_them_apart() -> None:
+    points, triangles = spoiled("shells")
+    assert checked_mesh(points, triangles, several=True).surface.pieces().max() == 1
+    values = {"cloth.mesh": "two.obj", "cloth.anchors": ["0"], "bending.model": "none", "contact.thickness": 0.001}
+    files = {"two.obj": obj(points, triangles)}
+    with pytest.raises(ParameterError, match=r"cloth.mesh 'two.obj': .*2 pieces.*set contact.self: true"):
+        Scene.from_parameters(values, files=files)
+    scene = Scene.from_parameters({**values, "contact.self": True}, files=files)
+    assert len(scene.initial_positions()) == len(np.unique(triangles))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ against their neighbours (turned).
 
 Refused, with the place: values that are not finite or no cloth's in metres, indices out of range, faces that no fan of
 triangles fills, triangles whose three corners lie on one line, edges of more than two triangles, parts that touch in
-one point, a surface that can't be wound one way (a Möbius strip), more than one piece, nothing at all.
+one point, a surface that can't be wound one way (a Möbius strip), more than one piece unless that is wanted, nothing
+at all.
 """
 
 from __future__ import annotations
@@ -43,8 +44,13 @@ class CheckedMesh:
     """What was mended, one sentence each; empty for a clean mesh."""
 
 
-def checked_mesh(positions: ArrayLike, triangles: ArrayLike) -> CheckedMesh:
+def checked_mesh(positions: ArrayLike, triangles: ArrayLike, *, several: bool = False) -> CheckedMesh:
     """Check vertices (n, 3) [m] and triangles (m, 3) and mend what can be mended without changing the cloth.
+
+    Args:
+        positions: of the vertices.
+        triangles: indices of three vertices each.
+        several: whether it may be of several pieces.
 
     Raises:
         SurfaceError: for a fault that can't be mended; the message names the vertices or triangles as given, counted
@@ -74,12 +80,12 @@ def checked_mesh(positions: ArrayLike, triangles: ArrayLike) -> CheckedMesh:
     except SurfaceError as error:
         raise SurfaceError(f"{error} (vertices counted after repairs: {'; '.join(repairs) or 'none'})") from error
     pieces = surface.pieces()
-    if pieces.max() > 0:
+    if pieces.max() > 0 and not several:
         other = int(np.argmax(pieces > 0))
         raise SurfaceError(
             f"the mesh has {pieces.max() + 1} pieces that share no edge; vertex {kept[surface.triangles[other, 0]]} is "
             f"not in the piece of vertex {kept[surface.triangles[0, 0]]}: a cloth is one piece, "
-            "so give each its own file or join them"
+            "so give each its own file, join them, or set contact.self: true, which keeps pieces apart"
         )
     return CheckedMesh(positions=np.ascontiguousarray(points[kept]), surface=surface, kept=kept, repairs=tuple(repairs))
 
