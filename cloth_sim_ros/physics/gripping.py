@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
@@ -56,6 +59,14 @@ class Gripping:
         self._seen, self._moved = grips.changes, grips.moves
 
     def _hold(self) -> None:
+        if self.force.told is None:
+            self.force.told = self._checked()
+        arrays = self.force.told
+        places = (array.ctypes.data for array in arrays)
+        check(self._library.cloth_plan_held(self._handle, self.count, len(arrays[0]), *places))
+
+    def _checked(self) -> tuple[NDArray[Any], ...]:
+        """Return what is held as the engine takes it: particles, their grippers, offsets, stiffness, damping."""
         grips = self.force
         particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self._shape[1])
         count = len(particles)
@@ -67,8 +78,7 @@ class Gripping:
             finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
             finite("damping of grips", grips.damping, (count,), least=0.0),
         )
-        arrays = (array.ctypes.data for array in (particles, owners, *numbers))
-        check(self._library.cloth_plan_held(self._handle, self.count, count, *arrays))
+        return particles, owners, *numbers
 
     def rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
         """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape

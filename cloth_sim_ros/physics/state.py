@@ -108,6 +108,12 @@ class State:
         twin.memory = dict(self.memory)
         return twin
 
+    def become(self, other: State) -> None:
+        """Take over all of another state, with the same arrays: as `share`, and unlike `restore`, which copies."""
+        self.x, self.v = other.x, other.v
+        self.frame, self.cloth, self.left_out = other.frame, other.cloth, other.left_out
+        self.memory = dict(other.memory)
+
     def go_back(self, start: State) -> None:
         """Take back positions, velocities, friction's anchors and pads: what a stretch of time changes itself."""
         self.x, self.v = start.x, start.v

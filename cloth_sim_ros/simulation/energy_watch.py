@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import attrs
 
 from cloth_sim_ros.physics.book import Book
@@ -27,6 +29,10 @@ class EnergyReport:
     residual: float
     #: Energy that went from one form into another, at least.
     turned_over: float
+
+
+#: Kinetic and potential energy before a frame [J], and the sums since the watch began.
+Noted: TypeAlias = tuple[tuple[float, float], EnergyReport]
 
 
 class EnergyWatch:
@@ -70,6 +76,14 @@ class EnergyWatch:
         sums = self._sums
         self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
         return self._sums
+
+    def noted(self) -> Noted:
+        """Return what was summed up so far, for `go_back`."""
+        return self._before, self._sums
+
+    def go_back(self, noted: Noted) -> None:
+        """Go on from what was summed up then."""
+        self._before, self._sums = noted
 
     def _energies(self, state: State, t: float) -> tuple[float, float]:
         if self._plan.contact is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import attrs
 import numpy as np
@@ -35,6 +35,10 @@ class GraspResult:
     reason: str = ""
     #: Whether its pads only begin to close: `Frame.pinches` tells when they have.
     pending: bool = False
+
+
+#: What a force holds, see `Grips.noted`; the arrays of the state and numbers that it came of; paths.
+Noted: TypeAlias = tuple[tuple[Any, ...] | None, tuple[Any, ...] | None, Array]
 
 
 class Grippers:
@@ -88,6 +92,18 @@ class Grippers:
     def settled(self) -> bool:
         """Whether every gripper stands at its target, and stood there for a frame."""
         return self._movers.settled
+
+    def noted(self, grips: Grips | None) -> Noted:
+        """Return what was laid into the force that holds particles, for `go_back`."""
+        laid = None if self._laid is None else self._laid[:-1]
+        return None if grips is None else grips.noted(), laid, self.paths
+
+    def go_back(self, noted: Noted, grips: Grips | None) -> None:
+        """Lay into the force what was laid then, after the state has become what it was."""
+        held, laid, self.paths = noted
+        if grips is not None and held is not None:
+            grips.go_back(held)
+        self._laid = None if laid is None else (*laid, grips)
 
     def set_target(self, event: Target) -> None:
         """Take note of a target; the first one places the gripper there at once."""

@@ -1,6 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Anchored particles hold the place that they have: without a force on them, their velocity would last."""
+"""Where a simulation starts, and what anchored particles do there: they hold the place that they have, for without a
+force on them their velocity would last.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.identity import difference
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.sleep import wake
 
 
 def stop(state: State, particles: NDArray[np.int64]) -> None:
@@ -26,3 +30,25 @@ def hold(scene: Scene, state: State) -> None:
     """
     if not isinstance(scene.sheet, RawSprings):
         stop(state, np.array(scene.anchored_particles(), dtype=np.int64))
+
+
+def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
+    """Return the state that a reset returns to, and a copy of the state to start with: the same where none is given.
+
+    Raises:
+        ValueError: for a state of another cloth.
+    """
+    initial = scene.starting_state()
+    other = difference(state, initial.cloth) if state is not None and initial.cloth is not None else ""
+    if other:
+        raise ValueError(f"the state {other}: a state only continues the cloth that it was saved from")
+    # It may have been saved asleep, under other parameters.
+    wake(initial)
+    hold(scene, initial)
+    start = initial.copy() if state is None else state.copy()
+    if not initial.v.any():
+        # The initial state is usually at rest: a single zero then takes the place of the whole array.
+        initial.v = np.broadcast_to(0.0, initial.v.shape)
+    start.cloth = initial.cloth
+    start.memory.setdefault("paused", np.zeros(1, dtype=bool))
+    return initial, start

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The obstacles and pads of a scene and a state, where there are any: a cloth without them loads nothing of them."""
+"""The grippers of a scene and a state, and obstacles and pads where there are any: others load nothing of them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,30 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.grippers import Grippers
 from cloth_sim_ros.simulation.movers import standing
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.contact import Contact
     from cloth_sim_ros.physics.obstacles import Obstacle
     from cloth_sim_ros.physics.plan import Plan
-    from cloth_sim_ros.simulation.grippers import Grippers
     from cloth_sim_ros.simulation.obstacles import Obstacles
     from cloth_sim_ros.simulation.pinching import Pinching
+
+
+def grippers_of(scene: Scene, state: State) -> Grippers:
+    """Return the grippers of a scene with a state's poses and grips.
+
+    Raises:
+        ValueError: for a state of another number of grippers.
+    """
+    grippers = Grippers(scene.gripper_names, state)
+    known = len(state.memory["gripper.pose"])
+    if known != len(grippers.names):
+        raise ValueError(
+            f"the state has {known} grippers, the scene {len(grippers.names)} ({', '.join(grippers.names) or 'none'})"
+        )
+    return grippers
 
 
 def obstacles_of(scene: Scene, state: State) -> Obstacles | None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +69,24 @@ class Grips(EngineForce):
         """
         self.paths, self.starts, self.particles, self.offsets = paths, starts, particles, offsets
         self.stiffness, self.damping = stiffness, damping
+        #: The same as the engine takes it, once it was checked: see `Gripping`.
+        self.told: tuple[NDArray[Any], ...] | None = None
         self.changes += 1
 
     def move(self, paths: Array) -> None:
         """Set new paths, shape (gripper_count, PATH_NUMBERS), for what is held already."""
         self.paths = paths
         self.moves += 1
+
+    def noted(self) -> tuple[Any, ...]:
+        """Return what is held, and the paths, for `go_back`."""
+        return self.paths, self.starts, self.particles, self.offsets, self.stiffness, self.damping, self.told
+
+    def go_back(self, noted: tuple[Any, ...]) -> None:
+        """Hold what was held then, by this force or by that of another model of the same masses."""
+        *held, told = noted
+        self.hold(*held)
+        self.told = told
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         # What is held changes from frame to frame: the plan asks for it then.

@@ -1,0 +1,128 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All that later frames of a simulation read, taken in some microseconds: for planners that try many futures of one
+cloth, and for a frame that fails.
+
+Nothing is copied, because a frame replaces arrays and writes into none.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import relaxation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation import energy_watch, grippers
+from cloth_sim_ros.simulation.frame import Frame
+from cloth_sim_ros.simulation.surroundings import obstacles_of
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.simulation import Simulation
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Snapshot:
+    """What `Simulation.snapshot` gives and `Simulation.restore` takes; it can be pickled.
+
+    It must not be changed: others, and frames to come, share its arrays.
+    """
+
+    #: The configuration in force.
+    scene: Scene
+    #: The state, and the one that a reset returns to.
+    state: State
+    initial: State
+    #: What was laid into the plan for the frame before: what grippers hold and their paths; paths of obstacles and
+    #: pads, and what drives pads.
+    grips: grippers.Noted
+    contact: tuple[Array, NDArray[np.bool_]] | None
+    #: What the frame before noted, and the energy balance.
+    book: tuple[Array, float] | None
+    energy: tuple[energy_watch.Noted, energy_watch.EnergyReport | None] | None
+    #: Whether a sleeping cloth is known to rest, and the frame that it repeats.
+    rest: tuple[bool, Frame | None]
+
+    @property
+    def frame(self) -> int:
+        """Number of the frame that the state stands at."""
+        return self.state.frame
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.state.frame * self.scene.period
+
+    @property
+    def positions(self) -> Array:
+        """Particle positions [m], a copy of shape (particle_count, 3)."""
+        return self.state.positions
+
+    def check_fits(self, scene: Scene) -> None:
+        """Refuse to be restored where another scene is in force, but for parameters that may change while it runs.
+
+        Raises:
+            ValueError: naming a parameter that differs.
+        """
+        if self.scene is scene or self.scene == scene:
+            return
+        live = {entry.name for entry in (*self.scene.entries, *scene.entries) if entry.live}
+        mine, theirs = self.scene.parameters(), scene.parameters()
+        for name in (name for name in mine if name not in live):
+            here, there = theirs.get(name), mine[name]
+            if here != there or self._content(self.scene, there) != self._content(scene, here):
+                told = "its file has other content" if here == there else f"{name} is {there!r} there, {here!r} here"
+                raise ValueError(
+                    f"the snapshot is of another scene: {told}; restore it in a simulation of the scene of which it "
+                    "was taken"
+                )
+
+    @staticmethod
+    def _content(scene: Scene, name: Any) -> bytes | None:
+        return scene.files.get(name) if isinstance(name, str) else None
+
+
+def taken(simulation: Simulation) -> Snapshot:
+    """Take a simulation's."""
+    plan, book, energy = simulation.plan, simulation._book, simulation._energy
+    contact = plan.contact
+    return Snapshot(
+        scene=simulation.scene,
+        state=simulation.state.share(),
+        initial=simulation._initial.share(),
+        grips=simulation.grippers.noted(plan.grips),
+        contact=None if contact is None else (contact.force.paths, contact.force.driven),
+        book=None if book is None else book.noted(),
+        energy=None if energy is None else (energy.noted(), simulation.energy_report),
+        rest=(simulation._known_to_rest, simulation._slept),
+    )
+
+
+def give_back(simulation: Simulation, snapshot: Snapshot) -> None:
+    """Let a simulation of the same scene be what one was when a snapshot was taken."""
+    state, scene = simulation.state, snapshot.scene
+    state.become(snapshot.state)
+    simulation._initial = snapshot.initial.share()
+    if scene is not simulation._scene and scene != simulation._scene:
+        simulation.obstacles = obstacles_of(scene, state)
+        simulation._apply_scene(scene)
+    elif relaxation.factor_of(state) != simulation._factor:
+        simulation._hold_tolerance()
+    simulation._scene = scene
+    plan, book, energy = simulation.plan, simulation._book, simulation._energy
+    simulation.grippers.go_back(snapshot.grips, plan.grips)
+    if plan.contact is not None and snapshot.contact is not None:
+        paths, driven = snapshot.contact
+        plan.contact.force.move(paths)
+        plan.contact.force.drive(driven)
+    if book is not None and snapshot.book is not None:
+        book.go_back(snapshot.book)
+    if energy is not None and snapshot.energy is not None:
+        noted, simulation.energy_report = snapshot.energy
+        energy.go_back(noted)
+    simulation._known_to_rest, simulation._slept = snapshot.rest

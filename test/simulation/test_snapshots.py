@@ -1,0 +1,222 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A snapshot holds all that later frames read: the same events give the same bits, here and in another simulation."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from collections.abc import Callable, Sequence
+
+import attrs
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Grasp, Pause, Relax, Reset, Scene, SetParameters, Simulation, Step, Target
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Move
+
+HUNG = {"cloth.resolution": [6, 7], "tolerance": 1e-3, "rate": 30.0, "material.stretch_modulus": 200.0}
+CALM = {
+    **HUNG,
+    "cloth.resolution": [4, 5],
+    "air.drag": 5.0,
+    "material.stretch_modulus": 100.0,
+    "material.shear_modulus": 20.0,
+}
+LYING = {
+    **HUNG,
+    "cloth.resolution": [6, 6],
+    "cloth.size": [0.3, 0.3],
+    "cloth.position": [-0.15, 0.0, 0.004],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "cloth.anchors": [""],
+    "obstacles": ["table"],
+    "table.shape": "box",
+    "table.size": [2.0, 2.0, 0.04],
+    "table.position": [0.0, 0.0, -0.02],
+    "table.friction": [0.6, 0.5],
+}
+PINCHED = {
+    **HUNG,
+    "gripper.mode": "pinch",
+    "gripper.pad_size": [0.2, 0.02, 0.2],
+    "gripper.opening": 0.08,
+    "gripper.friction": [0.6, 0.5],
+}
+
+
+def along(*places: Sequence[float], frames: int) -> list[list[Event]]:
+    """Targets of the gripper, from place to place in so many frames each."""
+    found: list[list[Event]] = []
+    for start, end in itertools.pairwise(places):
+        ways = np.linspace(start, end, frames)
+        found += [[Target("gripper", way)] for way in ways]
+    return found
+
+
+def corner(values: dict) -> tuple[float, ...]:
+    return tuple(Simulation(Scene.from_parameters(values)).positions[-1])
+
+
+def carried(values: dict) -> list[list[Event]]:
+    """The last corner is taken and moved."""
+    x, y, z = corner(values)
+    begin: list[list[Event]] = [[Target("gripper", (x, y, z)), Grasp("gripper", True)]]
+    return begin + along((x, y, z), (x - 0.1, y + 0.1, z + 0.15), frames=8)
+
+
+def pinched() -> list[list[Event]]:
+    """Pads close on a corner that hangs between them, and draw it aside."""
+    x, y, z = corner(PINCHED)
+    at = (x, y, z)
+    return [[Target("gripper", at)], [Grasp("gripper", True)], *[[]] * 20, *along(at, (x, y + 0.1, z), frames=6)]
+
+
+#: Scene, what happens before the snapshot, and what after it.
+STORIES: dict[str, tuple[dict, Callable[[], list[list[Event]]], list[list[Event]]]] = {
+    "held by a gripper": (HUNG, lambda: carried(HUNG), [[], [Target("gripper", (0.8, 0.2, 0.4))], [], []]),
+    "let go": (HUNG, lambda: carried(HUNG), [[Grasp("gripper", False)], [], [Grasp("gripper", True)], []]),
+    "friction on a table": (LYING, lambda: [*carried(LYING), *[[]] * 4], [[Move("table", (0.05, 0.0, -0.02))], [], []]),
+    "pinched": (PINCHED, pinched, [[], [Target("gripper", (0.4, 0.2, 0.2))], [Grasp("gripper", False)], [], []]),
+    "asleep": (
+        CALM,
+        lambda: [[]] * 400,
+        [[], [], [Target("gripper", (0.0, 0.0, 0.0))], [SetParameters({"air.drag": 4.0})], []],
+    ),
+    "parameters": (
+        HUNG,
+        lambda: [*carried(HUNG), [SetParameters({"material.stretch_modulus": 300.0})], [Relax(4.0)], []],
+        [[Relax(1.0)], [SetParameters({"gravity": [0.0, 1.0, -9.0]})], []],
+    ),
+    "a fixed step": (
+        {**HUNG, "step": 2e-3},
+        lambda: carried(HUNG),
+        [[SetParameters({"material.stretch_modulus": 100.0})], [], []],
+    ),
+    "energy watched": ({**HUNG, "diagnostics.energy": True}, lambda: carried(HUNG), [[], []]),
+    "paused": (HUNG, lambda: [*carried(HUNG), [Pause(True)]], [[], [Step()], [Pause(False)], []]),
+    "implicit": ({**HUNG, "integrator": "implicit"}, lambda: carried(HUNG), [[], []]),
+    "symplectic Euler": ({**HUNG, "integrator": "symplectic_euler"}, lambda: carried(HUNG), [[], [Reset()], []]),
+}
+#: What happens to a simulation before it goes back: none of it may show.
+BETWEEN: list[list[Event]] = [
+    [Grasp("gripper", False), Target("gripper", (0.3, 0.3, 0.3))],
+    [SetParameters({"material.stretch_modulus": 150.0, "air.drag": 1.0, "gravity": [0.0, 0.0, -5.0]})],
+    [Relax(3.0), Pause(False)],
+    [Reset()],
+    [Grasp("gripper", True)],
+]
+
+
+def run(simulation: Simulation, events: list[list[Event]]) -> list[tuple]:
+    """What frames tell: digests, loads, and whether time went."""
+    told = []
+    for each in events:
+        frame = simulation.advance(each)
+        report = simulation.energy_report
+        told.append(
+            (
+                simulation.state.digest(),
+                frame.index,
+                frame.moved,
+                frame.advance,
+                frame.wrenches.tobytes(),
+                frame.loads.tobytes(),
+                frame.pinches,
+                simulation.asleep,
+                None if report is None else attrs.astuple(report),
+            )
+        )
+    return told
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_the_same_events_give_the_same_bits(name: str) -> None:
+    values, before, after = STORIES[name]
+    scene = Scene.from_parameters(values)
+    simulation = Simulation(scene)
+    run(simulation, before())
+    if name == "asleep":
+        assert simulation.asleep
+    if name == "pinched":
+        assert simulation.held(0) > 0
+    if name == "friction on a table":
+        assert simulation.state.memory["contact.anchors"].any()
+    taken = simulation.snapshot()
+    digest = taken.state.digest()
+    expected = run(simulation, after)
+    assert len({told[0] for told in expected}) == len(expected)
+    # Here again, after something else has happened.
+    for _ in range(2):
+        run(simulation, [each for each in BETWEEN if name != "pinched" or Target not in map(type, each)])
+        simulation.restore(taken)
+        assert simulation.state.digest() == digest
+        assert run(simulation, after) == expected
+    # In another simulation, and from bytes.
+    other = Simulation(scene)
+    other.restore(taken)
+    assert run(other, after) == expected
+    other.restore(pickle.loads(pickle.dumps(taken)))
+    assert run(other, after) == expected
+    assert taken.state.digest() == digest
+
+
+def test_futures_branch_from_one_snapshot_without_touching_it() -> None:
+    simulation = Simulation(Scene.from_parameters(HUNG))
+    run(simulation, carried(HUNG))
+    taken = simulation.snapshot()
+    place = simulation.grippers.poses()[0, :3]
+
+    def future(k: int) -> list[tuple]:
+        simulation.restore(taken)
+        return run(simulation, along(place, place + np.array([0.0, 0.02 * k, 0.0]), frames=3))
+
+    ways = [future(k) for k in range(3)]
+    assert len({way[-1][0] for way in ways}) == 3
+    assert future(1) == ways[1]
+
+
+def test_a_snapshot_copies_no_array() -> None:
+    simulation = Simulation(Scene.from_parameters(HUNG))
+    run(simulation, carried(HUNG))
+    taken = simulation.snapshot()
+    assert taken.state.x is simulation.state.x
+    assert taken.state.v is simulation.state.v
+    assert all(array is simulation.state.memory[name] for name, array in taken.state.memory.items())
+    assert (taken.frame, taken.time) == (simulation.frame, simulation.time)
+    assert (taken.positions == simulation.positions).all()
+
+
+def test_reset_returns_to_the_start_of_the_snapshots_scene() -> None:
+    simulation = Simulation(Scene.from_parameters(LYING))
+    taken = simulation.snapshot()
+    simulation.advance([SetParameters({"obstacles": [""]})])
+    simulation.restore(taken)
+    simulation.advance([Reset()])
+    assert "obstacle.pose" in simulation.state.memory
+    assert simulation.scene.obstacle_names == ["table"]
+
+
+def test_a_snapshot_of_another_scene_is_refused() -> None:
+    taken = Simulation(Scene.from_parameters(HUNG)).snapshot()
+    other = Simulation(Scene.from_parameters({**HUNG, "cloth.resolution": [7, 6]}))
+    before = other.state.digest()
+    with pytest.raises(ValueError, match=r"another scene: cloth\.resolution is \(6, 7\) there, \(7, 6\) here; restore"):
+        other.restore(taken)
+    assert other.state.digest() == before
+    more = Simulation(Scene.from_parameters({**HUNG, "grippers": ["left", "right"]}))
+    with pytest.raises(ValueError, match="another scene: grippers is"):
+        more.restore(taken)
+
+
+def test_a_frame_that_fails_leaves_the_grips_of_the_plan_as_they_were() -> None:
+    simulation = Simulation(Scene.from_parameters({**HUNG, "step": 2e-3}))
+    run(simulation, carried(HUNG))
+    taken = simulation.snapshot()
+    with pytest.raises(EventError, match="no gripper"):
+        simulation.advance([Grasp("gripper", False), Grasp("none", True)])
+    after: list[list[Event]] = [[SetParameters({"material.stretch_modulus": 100.0})], []]
+    there = run(simulation, after)
+    simulation.restore(taken)
+    assert run(simulation, after) == there
