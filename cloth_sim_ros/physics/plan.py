@@ -10,7 +10,6 @@ from the model alone.
 from __future__ import annotations
 
 import ctypes
-import os
 import threading
 from collections.abc import Sequence
 from ctypes import addressof
@@ -35,6 +34,7 @@ from cloth_sim_ros.engine.binding import (
 )
 from cloth_sim_ros.physics.assembly import Assembly
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.cores import available
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.gripping import Gripping
@@ -267,7 +267,7 @@ class Plan:
             self._gridded and self._gridded.rows < 16
         ):
             return 1
-        return min(2, len(os.sched_getaffinity(0)))
+        return available()
 
     @one_at_a_time
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
+from cloth_sim_ros.physics.cores import available
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
 
@@ -46,8 +47,8 @@ _HERE = _Here()
 
 
 def _side(aside: bool) -> Executor:
-    """Return what runs the lower part: the second thread where there is enough to do for both."""
-    return _helper() if aside else _HERE
+    """Return what runs the lower part: the second thread where there is enough to do for both, and one to be had."""
+    return _helper() if aside and available() > 1 else _HERE
 
 
 class BandMatrix:

@@ -1,0 +1,57 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One cloth for learning: a `gymnasium.Env`, for wrappers and algorithms that know no vectors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.batch.vector_env import ClothVectorEnv
+from cloth_sim_ros.simulation.snapshot import Snapshot
+
+
+class ClothEnv(gymnasium.Env[Any, Any]):
+    """A cloth that grippers move: `ClothVectorEnv` of one.
+
+    Args:
+        options: those of `ClothVectorEnv`, less the number of cloths, autoreset and copying. User's functions are given
+            arrays of one cloth, shape (1, ...).
+    """
+
+    def __init__(self, **options: Any) -> None:
+        for name in ("num_envs", "autoreset_mode", "copy"):
+            if name in options:
+                raise ValueError(f"{name} is set; one cloth has none: take ClothVectorEnv")
+        self._cloths = ClothVectorEnv(1, autoreset_mode=AutoresetMode.DISABLED, **options)
+        self.metadata = {"render_modes": []}
+        self.scene = self._cloths.scene
+        self.action_space = self._cloths.single_action_space
+        self.observation_space = self._cloths.single_observation_space
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """Where the cloth is: to be rolled out, or restored in a `Simulation` of its scene."""
+        return self._cloths.snapshots[0]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Let the cloth begin anew; see `ClothVectorEnv.reset`."""
+        super().reset(seed=seed)
+        observations, _ = self._cloths.reset(seed=seed, options=options)
+        return observations[0], {}
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Let the cloth go on by an action, shape (grippers, 4 or 8); see `ClothVectorEnv.step`."""
+        observations, rewards, terminations, truncations, infos = self._cloths.step(np.asarray(action)[None])
+        info = {"flagged": int(infos["flagged"][0])}
+        return observations[0], float(rewards[0]), bool(terminations[0]), bool(truncations[0]), info
+
+    def close(self) -> None:
+        """End the threads."""
+        self._cloths.close()

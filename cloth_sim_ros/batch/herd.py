@@ -1,0 +1,125 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""N cloths as snapshots, stepped by simulations that a crew's workers own: of each cloth memory holds its state alone.
+
+A cloth whose scene is the common one is stepped by whichever worker is free. One whose scene was changed has a
+simulation of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.actions import Commands
+from cloth_sim_ros.batch.crew import Crew
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.snapshot import Snapshot
+
+#: Takes a random generator and the scene; gives another scene, or values of parameters by full name, or None.
+Randomise = Callable[[np.random.Generator, Scene], Scene | Mapping[str, Any] | None]
+#: Brings a fresh simulation to where an episode begins.
+Prepare = Callable[[Simulation], None]
+
+
+class Herd:
+    """Cloths that are stepped together.
+
+    Args:
+        count: how many.
+        scene: the common one.
+        crew: who steps them.
+        prepare: brings a simulation to where episodes begin.
+    """
+
+    def __init__(self, count: int, scene: Scene, crew: Crew, *, prepare: Prepare | None = None) -> None:
+        self.scene, self.crew, self._prepare = scene, crew, prepare
+        first = self._made(scene)
+        self._fresh = first.snapshot()
+        self._workers: list[Simulation | None] = [first, *[None] * (crew.threads - 1)]
+        self._own: list[Simulation | None] = [None] * count
+        #: Where each cloth is.
+        self.snapshots: list[Snapshot] = [self._fresh] * count
+
+    def _made(self, scene: Scene) -> Simulation:
+        simulation = Simulation(scene)
+        if self._prepare is not None:
+            self._prepare(simulation)
+        return simulation
+
+    def begin(self, indices: list[int], scenes: list[Scene]) -> None:
+        """Let cloths begin anew, each by its scene.
+
+        Raises:
+            ValueError: for a scene of other particles, grippers or frames than the common one.
+        """
+        for scene in scenes:
+            self._check(scene)
+        made: list[tuple[Simulation | None, Snapshot]] = [(None, self._fresh)] * len(indices)
+
+        def start(_: int, k: int) -> None:
+            if scenes[k] is not self.scene and scenes[k] != self.scene:
+                simulation = self._made(scenes[k])
+                made[k] = simulation, simulation.snapshot()
+
+        self.crew.run(len(indices), start)
+        for i, (simulation, snapshot) in zip(indices, made, strict=True):
+            self._own[i], self.snapshots[i] = simulation, snapshot
+
+    def _check(self, scene: Scene) -> None:
+        if scene is self.scene:
+            return
+        given = {"particles": scene.shape, "grippers": scene.gripper_names, "rate": scene.rate}
+        common = {"particles": self.scene.shape, "grippers": self.scene.gripper_names, "rate": self.scene.rate}
+        for name, value in given.items():
+            if value != common[name]:
+                raise ValueError(
+                    f"a randomised scene has {name} {value}, the environment's own {common[name]}; actions and "
+                    "observations of all cloths must be alike"
+                )
+
+    def step(
+        self,
+        indices: list[int],
+        actions: NDArray[Any],
+        commands: Commands,
+        frames: int,
+        tell: Callable[[int, Simulation, Array, int], None],
+    ) -> None:
+        """Let cloths go on for some frames, each by its action, shape (N, grippers, numbers).
+
+        Either all do, or all stay where they were.
+
+        Args:
+            indices: which of them.
+            actions: of all.
+            commands: what makes events of an action.
+            frames: how many.
+            tell: is called with index, simulation, wrenches of the last frame and frames that missed the tolerance.
+
+        Raises:
+            UnstableError: if the motion of one does not stay finite.
+        """
+        after: list[Snapshot] = [self._fresh] * len(indices)
+
+        def go(worker: int, k: int) -> None:
+            i, missed = indices[k], 0
+            simulation = self._own[i] or self._workers[worker]
+            if simulation is None:
+                simulation = self._workers[worker] = Simulation(self.scene, self._fresh.state)
+            simulation.restore(self.snapshots[i])
+            action = actions[i]
+            for _ in range(frames):
+                frame = simulation.advance(commands.events(action, simulation))
+                missed += bool(frame.advance and frame.advance.flagged)
+            tell(i, simulation, frame.wrenches, missed)
+            after[k] = simulation.snapshot()
+
+        self.crew.run(len(indices), go)
+        for i, snapshot in zip(indices, after, strict=True):
+            self.snapshots[i] = snapshot

@@ -1,0 +1,123 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What environments are asked for, checked: scenes, numbers, where grippers may be, which cloths begin anew."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.batch.actions import Commands
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.event_checks import REACH
+
+if TYPE_CHECKING:
+    from gymnasium.spaces import Box
+    from gymnasium.vector import AutoresetMode
+
+#: Tolerance of an environment's cloth where no scene is given [m].
+TOLERANCE = 1e-3
+
+
+def scene_of(given: Scene | str | Path | Mapping[str, Any] | None, base: Scene | None = None) -> Scene:
+    """Return a scene: as it is, from a ROS parameter file, or from values by full name.
+
+    Args:
+        given: what names it; None for the default one at a tolerance of a millimetre.
+        base: whose parameters, and files, values change; the default scene's where left out.
+
+    Raises:
+        ValueError: for an unknown name or a bad value.
+    """
+    if isinstance(given, Scene):
+        return given
+    if isinstance(given, str | Path):
+        return Scene.from_file(given)
+    if given is not None and not isinstance(given, Mapping):
+        raise ValueError(f"scene is {given!r}; give a Scene, a parameter file, or values of parameters by full name")
+    if base is None:
+        return Scene.from_parameters({"tolerance": TOLERANCE, **(given or {})})
+    return Scene.from_parameters({**base.parameters(), **(given or {})}, files=base.files)
+
+
+def whole_number(name: str, value: Any) -> int:
+    """Return a whole number of at least 1.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise ValueError(f"{name} is {value!r}; it must be a whole number of at least 1")
+    return int(value)
+
+
+def workspace_of(given: ArrayLike | None, start: Array) -> Array:
+    """Return lowest and highest corner of where targets may be [m], shape (2, 3).
+
+    Args:
+        given: as the user gave it; None for the box around the cloth's start, twice its size larger on each side.
+        start: positions of the particles at the start [m], shape (n, 3).
+
+    Raises:
+        ValueError: for another shape, numbers that are not finite, or a corner that is not the lowest.
+    """
+    if given is None:
+        low, high = start.min(axis=0), start.max(axis=0)
+        margin = 2.0 * float((high - low).max())
+        return np.array([low - margin, high + margin])
+    box = np.asarray(given, dtype=np.float64)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+        raise ValueError(
+            f"workspace is {box.tolist()}; give the lowest and the highest corner [m], [[x, y, z], [x, y, z]]"
+        )
+    if np.abs(box).max() > REACH:
+        raise ValueError(f"workspace is {box.tolist()} m; no coordinate may be beyond {REACH:g} m")
+    return box
+
+
+def action_space(commands: Commands, workspace: Array) -> Box:
+    """Return the space of one cloth's actions: targets in the workspace, quaternions, grasps."""
+    from gymnasium.spaces import Box
+
+    low, high = (np.zeros(commands.shape, dtype=np.float32) for _ in range(2))
+    low[:, :3], high[:, :3] = workspace
+    # A box has quaternions without length too; they are hit by no random number.
+    low[:, 3:-1], high[:, 3:-1], high[:, -1] = -1.0, 1.0, 1.0
+    return Box(low, high, dtype=np.float32)
+
+
+def mode_of(given: str | AutoresetMode) -> AutoresetMode:
+    """Return a mode of autoreset by its name.
+
+    Raises:
+        ValueError: for an unknown one.
+    """
+    from gymnasium.vector import AutoresetMode
+
+    try:
+        return AutoresetMode(given)
+    except ValueError as error:
+        names = ", ".join(mode.value for mode in AutoresetMode)
+        raise ValueError(f"autoreset_mode is {given!r}; it must be one of {names}") from error
+
+
+def mask_of(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
+    """Return which cloths ``options["reset_mask"]`` names; all without one.
+
+    Raises:
+        ValueError: for another option, or a mask of another shape or type, or of none.
+    """
+    given = dict(options or {})
+    mask = given.pop("reset_mask", None)
+    if given:
+        raise ValueError(f"options has {', '.join(map(repr, given))}; known is 'reset_mask'")
+    if mask is None:
+        return np.ones(count, dtype=bool)
+    if not isinstance(mask, np.ndarray) or mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():
+        raise ValueError(f"options['reset_mask'] is {mask!r}; give a bool array of shape ({count},) with one true")
+    return mask
