@@ -91,6 +91,17 @@ def action_space(commands: Commands, workspace: Array) -> Box:
     return Box(low, high, dtype=np.float32)
 
 
+def observation_space(shape: tuple[int, ...]) -> Box:
+    """Return a space of positions and velocities, which have no bounds; one number each stands for all of them."""
+    from gymnasium.spaces import Box
+
+    space = Box(-np.inf, np.inf, shape, np.float32)
+    for name in ("low", "high", "bounded_below", "bounded_above"):
+        # Four arrays of the observations' size otherwise.
+        setattr(space, name, np.broadcast_to(getattr(space, name).flat[0], shape))
+    return space
+
+
 def mode_of(given: str | AutoresetMode) -> AutoresetMode:
     """Return a mode of autoreset by its name.
 

@@ -7,12 +7,10 @@ Each cloth moves to the last bit as a `Simulation` of its own does, whatever the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -24,7 +22,15 @@ from cloth_sim_ros.batch.futures import particles_of, put
 from cloth_sim_ros.batch.herd import Herd, Prepare, Randomise
 from cloth_sim_ros.batch.outcome import Judge, Outcome, judged
 from cloth_sim_ros.batch.seeds import Generators
-from cloth_sim_ros.batch.spaces import action_space, mask_of, mode_of, scene_of, whole_number, workspace_of
+from cloth_sim_ros.batch.spaces import (
+    action_space,
+    mask_of,
+    mode_of,
+    observation_space,
+    scene_of,
+    whole_number,
+    workspace_of,
+)
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -104,8 +110,8 @@ class ClothVectorEnv(VectorEnv[Any, Any, Any]):
         self._box = self.single_action_space = action_space(self._commands, workspace_of(workspace, start))
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         shape = (count, 6 if velocities else 3)
-        self.single_observation_space = gymnasium.spaces.Box(-math.inf, math.inf, shape, np.float32)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.single_observation_space = observation_space(shape)
+        self.observation_space = observation_space((self.num_envs, *shape))
         self._crew = Crew(threads)
         self._herd = Herd(self.num_envs, self.scene, self._crew, prepare=prepare)
         self._observations = np.zeros((self.num_envs, *shape), dtype=np.float32)

@@ -28,6 +28,7 @@ COMMANDS = {
     "engine": ("engine", "this tree against an older commit of itself, in turns, in one run"),
     "adds": ("adds", "whether features cost together what they cost one by one, for every pair of them"),
     "mesh-moduli": ("mesh_moduli", "moduli of sheets on irregular triangles: the distribution over random meshes"),
+    "batch": ("batch", "many cloths in one process: real-time factor, threads, memory, rollouts, a soak"),
     "skip": ("skip", "what a feature costs absent, idle and active; a loop made by hand; counts; start-up"),
 }
 

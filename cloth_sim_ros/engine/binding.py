@@ -150,6 +150,13 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 }
 
 
+#: Calls that take a microsecond: to give the interpreter lock away for them would cost more, and let other threads that
+#: step cloths wait for it once more.
+_BRIEF = frozenset(
+    ("cloth_paths", "cloth_plan_paths", "cloth_plan_held", "cloth_turn", "cloth_pose", "cloth_plan_contact_paths")
+)
+
+
 @cache
 def library() -> ctypes.CDLL:
     """Load the library for this machine's widest vectors; every one of them gives the same bits.
@@ -185,7 +192,10 @@ def _prepared(path: Path) -> ctypes.CDLL:
     if found != ABI:
         raise EngineError(f"{path} has interface {found}, this package needs {ABI}; build it again with `make engine`")
     loaded.cloth_engine_name.restype = ctypes.c_char_p
+    held = ctypes.PyDLL(str(path), handle=loaded._handle)
     for name, (result, *arguments) in _SIGNATURES.items():
+        if name in _BRIEF:
+            setattr(loaded, name, getattr(held, name))
         function = getattr(loaded, name)
         function.restype, function.argtypes = result, arguments
     return loaded

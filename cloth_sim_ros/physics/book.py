@@ -25,38 +25,42 @@ class Book:
 
     def __init__(self, gripper_count: int, *, powers: bool = False, obstacle_count: int = 0) -> None:
         self.gripper_count, self.powers, self.obstacle_count = gripper_count, powers, obstacle_count
-        # For each gripper, of damping and moving air, for each obstacle: as a run notes them, see `Run.notes`; then of
-        # friction between layers. They are replaced, never written into.
-        self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count) + 1)
+        # For each gripper, of damping and moving air, for each obstacle: as a run notes them, see `Run.notes`. They are
+        # replaced, never written into.
+        self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count))
+        # Of friction between layers.
+        self._rubbed = 0.0
         self._no_loads = np.zeros((0, 6))
         self._duration = 0.0
 
     def restart(self) -> None:
         """Forget what was noted since the advance began: it is attempted anew."""
-        self._sums, self._duration = self._nothing, 0.0
+        self._sums, self._rubbed, self._duration = self._nothing, 0.0, 0.0
 
-    def noted(self) -> tuple[Array, float]:
+    def noted(self) -> tuple[Array, float, float]:
         """Return what was noted so far, for `go_back`."""
-        return self._sums, self._duration
+        return self._sums, self._rubbed, self._duration
 
-    def go_back(self, noted: tuple[Array, float]) -> None:
+    def go_back(self, noted: tuple[Array, float, float]) -> None:
         """Forget what was noted since then: that stretch is attempted anew."""
-        self._sums, self._duration = noted
+        self._sums, self._rubbed, self._duration = noted
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
         """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
-        size = len(self._sums) - 1
+        size = len(self._sums)
         for weight, run in zip(weights, runs, strict=True):
             if run.grippers != self.gripper_count:
                 raise ValueError(f"a book of {self.gripper_count} grippers for a run with {run.grippers}")
-            self._sums = self._sums + weight * np.append(run.notes[:size], run.rubbed)
+            self._sums = self._sums + weight * run.notes[:size]
+            self._rubbed += weight * run.rubbed
         self._duration += duration
 
     def add(
         self, grips: Array, touches: Array, powers: tuple[float, float], duration: float, rubbed: float = 0.0
     ) -> None:
         """Note one point of a quadrature, already multiplied by its weight [s]."""
-        self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel(), [rubbed]])
+        self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel()])
+        self._rubbed += rubbed
         self._duration += duration
 
     @property
@@ -65,7 +69,7 @@ class Book:
 
     @property
     def _touches(self) -> Array:
-        return self._sums[BOOKED_NUMBERS * self.gripper_count + 2 : -1].reshape(-1, BOOKED_NUMBERS)
+        return self._sums[BOOKED_NUMBERS * self.gripper_count + 2 :].reshape(-1, BOOKED_NUMBERS)
 
     @property
     def _powers(self) -> Array:
@@ -101,7 +105,7 @@ class Book:
     @property
     def rubbed(self) -> float:
         """What of `lost` friction between layers of the cloth took [J]; only with `powers`."""
-        return float(self._sums[-1])
+        return self._rubbed
 
     @property
     def given(self) -> float:

@@ -104,7 +104,10 @@ def planned_paths(
         doubles("before", before, rates),
         doubles("targets", targets, at),
     )
-    paths, last, turns, changes = np.empty((count, PATH_NUMBERS)), np.empty(rates), np.empty(rates), np.empty(count)
-    places = address(paths), address(last), address(turns), address(changes)
+    paths = np.empty((count, PATH_NUMBERS))
+    further = np.empty(13 * count)
+    last, turns, changes = further[: 6 * count], further[6 * count : 12 * count], further[12 * count :]
+    begin = address(further) if count else 0
+    places = (address(paths) if count else 0), begin, begin + 48 * count, begin + 96 * count
     check(library().cloth_paths(count, t, duration, *given, *places))
-    return paths, last, turns, changes.tolist()
+    return paths, last.reshape(rates), turns.reshape(rates), changes.tolist()

@@ -47,6 +47,9 @@ from cloth_sim_ros.physics.turn import one_at_a_time
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.touching import Touching
 
+#: What runs without contact end with.
+_NO_ENDS: tuple[Array | None, Array | None] = (None, None)
+_NOWHERE: Sequence[int] = (0, 0)
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
 
@@ -196,8 +199,10 @@ class Plan:
         notes = zeros((count, booked_size(grippers, obstacles) + met))
         out_at = address(out)
         result, result_at, told_at = out[0], 0, 0
-        ends = (None, None) if self.contact is None else self.contact.ends(count)
-        ends_at = [0 if array is None else address(array) for array in ends]
+        ends, ends_at = _NO_ENDS, _NOWHERE
+        if self.contact is not None:
+            ends = self.contact.ends(count)
+            ends_at = [0 if array is None else address(array) for array in ends]
         if weights is not None:
             if len(weights) != count:
                 raise ValueError(f"{len(weights)} weights for {count} runs; give one a run")
@@ -228,8 +233,11 @@ class Plan:
             *ends_at,
         )
         self._checked(self._library.cloth_frame(self._handle, self._frame_at))
-        anchors, pinched = ([None] * count if array is None else array for array in ends)
-        runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
+        if ends is _NO_ENDS:
+            runs = [Run(*each, grippers, obstacles) for each in zip(out, notes, strict=True)]
+        else:
+            anchors, pinched = ([None] * count if array is None else array for array in ends)
+            runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
         if weights is None:
             return runs, None
         activity, omega2, damping, held, *own = self._told

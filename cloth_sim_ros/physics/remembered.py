@@ -5,6 +5,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cache
+from operator import attrgetter
 from typing import Any, ClassVar, Protocol, Self
 
 import attrs
@@ -33,7 +36,7 @@ class Remembered:
 
     def store(self, state: HasMemory) -> None:
         """Write them into a state."""
-        state.memory[self.key] = np.array([getattr(self, name) for name in self.__match_args__])
+        state.memory[self.key] = np.array(_values(self.__class__)(self))  # type: ignore[arg-type]
 
     @classmethod
     def check(cls, array: np.ndarray) -> None:
@@ -55,6 +58,15 @@ class Remembered:
                 least = field.metadata.get("least", -math.inf)
                 bound = "finite" if least == -math.inf else f"finite and at least {least:g}"
                 raise ValueError(f"memory '{cls.key}': {field.name} is {value}; it must be {bound}")
+
+
+@cache
+def _values(rule: Any) -> Callable[[Any], Any]:
+    """Return what reads all numbers of a rule, in order."""
+    names = rule.__match_args__
+    if len(names) > 1:
+        return attrgetter(*names)
+    return lambda remembered: (getattr(remembered, names[0]),)
 
 
 def number(default: float, *, least: float = -math.inf) -> Any:

@@ -43,7 +43,7 @@ class Snapshot:
     grips: grippers.Noted
     contact: tuple[Array, NDArray[np.bool_]] | None
     #: What the frame before noted, and the energy balance.
-    book: tuple[Array, float] | None
+    book: tuple[Array, float, float] | None
     energy: tuple[energy_watch.Noted, energy_watch.EnergyReport | None] | None
     #: Whether a sleeping cloth is known to rest, and the frame that it repeats.
     rest: tuple[bool, Frame | None]

@@ -196,8 +196,10 @@ class Stretch:
         if not accepted:
             return False
         told = columns.told(self.choice.columns)
-        reached = max(columns.reached(self.choice.columns), told.contact)
-        own = columns.own(self.choice.columns)
+        reached, own = 0.0, told.own
+        if effort.plan.contact is not None:
+            reached = max(columns.reached(self.choice.columns), told.contact)
+            own = columns.own(self.choice.columns)
         limit = effort.touch.limit(reached, larger_rates(own, told.own), told.omega2, told.damping)
         if not self.finest <= limit:
             # The motion stiffened.

@@ -58,6 +58,8 @@ def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
 
 def larger_rates(*rates: tuple[float, float]) -> tuple[float, float]:
     """Return the largest squared frequency and the largest damping rate of some pairs of both."""
+    if rates.count(rates[0]) == len(rates):
+        return rates[0]
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
