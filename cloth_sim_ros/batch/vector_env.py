@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_sim_ros.batch import registered as registered
 from cloth_sim_ros.batch.actions import Commands
 from cloth_sim_ros.batch.crew import Crew
 from cloth_sim_ros.batch.futures import particles_of, put

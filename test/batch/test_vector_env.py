@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +19,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target  # noqa: E402
 from cloth_sim_ros.batch import ClothEnv, ClothVectorEnv, Outcome  # noqa: E402
-from cloth_sim_ros.batch.registered import NAME, STEPS, register  # noqa: E402
+from cloth_sim_ros.batch.registered import NAME, STEPS  # noqa: E402
 
 SCENE = Scene.from_parameters(
     {"cloth.resolution": [5, 6], "tolerance": 1e-3, "rate": 30.0, "material.stretch_modulus": 300.0}
 )
 COUNT = 5
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def take_corner(simulation: Simulation) -> None:
@@ -129,7 +133,6 @@ def _equal(here, there) -> bool:
 
 
 def test_gymnasium_knows_both_by_name_and_checks_them() -> None:
-    register()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Positions have no bounds.
@@ -147,6 +150,18 @@ def test_gymnasium_knows_both_by_name_and_checks_them() -> None:
         truncated = cloths.step(acts)[3]
     assert truncated.all()
     cloths.close()
+
+
+@pytest.mark.parametrize(
+    "code", ["from cloth_sim_ros.batch import ClothVectorEnv", "from cloth_sim_ros.batch import ClothEnv"]
+)
+def test_gymnasium_knows_their_name_once_they_are_imported(code: str) -> None:
+    code = f"import gymnasium; {code}; print(type(gymnasium.make_vec({NAME!r}, num_envs=2)).__name__)"
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], check=False, capture_output=True, text=True, cwd=ROOT
+    )
+    assert (done.stdout, done.returncode) == ("ClothVectorEnv\n", 0), done.stderr
+    assert isinstance(gymnasium.make_vec(f"cloth_sim_ros.batch.registered:{NAME}"), ClothVectorEnv)
 
 
 def test_seeds_are_each_cloths_own(make) -> None:
