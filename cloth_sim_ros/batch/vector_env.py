@@ -170,7 +170,7 @@ class ClothVectorEnv(VectorEnv[Any, Any, Any]):
 
         Raises:
             ValueError: for actions of another shape, not finite, or outside `action_space`; no cloth has moved then.
-            RuntimeError: before the first reset; with autoreset disabled, for an episode that is over.
+            RuntimeError: before the first reset; after `close`; with autoreset disabled, for an episode that is over.
         """
         acts = self._checked(actions)
         again = np.flatnonzero(self._over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
@@ -206,6 +206,8 @@ class ClothVectorEnv(VectorEnv[Any, Any, Any]):
         self._crew.close()
 
     def _checked(self, actions: ArrayLike) -> NDArray[np.float32]:
+        if self.closed:
+            raise RuntimeError("the environment is closed: make another one")
         if not self._begun.all():
             raise RuntimeError("the cloths have not begun yet: call reset() before the first step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():

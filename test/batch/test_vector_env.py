@@ -288,6 +288,15 @@ def test_what_comes_at_the_wrong_time_is_told(make) -> None:
         cloths.step(bad(0.0))
 
 
+def test_a_closed_environment_is_told(make) -> None:
+    cloths = make()
+    cloths.reset()
+    cloths.close()
+    cloths.close()
+    with pytest.raises(RuntimeError, match="the environment is closed"):
+        cloths.step(bad(0.0))
+
+
 def test_a_randomised_scene_must_be_alike(make) -> None:
     cloths = make(randomise=lambda rng, scene: {"cloth.resolution": [4, 4]})
     with pytest.raises(ValueError, match="actions and observations of all cloths must be alike"):
