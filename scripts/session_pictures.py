@@ -22,10 +22,10 @@ sys.path.insert(0, str(ROOT / "test"))
 from support.session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
 
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
-from cloth_sim_ros.ros.gripper_script import GripperScript  # noqa: E402
 from cloth_sim_ros.scene.parameter_file import read as read_parameters  # noqa: E402
 from cloth_sim_ros.scene.scene import Scene  # noqa: E402
 from cloth_sim_ros.simulation.events import Event, Grasp, Target  # noqa: E402
+from cloth_sim_ros.simulation.gripper_script import GripperScript  # noqa: E402
 
 #: Turns a sheet from hanging to lying.
 FLAT = [0.0, 0.0, 0.0, 1.0]

@@ -30,11 +30,11 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 from tqdm import tqdm
 
-from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
-from cloth_sim_ros.ros.locations import config_file
 from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.scene.locations import config_file
 from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 _NODE = "/cloth_sim"
 #: A busy machine takes long to load everything [s].

@@ -14,9 +14,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.gripper_script import GraspAt, GripperScript
 from cloth_sim_ros.ros.messages import set_stamp
 from cloth_sim_ros.ros.outputs import LATCHED
+from cloth_sim_ros.simulation.gripper_script import GraspAt, GripperScript
 
 #: A node says what a grasp did after its frame: later than this it has gone, or no frame is due [s].
 _ANSWER = 7.0

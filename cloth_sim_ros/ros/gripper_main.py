@@ -16,10 +16,10 @@ from rclpy.node import Node
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
 from cloth_sim_ros.ros.gripper_hand import Hold
 from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
-from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
-from cloth_sim_ros.ros.locations import config_file
 from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.scene.locations import config_file
 from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -11,7 +11,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.gripper_hand import Hand
-from cloth_sim_ros.ros.gripper_script import GraspAt, GripperScript
+from cloth_sim_ros.simulation.gripper_script import GraspAt, GripperScript
 
 #: Discovery is gradual: a gripper counts as unknown only if it has not appeared this long after other services of the
 #: node [s].

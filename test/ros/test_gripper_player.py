@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from cloth_sim_ros.ros import gripper_hand, gripper_player
 from cloth_sim_ros.ros.gripper_main import describe_holds
-from cloth_sim_ros.ros.gripper_script import GripperScript
+from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 SCRIPT = GripperScript.from_dict(
     {

@@ -13,11 +13,11 @@ from support.kept_log import Log
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
-from cloth_sim_ros.ros.gripper_script import GripperScript, ScriptError
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.simulation.events import Event, Pause, Step
+from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND

@@ -16,11 +16,11 @@ import yaml
 from support.ros_client import start_cloth
 
 from cloth_sim_ros import Scene, Simulation, State
-from cloth_sim_ros.ros.gripper_script import GripperScript
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation import events
+from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 PERIOD = 16_666_667
 SUBSCRIBER = Path(__file__).parents[1] / "support" / "plain_subscriber.py"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scripted grasp: poses over time with smooth motion between them, and when to close and open. No ROS in here."""
+"""A scripted grasp: poses over time with smooth motion between them, and when to close and open."""
 
 from __future__ import annotations
 
