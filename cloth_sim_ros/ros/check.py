@@ -15,11 +15,11 @@ from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.step_setters import in_words, step_setters
-from cloth_sim_ros.ros.unknown import unknown
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.unknown import unknown
 from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.simulation import Simulation

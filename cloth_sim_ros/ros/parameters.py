@@ -15,10 +15,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.ros.unknown import FOREIGN, suggestion
 from cloth_sim_ros.scene import obstacles
 from cloth_sim_ros.scene.parameters import Parameter, ParameterError
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.unknown import FOREIGN, suggestion
 from cloth_sim_ros.scene.without_effect import without_effect
 
 _TYPES = {
