@@ -146,6 +146,7 @@ setup(
             "cloth_gripper = cloth_sim_ros.ros.gripper_main:main",
             "cloth_replay = cloth_sim_ros.replay.main:main",
             "cloth_verify = cloth_sim_ros.verify.main:main",
+            "cloth_batch = cloth_sim_ros.batch.main:main",
             "cloth_session = cloth_sim_ros.session.main:main",
             "cloth_bench = cloth_sim_ros.bench.main:main",
         ],

@@ -1,0 +1,156 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a study varies: a name and how its values are distributed, made of a number within 0 and 1."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import attrs
+
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.scene.unknown import suggestion
+
+#: Most values of a list, or of `steps`.
+MOST_CHOICES = 1_000_000
+
+
+@attrs.frozen(kw_only=True)
+class Factor:
+    """One thing that varies."""
+
+    #: Full name: of a parameter, `name[i]` for an entry of an array, `target.<gripper>.x` and the like, `policy.<name>`.
+    name: str
+    #: One of `KINDS`.
+    kind: str
+    #: What the kind takes: the choices, or the two or three numbers.
+    values: tuple[Any, ...]
+
+    @property
+    def count(self) -> int | None:
+        """How many values there are; None where they are continuous or unbounded."""
+        if self.kind == "choices":
+            return len(self.values)
+        if self.kind == "steps":
+            return int(self.values[2])
+        return int(self.values[1] - self.values[0]) + 1 if self.kind == "integers" else None
+
+    def value(self, share: float) -> Any:
+        """The value at a share of the distribution, from 0 to 1."""
+        return KINDS[self.kind][1](self.values, min(max(share, 0.0), 1.0))
+
+    def at(self, index: int) -> Any:
+        """One of `count` values."""
+        if self.kind == "choices":
+            return self.values[index]
+        if self.kind == "integers":
+            return int(self.values[0]) + index
+        return _steps_at(self.values, index)
+
+    def ends(self) -> list[Any]:
+        """Values that stand for all: the choices, or both ends of a range; a normal one has none."""
+        if self.kind == "choices":
+            return list(self.values)
+        return [] if self.kind == "normal" else [self.value(0.0), self.value(1.0)]
+
+
+def _choice(values: tuple[Any, ...], share: float) -> Any:
+    return values[min(int(share * len(values)), len(values) - 1)]
+
+
+def _steps_at(values: tuple[Any, ...], index: int) -> float:
+    low, high, count = float(values[0]), float(values[1]), int(values[2])
+    return high if index == count - 1 else low + (high - low) * (index / (count - 1))
+
+
+def _steps(values: tuple[Any, ...], share: float) -> float:
+    return _steps_at(values, min(int(share * values[2]), int(values[2]) - 1))
+
+
+def _uniform(values: tuple[Any, ...], share: float) -> float:
+    return float(values[1]) if share == 1.0 else float(values[0]) + (float(values[1]) - float(values[0])) * share
+
+
+def _log_uniform(values: tuple[Any, ...], share: float) -> float:
+    low, high = float(values[0]), float(values[1])
+    # Rounding must not leave the range.
+    return min(max(math.exp(math.log(low) + (math.log(high) - math.log(low)) * share), low), high)
+
+
+def _normal(values: tuple[Any, ...], share: float) -> float:
+    from scipy.special import ndtri
+
+    # A share of exactly 0 or 1 would be infinitely far away.
+    inside = min(max(share, 2.0**-53), 1.0 - 2.0**-53)
+    return float(values[0]) + float(values[1]) * float(ndtri(inside))
+
+
+def _integers(values: tuple[Any, ...], share: float) -> int:
+    low, high = int(values[0]), int(values[1])
+    return min(low + int(share * (high - low + 1)), high)
+
+
+#: How values may be distributed: what each takes, and the value at a share.
+KINDS: dict[str, tuple[str, Callable[[tuple[Any, ...], float], Any]]] = {
+    "choices": ("a list of values", _choice),
+    "steps": ("[lowest, highest, how many]", _steps),
+    "uniform": ("[lowest, highest]", _uniform),
+    "log_uniform": ("[lowest, highest], both above 0", _log_uniform),
+    "normal": ("[mean, standard deviation]", _normal),
+    "integers": ("[lowest, highest], whole numbers, both included", _integers),
+}
+
+
+def read(name: str, content: Any) -> Factor:
+    """Read one entry of `vary`: a list, or a distribution like ``{uniform: [0.1, 0.3]}``.
+
+    Raises:
+        StudyError: naming the entry and what is wrong with it.
+    """
+    if isinstance(content, list):
+        content = {"choices": content}
+    if not isinstance(content, Mapping) or len(content) != 1:
+        known = ", ".join(f"{{{kind}: {takes}}}" for kind, (takes, _) in KINDS.items() if kind != "choices")
+        raise StudyError(f"vary: '{name}' is {content!r}; give a list of values, or one of {known}")
+    ((kind, given),) = content.items()
+    if kind not in KINDS:
+        raise StudyError(
+            f"vary: '{name}' has the unknown distribution '{kind}'; known are {', '.join(KINDS)}"
+            f"{suggestion(str(kind), KINDS)}"
+        )
+    if not isinstance(given, list) or not given:
+        what = "is empty" if given == [] else f"has {given!r}"
+        raise StudyError(f"vary: '{name}' {what}; {kind} takes {KINDS[kind][0]}")
+    if len(given) > MOST_CHOICES:
+        raise StudyError(f"vary: '{name}' has {len(given)} values; at most {MOST_CHOICES}")
+    if kind == "choices":
+        return Factor(name=name, kind=kind, values=tuple(tuple(v) if isinstance(v, list) else v for v in given))
+    return Factor(name=name, kind=kind, values=_numbers(name, kind, given))
+
+
+def _numbers(name: str, kind: str, given: list[Any]) -> tuple[Any, ...]:
+    wanted = 3 if kind == "steps" else 2
+    whole = kind == "integers"
+    for value in given:
+        fits = isinstance(value, int) if whole else isinstance(value, int | float) and math.isfinite(value)
+        if isinstance(value, bool) or not fits:
+            raise StudyError(f"vary: '{name}' has {value!r}; {kind} takes {KINDS[kind][0]}")
+    if len(given) != wanted:
+        raise StudyError(f"vary: '{name}' has {len(given)} numbers, {given}; {kind} takes {KINDS[kind][0]}")
+    low, high = given[:2]
+    if kind == "normal":
+        if high <= 0:
+            raise StudyError(f"vary: '{name}' has the standard deviation {high}; it must be above 0")
+        return tuple(given)
+    if not low < high:
+        raise StudyError(
+            f"vary: '{name}' has the empty range from {low} to {high}; the lowest comes first and is below the highest "
+            "(one value alone belongs into 'parameters')"
+        )
+    if kind == "log_uniform" and low <= 0:
+        raise StudyError(f"vary: '{name}' has the lowest value {low}; log_uniform takes {KINDS[kind][0]}")
+    if kind == "steps" and not (isinstance(given[2], int) and 2 <= given[2] <= MOST_CHOICES):
+        raise StudyError(f"vary: '{name}' has {given[2]} steps; from 2 to {MOST_CHOICES} are possible")
+    return tuple(given)

@@ -1,0 +1,180 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a study: who may find what in it, and how a file gets into it: whole, or not at all.
+
+study.json             the study, checked; with files/ and samples.json all that a worker needs
+runs/000/run_0000123.mcap   a run's session
+rows/000/0000123.json  a run's row, written last: a run that has one is finished
+index.parquet          all rows, gathered by the client
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cloth_sim_ros.batch.errors import StudyError, folder_error
+from cloth_sim_ros.batch.study import Study
+
+#: Files of a folder: file systems slow down with many.
+_SHARD = 1000
+_HIDDEN = ".unfinished-"
+_LEFTOVER_SECONDS = 3600.0
+
+
+class StudyFolder:
+    """One study's folder."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path).absolute()
+
+    @property
+    def study_file(self) -> Path:
+        """The checked study."""
+        return self.path / "study.json"
+
+    @property
+    def index(self) -> Path:
+        """A row for each run."""
+        return self.path / "index.parquet"
+
+    def session(self, run: int) -> Path:
+        """A run's session."""
+        return self.path / "runs" / f"{run // _SHARD:03d}" / f"run_{run:07d}.mcap"
+
+    def row_file(self, run: int) -> Path:
+        """A run's row."""
+        return self.path / "rows" / f"{run // _SHARD:03d}" / f"{run:07d}.json"
+
+    def create(self, study: Study, samples: Sequence[Sequence[Any]], text: str) -> None:
+        """Lay down a study, its name last; a folder that holds the same one already stays as it is.
+
+        Args:
+            study: what is run.
+            samples: each run's values.
+            text: the study as the user wrote it.
+
+        Raises:
+            StudyError: if the folder holds another study, or something else.
+            FolderError: if it can't be written.
+        """
+        content = self.fingerprint(study)
+        if self.study_file.is_file():
+            self.check_same(study)
+            return
+        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            raise StudyError(f"{self.path} is there already and holds no study; choose a new folder")
+        try:
+            for name in ("files", "runs", "rows"):
+                (self.path / name).mkdir(parents=True, exist_ok=True)
+            for data in study.files.values():
+                self.write(self.path / "files" / _name_of(data), data)
+            self.write(self.path / "study.yaml", text.encode())
+            self.write(self.path / "samples.json", json.dumps([list(values) for values in samples]).encode())
+            self.write(self.study_file, content.encode())
+        except OSError as error:
+            raise folder_error(self.path, error) from error
+
+    def check_same(self, study: Study) -> None:
+        """Refuse a folder that holds another study.
+
+        Raises:
+            StudyError: naming what differs.
+        """
+        held, asked = json.loads(self.study_file.read_text()), json.loads(self.fingerprint(study))
+        other = [name for name in asked if held.get(name) != asked[name]]
+        if other:
+            raise StudyError(
+                f"{self.path} holds another study: it differs in {', '.join(other)}; choose another folder"
+            )
+
+    @staticmethod
+    def fingerprint(study: Study) -> str:
+        """The study's exact text, by which studies are told apart."""
+        return study.to_json({name: _name_of(data) for name, data in study.files.items()})
+
+    def read(self) -> Study:
+        """The study.
+
+        Raises:
+            StudyError: if there is none.
+        """
+        try:
+            text = self.study_file.read_text(encoding="utf-8")
+            named = json.loads(text)["files"]
+            files = {name: (self.path / "files" / held).read_bytes() for name, held in named.items()}
+        except FileNotFoundError as error:
+            raise StudyError(f"{self.path} is no study's folder: {Path(error.filename).name} is missing") from None
+        except (OSError, ValueError, KeyError) as error:
+            raise StudyError(f"{self.path} holds no readable study: {error}") from error
+        return Study.from_json(text, files)
+
+    def samples(self) -> list[tuple[Any, ...]]:
+        """Each run's values, as they were drawn when the study began."""
+        drawn = json.loads((self.path / "samples.json").read_text())
+        return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in drawn]
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows of all finished runs, in their order; one that can't be read counts as none."""
+        for path in sorted((self.path / "rows").glob("*/*.json")):
+            row = read_row(path)
+            if row is not None:
+                yield row
+
+    def workplace(self, run: int) -> Path:
+        """Make a folder for one attempt at a run; nobody else writes into it."""
+        place = self.path / "runs" / f"{_HIDDEN}{run:07d}-{secrets.token_hex(6)}"
+        place.mkdir(parents=True)
+        return place
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Give a file its content at once: whoever looks finds all of it, or what was there before."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        hidden = path.parent / f"{_HIDDEN}{path.name}-{secrets.token_hex(6)}"
+        try:
+            with hidden.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(hidden, path)
+        except BaseException:
+            hidden.unlink(missing_ok=True)
+            raise
+
+    def write_row(self, row: Mapping[str, Any]) -> None:
+        """Write a run's row: from now on the run is finished."""
+        self.write(self.row_file(int(row["run"])), json.dumps(row, allow_nan=False).encode())
+
+    def remove_leftovers(self, *, all_of_them: bool) -> None:
+        """Remove what killed processes left half-written: all of it where nothing runs any more, else what is old."""
+        for path in self.path.rglob(f"{_HIDDEN}*"):
+            try:
+                if not all_of_them and time.time() - path.stat().st_mtime < _LEFTOVER_SECONDS:
+                    continue
+            except OSError:
+                continue
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+
+
+def read_row(path: Path) -> dict[str, Any] | None:
+    """A run's row; None where there is none."""
+    try:
+        row = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return row if isinstance(row, dict) and "run" in row else None
+
+
+def _name_of(data: bytes) -> str:
+    import xxhash
+
+    return str(xxhash.xxh3_128_hexdigest(data))

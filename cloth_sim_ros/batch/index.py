@@ -1,0 +1,96 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The index of a study's folder: a Parquet table with a row for each finished run."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from cloth_sim_ros.batch.errors import StudyError, folder_error
+from cloth_sim_ros.batch.folder import StudyFolder
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: Columns of every index; what varies and the outcomes follow, under their own names.
+COLUMNS = {
+    "run": "int64",
+    "status": "string",
+    "error": "string",
+    "seed": "uint64",
+    "digest": "string",
+    "frames": "int64",
+    "flagged_frames": "int64",
+    "error_estimate": "float64",
+    "wall_time": "float64",
+    "session": "string",
+    "bytes": "int64",
+}
+#: Before the names of outcomes, so that none can be taken for a parameter.
+OUTCOME = "outcome."
+
+
+def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
+    """A table of rows, in the order of the runs."""
+    import pyarrow as pa
+
+    ordered = sorted(rows, key=lambda row: row["run"])
+    columns: dict[str, Any] = {
+        name: pa.array([row[name] for row in ordered], type=pa.type_for_alias(kind)) for name, kind in COLUMNS.items()
+    }
+    for group, prefix in (("values", ""), ("outcomes", OUTCOME)):
+        names = dict.fromkeys(name for row in ordered for name in row[group])
+        for name in names:
+            columns[prefix + name] = _column([row[group].get(name) for row in ordered])
+    return pa.table(columns)
+
+
+def write(place: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
+    """Write the index, whole or not at all.
+
+    Raises:
+        FolderError: if it can't be written.
+    """
+    import pyarrow.parquet as pq
+
+    sink = io.BytesIO()
+    pq.write_table(table_of(rows), sink)
+    try:
+        place.write(place.index, sink.getvalue())
+    except OSError as error:
+        raise folder_error(place.path, error) from error
+
+
+def read(place: StudyFolder) -> pa.Table:
+    """The index as it is on disk; gathered anew where the study was cut off before it could be written.
+
+    Raises:
+        StudyError: if there is neither an index nor a study.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not place.study_file.is_file():
+        raise StudyError(f"{place.path} is no study's folder: study.json is missing")
+    try:
+        if place.index.is_file():
+            return pq.read_table(place.index)
+    except (OSError, pa.ArrowInvalid) as error:
+        raise StudyError(f"cannot read {place.index}: {error}") from error
+    return table_of(place.rows())
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """Numbers as numbers, texts as texts, arrays as lists of numbers; a mixture as JSON."""
+    import pyarrow as pa
+
+    kinds = {type(value) for value in values if value is not None}
+    if kinds == {int, float}:
+        values = [None if value is None else float(value) for value in values]
+    try:
+        return pa.array(values)
+    except (pa.ArrowInvalid, pa.ArrowTypeError):
+        return pa.array([None if value is None else json.dumps(value) for value in values])

@@ -1,0 +1,189 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command `cloth_batch`: runs a study; `check`, `view` and `export`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cloth_sim_ros.batch.errors import StoppedError, StudyError
+
+#: Exit statuses: every run went well; some did not, or the study had to stop; bad input; a signal.
+WELL, NOT_ALL, REFUSED, INTERRUPTED = 0, 1, 2, 130
+_COMMANDS = ("check", "view", "export")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; its exit status."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    name = given[0] if given and given[0] in _COMMANDS else "run"
+    parser = {"run": _run_parser, "check": _check_parser, "view": _view_parser, "export": _export_parser}[name]()
+    options = parser.parse_args(given if name == "run" else given[1:])
+    try:
+        _check_libraries()
+        status: int = options.run(options)
+    except StudyError as error:
+        print(f"cloth_batch: {error}", file=sys.stderr)
+        return REFUSED
+    except StoppedError as error:
+        print(f"cloth_batch: {error}", file=sys.stderr)
+        return NOT_ALL
+    except BrokenPipeError:
+        # Whoever reads the output (head, less) has had enough.
+        sys.stderr.close()
+        return WELL
+    except OSError as error:
+        print(f"cloth_batch: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        return REFUSED
+    except KeyboardInterrupt:
+        print("cloth_batch: interrupted; finished runs are kept, --resume goes on", file=sys.stderr)
+        return INTERRUPTED
+    return status
+
+
+def _check_libraries() -> None:
+    for library in ("distributed", "pyarrow", "mcap", "rosbags", "lz4"):
+        if importlib.util.find_spec(library) is None:
+            raise StudyError(f"studies need {library}, which is not installed: pip install 'cloth_sim_ros[batch]'")
+
+
+def _run_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cloth_batch",
+        description="Runs a study: many simulations of one scene, on all cores or on a Dask cluster. Each run is a "
+        "session of its own. Exit status 0: every run went well; 1: some did not, or the study had to stop; "
+        "2: it was refused before the first run.",
+        epilog="also: cloth_batch check study.yaml, cloth_batch view FOLDER, cloth_batch export FOLDER; each has --help",
+    )
+    parser.add_argument("study", type=Path, metavar="study.yaml", help="what is run; docs/studies.md describes it")
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="where the results go")
+    parser.add_argument("--resume", action="store_true", help="go on with a study that was cut off")
+    parser.add_argument("--retry-failed", action="store_true", help="with --resume: run those again that failed")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a running Dask cluster, instead of this machine")
+    where.add_argument("--workers", type=_positive, metavar="N", help="worker processes here (default: one a core)")
+    parser.add_argument(
+        "--wait",
+        type=float,
+        default=300.0,
+        metavar="SECONDS",
+        help="how long a scheduler that is gone is waited for (default: %(default)g)",
+    )
+    parser.set_defaults(run=_run)
+    return parser
+
+
+def _check_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cloth_batch check", description="Says what is wrong with a study, or what it will take; runs nothing."
+    )
+    parser.add_argument("study", type=Path, metavar="study.yaml")
+    parser.set_defaults(run=_check)
+    return parser
+
+
+def _view_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="cloth_batch view", description="Shows what a study came to.")
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("--outcome", metavar="NAME", help="of the plot, and the order of the table")
+    parser.add_argument("--over", metavar="NAME", help="what varies, along the plot's x axis")
+    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="draw the outcome over what varies")
+    parser.add_argument("--rows", type=_positive, default=20, metavar="N", help="rows of the table (default: 20)")
+    parser.add_argument("--run", type=int, dest="number", metavar="K", help="open one run in Rerun")
+    parser.add_argument("--save", type=Path, metavar="OUT.rrd", help="with --run: write the recording instead")
+    parser.set_defaults(run=_view)
+    return parser
+
+
+def _export_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="cloth_batch export", description="Writes the runs that went well as a dataset for learning."
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER")
+    kind = parser.add_mutually_exclusive_group(required=True)
+    kind.add_argument("--zarr", type=Path, metavar="OUT.zarr", help="zarr v3: a chunk a run, float32")
+    kind.add_argument("--lerobot", type=Path, metavar="OUT", help="LeRobotDataset v3.0: an episode a run")
+    kind.add_argument("--mcap", type=Path, metavar="OUT", help="sessions with clouds, also where they were left out")
+    parser.add_argument("--video", action="store_true", help="with --lerobot: render each run, too (slow)")
+    parser.add_argument("--task", default="move the cloth", help="with --lerobot: the task in words")
+    parser.set_defaults(run=_export)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Run a study."""
+    from cloth_sim_ros.batch.study_session import run_study
+
+    if options.retry_failed and not options.resume:
+        raise StudyError("--retry-failed goes on with a study: it needs --resume")
+    return run_study(
+        options.study,
+        options.out,
+        resume=options.resume,
+        retry_failed=options.retry_failed,
+        scheduler=options.scheduler,
+        workers=options.workers,
+        wait=options.wait,
+    )
+
+
+def _check(options: argparse.Namespace) -> int:
+    """Check a study."""
+    from cloth_sim_ros.batch import study_file
+    from cloth_sim_ros.batch.cluster import cores
+    from cloth_sim_ros.batch.forecast import draw
+
+    study = study_file.read(options.study)
+    _, forecast = draw(study, cores())
+    print(f"{study.runs} runs of {study.duration:g} s ({forecast.frames} frames), {study.sampling}, seed {study.seed}")
+    for factor in study.factors:
+        print(f"  {factor.name}: {factor.kind} {', '.join(map(str, factor.values[:8]))}")
+    print(f"they take {forecast.in_words(study.runs, cores())}")
+    return WELL
+
+
+def _view(options: argparse.Namespace) -> int:
+    """Show a study."""
+    from cloth_sim_ros.batch.view import view
+
+    if options.plot is not None and not (options.outcome and options.over):
+        raise StudyError("--plot draws an outcome over what varies: it needs --outcome and --over")
+    if options.save is not None and options.number is None:
+        raise StudyError("--save writes one run: it needs --run")
+    return view(
+        options.folder,
+        outcome=options.outcome,
+        over=options.over,
+        plot=options.plot,
+        rows=options.rows,
+        run=options.number,
+        save=options.save,
+    )
+
+
+def _export(options: argparse.Namespace) -> int:
+    """Write a dataset."""
+    from cloth_sim_ros.batch import datasets
+
+    if options.video and options.lerobot is None:
+        raise StudyError("--video goes into a LeRobot dataset: it needs --lerobot")
+    if options.zarr is not None:
+        return datasets.to_zarr(options.folder, options.zarr)
+    if options.mcap is not None:
+        return datasets.to_mcap(options.folder, options.mcap)
+    return datasets.to_lerobot(options.folder, options.lerobot, task=options.task, video=options.video)
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is below 1")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The runs of a study: which values each one has. Computed once, by the client, and kept in the study's folder."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.factors import Factor
+
+#: Most runs of a study.
+MOST_RUNS = 10_000_000
+#: How the space of what varies is filled.
+SAMPLINGS = ("sobol", "latin_hypercube", "random", "grid")
+
+
+def grid_size(factors: Sequence[Factor]) -> int:
+    """How many combinations a full grid has.
+
+    Raises:
+        StudyError: if something varies continuously.
+    """
+    for factor in factors:
+        if factor.count is None:
+            raise StudyError(
+                f"sampling is grid, and '{factor.name}' varies continuously ({factor.kind}); "
+                "give a list, integers or steps, or sample by sobol, latin_hypercube or random"
+            )
+    return math.prod(factor.count or 1 for factor in factors)
+
+
+def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) -> list[tuple[Any, ...]]:
+    """Return the values of each run, in the order of the factors.
+
+    Args:
+        factors: what varies.
+        runs: how many.
+        seed: of the sequence.
+        sampling: one of `SAMPLINGS`; a grid runs through the last factor first.
+    """
+    if not factors:
+        return [()] * runs
+    if sampling == "grid":
+        shape = [factor.count or 1 for factor in factors]
+        places = (np.unravel_index(k, shape) for k in range(runs))
+        return [tuple(f.at(int(i)) for f, i in zip(factors, place, strict=True)) for place in places]
+    shares = _shares(len(factors), runs, seed, sampling)
+    columns = [[factor.value(float(share)) for share in shares[:, k]] for k, factor in enumerate(factors)]
+    return list(zip(*columns, strict=True))
+
+
+def _shares(dimensions: int, runs: int, seed: int, sampling: str) -> NDArray[np.float64]:
+    """Numbers from 0 to 1, shape (runs, dimensions)."""
+    from scipy.stats import qmc
+
+    generator = np.random.default_rng(seed)
+    if sampling == "random":
+        return generator.random((runs, dimensions))
+    with warnings.catch_warnings():
+        # A number of points that is no power of two balances less well, and scipy's new name for the seed is not in
+        # its older releases.
+        warnings.simplefilter("ignore")
+        engine: Any = qmc.Sobol if sampling == "sobol" else qmc.LatinHypercube
+        return np.asarray(engine(dimensions, seed=generator).random(runs))

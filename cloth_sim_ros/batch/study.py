@@ -1,0 +1,163 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A study, checked and whole: the scene, what commands it, what varies, how many runs. Workers read its text form."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.factors import Factor
+from cloth_sim_ros.batch.user_code import Source
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.unknown import suggestion
+from cloth_sim_ros.simulation.gripper_script import GripperScript
+
+VERSION = 1
+#: Begin the names of what varies of a script and of what a policy is told.
+TARGET, POLICY = "target", "policy"
+_ENTRY = re.compile(r"(.+)\[(\d{1,9})\]")
+_AXES = ("x", "y", "z")
+
+
+@attrs.frozen(kw_only=True)
+class Study:
+    """What every run has in common, and what varies."""
+
+    #: Parameters of the scene by full name.
+    parameters: dict[str, Any]
+    #: Content of the files that parameters name, by that name, whatever they vary over.
+    files: dict[str, bytes] = attrs.field(repr=False)
+    #: Scripted grasps, one for each gripper.
+    scripts: tuple[GripperScript, ...]
+    policy: Source | None
+    outcomes: tuple[Source, ...]
+    #: Simulated time of each run [s].
+    duration: float
+    factors: tuple[Factor, ...]
+    runs: int
+    seed: int
+    sampling: str
+    #: Whether sessions hold the clouds.
+    clouds: bool
+
+    def to_json(self, files: Mapping[str, str]) -> str:
+        """The exact text, the same for the same study; `files` gives a name for the content of each file."""
+        content = attrs.asdict(self, filter=lambda field, _: field.name != "files")
+        return json.dumps({"version": VERSION, **content, "files": dict(files)}, sort_keys=True, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
+        """Read what `to_json` gave."""
+        content = json.loads(text)
+        if content.pop("version", None) != VERSION:
+            raise StudyError(f"the study has another version than {VERSION}; use the package that made it")
+        content["parameters"] = _tuples(content["parameters"])
+        content["files"] = dict(files)
+        content["scripts"] = tuple(_script(entry) for entry in content["scripts"])
+        content["policy"] = Source(**content["policy"]) if content["policy"] else None
+        content["outcomes"] = tuple(Source(**entry) for entry in content["outcomes"])
+        content["factors"] = tuple(
+            Factor(**{**entry, "values": tuple(_tuple(value) for value in entry["values"])})
+            for entry in content["factors"]
+        )
+        return cls(**content)
+
+    def scene(self, values: Mapping[str, Any]) -> Scene:
+        """The scene of a run.
+
+        Raises:
+            ParameterError: if these values make none.
+        """
+        changed = dict(self.parameters)
+        # Entries of an array after the array.
+        for name in sorted(values, key=lambda name: "[" in name):
+            if name.partition(".")[0] in (TARGET, POLICY):
+                continue
+            entry = _ENTRY.fullmatch(name)
+            if entry is None:
+                changed[name] = values[name]
+                continue
+            array, index = entry.group(1), int(entry.group(2))
+            before = changed.get(array)
+            if not isinstance(before, tuple | list) or index >= len(before):
+                there = f"has the entries 0 to {len(before) - 1}" if isinstance(before, tuple | list) else "is no array"
+                raise ParameterError(f"unknown parameter '{name}': {array} {there}")
+            changed[array] = (*before[:index], values[name], *before[index + 1 :])
+        return Scene.from_parameters(changed, files=self.files)
+
+    def moved_scripts(self, values: Mapping[str, Any]) -> list[GripperScript]:
+        """The scripts of a run: their positions moved by what varies of them."""
+        scripts = list(self.scripts)
+        for name, value in values.items():
+            if name.partition(".")[0] == TARGET:
+                which, step, axis = target_of(name, self.scripts)
+                scripts[which] = _moved(scripts[which], step, axis, value)
+        return scripts
+
+    def seed_of(self, run: int) -> int:
+        """The seed of a run's random numbers, of 64 bits."""
+        return int(np.random.SeedSequence([self.seed, run]).generate_state(1, np.uint64)[0])
+
+
+def target_of(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | None, int]:
+    """Which script, which of its positions (None for all) and which axis ``target.<gripper>[.<number>].<axis>`` names.
+
+    Raises:
+        StudyError: if there is none.
+    """
+    grippers = [script.gripper for script in scripts]
+    parts = name.split(".")[1:]
+    if len(parts) not in (2, 3) or parts[-1] not in _AXES:
+        raise StudyError(
+            f"vary: '{name}' is no target; write target.<gripper>.<x, y or z>, or target.<gripper>.<n>.<x>"
+        )
+    if parts[0] not in grippers:
+        there = ", ".join(grippers) or "none (a policy moves its grippers itself)"
+        raise StudyError(
+            f"vary: '{name}': there is no script for a gripper '{parts[0]}'; there is {there}"
+            f"{suggestion(parts[0], grippers)}"
+        )
+    which = grippers.index(parts[0])
+    if len(parts) == 2:
+        return which, None, _AXES.index(parts[-1])
+    count = len(scripts[which].waypoints)
+    if not parts[1].isdecimal() or not 1 <= int(parts[1]) <= count:
+        raise StudyError(f"vary: '{name}': the script of '{parts[0]}' has the positions 1 to {count}")
+    return which, int(parts[1]) - 1, _AXES.index(parts[-1])
+
+
+def _moved(script: GripperScript, step: int | None, axis: int, by: float) -> GripperScript:
+    waypoints = [
+        attrs.evolve(waypoint, position=tuple(p + by if k == axis else p for k, p in enumerate(waypoint.position)))
+        if step in (None, index)
+        else waypoint
+        for index, waypoint in enumerate(script.waypoints)
+    ]
+    return attrs.evolve(script, waypoints=tuple(waypoints))
+
+
+def _script(content: dict[str, Any]) -> GripperScript:
+    from cloth_sim_ros.simulation.gripper_script import GraspAt, Waypoint
+
+    waypoints = tuple(
+        Waypoint(time=entry["time"], position=tuple(entry["position"]), orientation=tuple(entry["orientation"]))
+        for entry in content["waypoints"]
+    )
+    grasps = tuple(GraspAt(**entry) for entry in content["grasps"])
+    return GripperScript(**{**content, "waypoints": waypoints, "grasps": grasps})
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _tuple(value) for name, value in values.items()}

@@ -1,0 +1,252 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reading a study from its YAML file; whatever is wrong in it is told here, before anything runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cloth_sim_ros.batch import factors as factor_kinds
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.factors import Factor
+from cloth_sim_ros.batch.sampling import SAMPLINGS, grid_size
+from cloth_sim_ros.batch.study import POLICY, TARGET, Study, target_of
+from cloth_sim_ros.batch.user_code import Source, find, load
+from cloth_sim_ros.scene import files as scene_files
+from cloth_sim_ros.scene import parameter_file, ros_yaml
+from cloth_sim_ros.scene.locations import config_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
+from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
+
+#: Entries of a study, and what each is.
+ENTRIES = {
+    "scene": "a ROS parameter file, looked for beside the study and in config/",
+    "parameters": "parameters by full name, over the scene's",
+    "scripts": "scripted grasps, as cloth_gripper plays them, one for each gripper",
+    "policy": "file.py:name or module:name, called each frame instead of scripts",
+    "duration": "simulated time of a run [s]; that of the longest script where left out",
+    "vary": "what varies, by name: a list of values or a distribution",
+    "runs": "how many; of a grid all its combinations where left out",
+    "seed": "a whole number, 0 where left out",
+    "sampling": ", ".join(SAMPLINGS),
+    "clouds": "whether sessions hold the clouds (true), or what it takes to run them again",
+    "outcomes": "outcomes of your own, file.py:name or module:name",
+}
+#: Longest run [s].
+_LONGEST = 1e6
+
+
+def read(path: str | Path) -> Study:
+    """Read and check a study.
+
+    Raises:
+        StudyError: naming the file, the entry and what is wrong with it.
+    """
+    import yaml
+
+    path = Path(path)
+    try:
+        content = ros_yaml.load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
+        raise StudyError(f"cannot read the study '{path}': {error}") from error
+    try:
+        return from_dict(content, folder=path.parent)
+    except (StudyError, ParameterError, ScriptError) as error:
+        raise StudyError(f"{path}: {error}") from error
+
+
+def from_dict(content: Any, *, folder: Path) -> Study:
+    """Build a study from what its YAML holds; file names start at a folder."""
+    if not isinstance(content, Mapping):
+        raise StudyError(f"a study has entries {', '.join(ENTRIES)}; this is {str(content)[:40]!r}")
+    for name in content:
+        if name not in ENTRIES:
+            raise StudyError(
+                f"there is no entry '{name}'{suggestion(str(name), ENTRIES)}; a study has {', '.join(ENTRIES)}"
+            )
+    if "scene" not in content:
+        raise StudyError(f"'scene' is missing: {ENTRIES['scene']}")
+    scene_path = _find(str(content["scene"]), "scene", folder)
+    parameters = {
+        name: value
+        for name, value in parameter_file.read(scene_path).items()
+        if name not in FOREIGN and not name.startswith(PROFILES)
+    }
+    parameters.update(_flat(content.get("parameters", {}), "parameters"))
+    factors = tuple(factor_kinds.read(str(name), entry) for name, entry in _vary(content).items())
+    files = _files(parameters, factors, (folder, scene_path.parent))
+    scene = Scene.from_parameters(parameters, files=files)
+    scripts = _scripts(content.get("scripts"), scene, folder)
+    policy = _policy(content.get("policy"), scripts, folder)
+    sampling = _one_of(content.get("sampling", "sobol"), "sampling", SAMPLINGS)
+    study = Study(
+        parameters=scene.parameters(),
+        files=files,
+        scripts=scripts,
+        policy=policy,
+        outcomes=_outcomes(content.get("outcomes"), folder),
+        duration=_duration(content.get("duration"), scripts, scene),
+        factors=factors,
+        runs=_runs(content.get("runs"), factors, sampling),
+        seed=_whole(content.get("seed", 0), "seed", least=0, most=2**63 - 1),
+        sampling=sampling,
+        clouds=_truth(content.get("clouds", True), "clouds"),
+    )
+    _check_factors(study)
+    return study
+
+
+def _find(name: str, what: str, folder: Path) -> Path:
+    if (folder / name).is_file():
+        return folder / name
+    try:
+        return config_file(name)
+    except FileNotFoundError as error:
+        raise StudyError(f"{what} '{name}' is neither {folder / name} nor in config/: {error}") from None
+
+
+def _flat(tree: Any, what: str, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(tree, Mapping):
+        raise StudyError(f"{what} is {tree!r}; it has parameters by name")
+    values: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            values.update(_flat(value, what, f"{prefix}{key}."))
+        else:
+            values[f"{prefix}{key}"] = value
+    return values
+
+
+def _vary(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    vary = content.get("vary", {})
+    if not isinstance(vary, Mapping):
+        raise StudyError(f"vary is {vary!r}; it has a list or a distribution for each name")
+    return vary
+
+
+def _files(parameters: Mapping[str, Any], factors: Sequence[Factor], folders: Sequence[Path]) -> dict[str, bytes]:
+    """Content of every file that parameters name or vary over; a name starts at the first folder that has it."""
+    wanted: list[dict[str, Any]] = [{name: value} for name, value in parameters.items()]
+    wanted += [{factor.name: value} for factor in factors if factor.kind == "choices" for value in factor.values]
+    found: dict[str, bytes] = {}
+    for entry in wanted:
+        ((_, name),) = entry.items()
+        there = folders[0]
+        if isinstance(name, str) and name and "\0" not in name:
+            there = next((folder for folder in folders if (folder / name).is_file()), folders[0])
+        found.update(scene_files.read(entry, found, there))
+    return found
+
+
+def _scripts(given: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...]:
+    names = [given] if isinstance(given, str) else given or []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise StudyError(f"scripts is {given!r}; it is a list of files")
+    scripts = tuple(GripperScript.from_file(_find(name, "script", folder)) for name in names)
+    grippers = [script.gripper for script in scripts]
+    for script, name in zip(scripts, names, strict=True):
+        if script.gripper not in scene.gripper_names:
+            there = ", ".join(scene.gripper_names) or "none"
+            raise StudyError(f"script '{name}' is for the gripper '{script.gripper}'; the scene has {there}")
+        if grippers.count(script.gripper) > 1:
+            raise StudyError(f"{grippers.count(script.gripper)} scripts are for the gripper '{script.gripper}'")
+        if script.frame_id not in ("", scene.frame_id):
+            raise StudyError(
+                f"script '{name}' has poses in '{script.frame_id}', the cloth is in '{scene.frame_id}'; nothing "
+                "transforms them here"
+            )
+    return scripts
+
+
+def _policy(given: Any, scripts: Sequence[GripperScript], folder: Path) -> Source | None:
+    if given is None:
+        return None
+    if scripts:
+        raise StudyError("a study has scripts or a policy, not both; a policy may play scripts itself")
+    source = find(given, "policy", folder)
+    load(source, "policy")
+    return source
+
+
+def _outcomes(given: Any, folder: Path) -> tuple[Source, ...]:
+    names = [given] if isinstance(given, str) else given or []
+    if not isinstance(names, list):
+        raise StudyError(f"outcomes is {given!r}; it is a list of file.py:name or module:name")
+    sources = tuple(find(name, "outcome", folder) for name in names)
+    for source in sources:
+        load(source, "outcome")
+    return sources
+
+
+def _duration(given: Any, scripts: Sequence[GripperScript], scene: Scene) -> float:
+    if given is None:
+        if not scripts:
+            raise StudyError("'duration' is missing: without a script nothing else tells how long a run is [s]")
+        return max(script.duration for script in scripts)
+    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
+        raise StudyError(f"duration is {given!r}; it is a number of seconds")
+    if not scene.period <= given <= _LONGEST:
+        raise StudyError(f"duration is {given} s; it is from one frame ({scene.period:g} s) to {_LONGEST:g} s")
+    return float(given)
+
+
+def _runs(given: Any, factors: Sequence[Factor], sampling: str) -> int:
+    size = grid_size(factors) if sampling == "grid" else None
+    if given is None:
+        if size is None:
+            raise StudyError("'runs' is missing: how many")
+        return size
+    runs = _whole(given, "runs", least=1, most=2**63 - 1)
+    if size is not None and runs != size:
+        raise StudyError(f"runs is {runs}, the grid has {size} combinations; leave runs out, or sample otherwise")
+    return runs
+
+
+def _check_factors(study: Study) -> None:
+    """Refuse a name that is unknown, and values that make no scene, each alone."""
+    for factor in study.factors:
+        first = factor.name.partition(".")[0]
+        if first == TARGET:
+            target_of(factor.name, study.scripts)
+            _check_numbers(factor)
+        elif first == POLICY:
+            if study.policy is None:
+                raise StudyError(f"vary: '{factor.name}': there is no policy that could be told")
+        else:
+            for value in factor.ends() or [factor.value(0.5)]:
+                try:
+                    study.scene({factor.name: value})
+                except ParameterError as error:
+                    raise StudyError(f"vary: '{factor.name}' at {value!r}: {error}") from error
+
+
+def _check_numbers(factor: Factor) -> None:
+    for value in factor.values:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise StudyError(f"vary: '{factor.name}' has {value!r}; a target is moved by a number of metres")
+
+
+def _one_of(value: Any, what: str, known: Sequence[str]) -> str:
+    if value not in known:
+        raise StudyError(f"{what} is {value!r}; it is one of {', '.join(known)}{suggestion(str(value), known)}")
+    return str(value)
+
+
+def _truth(value: Any, what: str) -> bool:
+    if not isinstance(value, bool):
+        raise StudyError(f"{what} is {value!r}; it is true or false")
+    return value
+
+
+def _whole(value: Any, what: str, *, least: int, most: int) -> int:
+    # 1e9 is a float in YAML, and means a whole number here.
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise StudyError(f"{what} is {value!r}; it is a whole number from {least} to {most}")
+    return value

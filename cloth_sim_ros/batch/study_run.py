@@ -1,0 +1,234 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a study, from its values to its session and its row. What a Dask worker does."""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+import socket
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.batch.errors import FolderError, folder_error
+from cloth_sim_ros.batch.folder import StudyFolder, read_row
+from cloth_sim_ros.batch.outcomes import OutcomeError, OutcomeWatch
+from cloth_sim_ros.batch.recording import RunRecording
+from cloth_sim_ros.batch.study import POLICY, Study
+from cloth_sim_ros.batch.user_code import Observation, events_of, in_words, load
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
+from cloth_sim_ros.simulation.script_events import ScriptEvents
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: How a run ended: to its end; by a fault of its own; with every worker that tried it killed.
+OK, FAILED, KILLED = "ok", "failed", "killed"
+#: What a policy may command: what a robot can, and parameters.
+_COMMANDS = (Target, Move, Grasp, SetParameters)
+
+
+class RunError(RuntimeError):
+    """A run that fails by a fault of its own; the message says why."""
+
+
+def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> list[int]:
+    """Do several runs, one after the other; a Dask task. Returns their numbers, what they came to lies in the folder.
+
+    Raises:
+        FolderError: if the folder can't be read or written here.
+    """
+    place = StudyFolder(folder)
+    try:
+        # A folder that was made anew is another one.
+        study = _study(folder, place.study_file.stat().st_mtime_ns)
+    except OSError as error:
+        raise FolderError(
+            f"{socket.gethostname()} does not see the study in {folder}: {error.strerror}. Workers on other machines "
+            "need a folder that all share under the same name"
+        ) from error
+    for run, values in runs:
+        perform(place, study, run, values)
+    return [run for run, _ in runs]
+
+
+@functools.lru_cache(maxsize=4)
+def _study(folder: str, _changed: int) -> Study:
+    return StudyFolder(folder).read()
+
+
+def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -> dict[str, Any]:
+    """Do one run and write its session and its row, unless that was done already; the row.
+
+    Raises:
+        FolderError: if the folder can't be written; nothing of the run stays then.
+    """
+    done = read_row(place.row_file(run))
+    if done is not None and done["status"] == OK:
+        return done
+    begun = time.perf_counter()
+    named = dict(zip((factor.name for factor in study.factors), values, strict=True))
+    workplace = None
+    try:
+        workplace = place.workplace(run)
+        row, session = _record(study, run, named, workplace)
+        if session is not None:
+            row["bytes"] = session.stat().st_size
+            target = place.session(run)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(session, target)
+            row["session"] = str(target.relative_to(place.path))
+        row["wall_time"] = time.perf_counter() - begun
+        place.write_row(row)
+    except OSError as error:
+        raise folder_error(place.path, error) from error
+    finally:
+        if workplace is not None:
+            shutil.rmtree(workplace, ignore_errors=True)
+    return row
+
+
+def empty_row(study: Study, run: int, named: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
+    """The row of a run of which nothing else is known."""
+    return {
+        "run": run,
+        "status": status,
+        "error": error,
+        "seed": study.seed_of(run),
+        "values": {name: list(v) if isinstance(v, tuple) else v for name, v in named.items()},
+        "outcomes": {},
+        "digest": "",
+        "frames": 0,
+        "flagged_frames": 0,
+        "error_estimate": None,
+        "wall_time": 0.0,
+        "session": "",
+        "bytes": 0,
+    }
+
+
+def _record(study: Study, run: int, named: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
+    """Simulate and record into a folder; the row so far, and the session where there is one."""
+    row = empty_row(study, run, named, status=OK, error="")
+    try:
+        motion = Motion.of(study, run, named)
+    except RunError as error:
+        return {**row, "status": FAILED, "error": str(error)}, None
+    simulation, watch = motion.simulation, OutcomeWatch(motion.simulation)
+    recording = RunRecording(folder, simulation, name=f"run_{run:07d}", clouds=study.clouds)
+    try:
+        try:
+            for _ in range(motion.frames):
+                events, frame = motion.advance()
+                recording.add(events, frame)
+                watch.add(frame)
+            row["outcomes"] = {**watch.outcomes(), **_own(study, watch, named)}
+        except RunError as error:
+            row["status"], row["error"] = FAILED, f"frame {simulation.frame}: {error}"
+        except OutcomeError as error:
+            row["status"], row["error"] = FAILED, str(error)
+        session = recording.finish(reason="stopped" if row["status"] == OK else "failed")
+    except BaseException:
+        recording.abandon()
+        raise
+    row.update(digest=simulation.state.digest(), frames=watch.frames, flagged_frames=watch.flagged)
+    row["error_estimate"] = watch.error
+    return row, session
+
+
+def _own(study: Study, watch: OutcomeWatch, named: dict[str, Any]) -> dict[str, Any]:
+    functions = {source.reference: load(source, "outcome") for source in study.outcomes}
+    return watch.own(functions, named) if functions else {}
+
+
+@attrs.define(eq=False)
+class Motion:
+    """A simulation and what commands it, frame by frame."""
+
+    simulation: Simulation
+    #: How many frames the run has.
+    frames: int
+    _commands: Callable[[int], Sequence[Event]]
+    _wrenches: Any = None
+
+    @classmethod
+    def of(cls, study: Study, run: int, named: dict[str, Any]) -> Motion:
+        """Build a run of a study.
+
+        Raises:
+            RunError: if its values make no cloth, or its policy can't be made.
+        """
+        try:
+            simulation = Simulation(study.scene(named))
+        except (ValueError, MemoryError) as error:
+            raise RunError(str(error) or "not enough memory") from error
+        period = simulation.scene.period
+        motion = cls(simulation, max(1, round(study.duration / period)), lambda _frame: [])
+        motion._wrenches = np.zeros((len(simulation.grippers.names), 6))
+        if study.policy is None:
+            motion._commands = ScriptEvents(study.moved_scripts(named), period).at
+            return motion
+        try:
+            policy = load(study.policy, "policy")
+            policy = policy() if isinstance(policy, type) else policy
+        except Exception as error:  # Whatever a user's class raises.
+            raise RunError(f"policy '{study.policy.reference}' raised {in_words(error)}") from error
+        told = {name.removeprefix(f"{POLICY}."): value for name, value in named.items()}
+        rng = np.random.default_rng(study.seed_of(run))
+        motion._commands = functools.partial(motion._ask, policy, study.policy.reference, told, rng)
+        return motion
+
+    def advance(self) -> tuple[Sequence[Event], Any]:
+        """Run one frame; its events and the frame.
+
+        Raises:
+            RunError: if the policy raises, commands what can't be, or the motion does not stay finite.
+        """
+        simulation = self.simulation
+        events = self._commands(simulation.frame)
+        try:
+            frame = simulation.advance(events)
+        except (EventError, UnstableError) as error:
+            raise RunError(str(error)) from error
+        except (TypeError, ValueError, ArithmeticError, MemoryError) as error:
+            raise RunError(in_words(error)) from error
+        self._wrenches = frame.wrenches
+        return events, frame
+
+    def _ask(self, policy: Any, reference: str, values: dict[str, Any], rng: Any, frame: int) -> Sequence[Event]:
+        simulation = self.simulation
+        observation = Observation(
+            time=simulation.time,
+            frame=frame,
+            positions=simulation.positions,
+            velocities=simulation.velocities,
+            wrenches=self._wrenches.copy(),
+            values=values,
+            rng=rng,
+        )
+        try:
+            events = list(events_of(policy(observation)))
+        except Exception as error:  # Whatever a user's policy raises.
+            raise RunError(f"policy '{reference}' raised {in_words(error)}") from error
+        for index, event in enumerate(events):
+            if not isinstance(event, _COMMANDS):
+                known = ", ".join(kind.__name__ for kind in _COMMANDS)
+                raise RunError(f"policy '{reference}' returned {event!r}; it returns a list of {known}")
+            if (
+                isinstance(event, Move)
+                and event.orientation is None
+                and event.obstacle in simulation.scene.obstacle_names
+            ):
+                events[index] = attrs.evolve(event, orientation=self._turned(event.obstacle))
+        return events
+
+    def _turned(self, obstacle: str) -> tuple[float, ...]:
+        """The orientation of an obstacle's present target, which a command without one keeps."""
+        targets = self.simulation.state.memory["obstacle.target"]
+        return tuple(targets[self.simulation.scene.obstacle_names.index(obstacle)][3:].tolist())

@@ -1,0 +1,141 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A study from its file to its index: checked, conducted, summed up."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import re
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from cloth_sim_ros.batch import index, study_file
+from cloth_sim_ros.batch.cluster import cores, local_scheduler
+from cloth_sim_ros.batch.conduct import Conductor
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.batch.forecast import attempt, check_room, draw, quantity
+from cloth_sim_ros.batch.study import Study
+from cloth_sim_ros.batch.study_run import KILLED, OK
+
+#: Kinds of failure that a summary names, each with its first runs.
+_KINDS, _NAMED = 5, 5
+
+
+def run_study(
+    path: Path,
+    out: Path,
+    *,
+    resume: bool = False,
+    retry_failed: bool = False,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    wait: float = 300.0,
+) -> int:
+    """Run a study, or what is left of it.
+
+    Args:
+        path: the study's file.
+        out: where the results go.
+        resume: whether the folder may hold results already.
+        retry_failed: whether runs that failed by a fault of their own are done again.
+        scheduler: address of a Dask scheduler; one is started on this machine where left out.
+        workers: worker processes of that one.
+        wait: how long a scheduler that is gone is waited for [s].
+
+    Returns:
+        0 if every run went well, else 1.
+
+    Raises:
+        StudyError: before the first run, for a study or a folder that is none.
+        StoppedError: if it could not go on.
+    """
+    from tqdm import tqdm
+
+    study = study_file.read(path)
+    place = StudyFolder(out)
+    rows = _held(place, study, resume, retry_failed)
+    count = workers or cores()
+    if place.study_file.is_file():
+        samples, forecast = place.samples(), attempt(study, place.samples())
+    else:
+        samples, forecast = draw(study, count)
+        check_room(place.path, study, forecast)
+        place.create(study, samples, path.read_text(encoding="utf-8"))
+    left = [run for run in range(study.runs) if run not in rows]
+    if rows:
+        tqdm.write(f"{len(rows)} of {study.runs} runs are finished, {len(left)} are left")
+    elif scheduler is None:
+        tqdm.write(f"{study.runs} runs take {forecast.in_words(study.runs, count)}")
+    place.remove_leftovers(all_of_them=not left)
+    begun, before = time.perf_counter(), len(rows)
+    try:
+        with tqdm(total=study.runs, initial=before, unit="run", desc="study", disable=None, smoothing=0.05) as bar:
+
+            def finished(run: int, row: dict[str, Any]) -> None:
+                if run not in rows:
+                    rows[run] = row
+                    bar.update()
+
+            conductor = Conductor(place, study, samples, forecast.seconds, finished, tqdm.write)
+            if left:
+                with contextlib.ExitStack() as stack:
+                    address = scheduler or stack.enter_context(local_scheduler(workers, tqdm.write))
+                    conductor.conduct(address, left, wait=wait)
+        place.remove_leftovers(all_of_them=True)
+    finally:
+        # A second error, of a disk that is full, must not hide the first.
+        with contextlib.suppress(RuntimeError):
+            index.write(place, rows.values())
+    index.write(place, rows.values())
+    print(summary(place, rows.values(), time.perf_counter() - begun, len(rows) - before))
+    return 0 if all(row["status"] == OK for row in rows.values()) else 1
+
+
+def _held(place: StudyFolder, study: Study, resume: bool, retry_failed: bool) -> dict[int, dict[str, Any]]:
+    """The finished runs that a folder holds already.
+
+    Raises:
+        StudyError: if the folder is another study's, or has results and is not to be gone on with.
+    """
+    if not place.study_file.is_file():
+        if resume and place.path.exists() and any(place.path.iterdir()):
+            raise StudyError(f"{place.path} holds no study that could be gone on with: study.json is missing")
+        return {}
+    place.check_same(study)
+    rows = {int(row["run"]): row for row in place.rows()}
+    if rows and not resume:
+        raise StudyError(
+            f"{place.path} holds {len(rows)} of {study.runs} runs of this study; --resume goes on, "
+            "another folder starts anew"
+        )
+    again = [run for run, row in rows.items() if row["status"] == KILLED or (retry_failed and row["status"] != OK)]
+    for run in again:
+        place.row_file(run).unlink(missing_ok=True)
+        del rows[run]
+    return rows
+
+
+def summary(place: StudyFolder, rows: Iterable[dict[str, Any]], seconds: float, done: int) -> str:
+    """What a study came to, in words: what failed and why."""
+    held = list(rows)
+    failed = [row for row in held if row["status"] != OK]
+    flagged = sum(row["flagged_frames"] > 0 for row in held)
+    size = quantity(sum(row["bytes"] for row in held), "B")
+    lines = [f"{len(held) - len(failed)} of {len(held)} runs went well; {done} were done in {seconds:.1f} s; {size}"]
+    if flagged:
+        lines.append(f"{flagged} runs have frames that missed the tolerance (flagged_frames in the index)")
+    kinds: dict[str, list[dict[str, Any]]] = collections.defaultdict(list)
+    for row in failed:
+        # The same fault with other numbers is the same fault.
+        kinds[re.sub(r"-?\d+(\.\d+)?(e[-+]?\d+)?", "#", row["error"])].append(row)
+    for same in sorted(kinds.values(), key=len, reverse=True)[:_KINDS]:
+        numbers = ", ".join(str(row["run"]) for row in same[:_NAMED]) + (", ..." if same[_NAMED:] else "")
+        lines.append(f"{len(same)} failed ({numbers}): {same[0]['error']}")
+    if len(kinds) > _KINDS:
+        lines.append(f"and {len(kinds) - _KINDS} other kinds of failure (error in the index)")
+    lines.append(f"index: {place.index}")
+    return "\n".join(lines)

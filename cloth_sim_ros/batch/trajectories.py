@@ -1,0 +1,141 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A run as arrays: states, actions, wrenches, obstacles. Made of its session by running it again, digest by digest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.errors import StoppedError
+from cloth_sim_ros.batch.recording import RunRecording
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.simulation.events import Grasp, Target, from_dict
+from cloth_sim_ros.simulation.simulation import Simulation
+
+Floats = NDArray[np.float32]
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Trajectory:
+    """One run of T frames: T + 1 states, and what happened from each to the next; all float32, SI."""
+
+    run: int
+    #: Frames a second.
+    rate: float
+    #: Names, in the order of the arrays.
+    grippers: tuple[str, ...]
+    obstacles: tuple[str, ...]
+    #: Particles of each triangle, shape (m, 3).
+    triangles: NDArray[np.int32]
+    #: Particle positions [m] and velocities [m/s], shape (T + 1, n, 3).
+    positions: Floats
+    velocities: Floats
+    #: Each gripper's pose: position [m], quaternion x, y, z, w; and whether it is closed, shape (T + 1, grippers, 8).
+    poses: Floats
+    #: The newest command of each gripper: target position [m], quaternion, close (1) or open (0), (T, grippers, 8).
+    actions: Floats
+    #: Force [N] and torque [N m] of the cloth on each gripper, mean over the frame, shape (T, grippers, 6).
+    wrenches: Floats
+    #: Obstacles' poses: position [m] and quaternion, shape (T + 1, obstacles, 7).
+    obstacle_poses: Floats
+
+
+def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajectory:
+    """Run a session again and note everything.
+
+    Args:
+        run: its number.
+        session: its file.
+        copy_into: folder for a copy of the session that holds the clouds.
+
+    Raises:
+        StoppedError: if the session can't be read, or comes out differently here.
+    """
+    try:
+        with SessionReader([session]) as reader:
+            part = reader.parts[0]
+            values = parameter_file.parse(part.scene_yaml, node=reader.node, source="scene.yaml")
+            simulation = Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
+            part.rewind()
+            records = [read_frame(message) for message in part.messages(topics=frozenset({f"{reader.node}/frame"}))]
+    except (SessionError, ValueError) as error:
+        raise StoppedError(f"run {run} can't be read: {error}") from error
+    recording = None
+    if copy_into is not None:
+        copy_into.mkdir(parents=True, exist_ok=True)
+        recording = RunRecording(copy_into, simulation, name=session.stem, clouds=True)
+    notes = _Notes(simulation)
+    for record in records:
+        events = [from_dict(dict(event)) for event in record.events]
+        frame = simulation.advance(events)
+        if simulation.state.digest() != record.digest:
+            raise StoppedError(
+                f"run {run} comes out differently here from frame {record.frame} on; export it with the version of "
+                "cloth_sim_ros that made it (cloth_verify says which)"
+            )
+        if recording is not None:
+            recording.add(events, frame)
+        notes.add(events, frame)
+    if recording is not None:
+        recording.finish(reason="stopped")
+    return notes.trajectory(run)
+
+
+class _Notes:
+    """What is noted of a simulation, state by state."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._lists: dict[str, list[Any]] = {
+            name: [] for name in ("positions", "velocities", "poses", "actions", "wrenches", "obstacle_poses")
+        }
+        grippers = len(simulation.grippers.names)
+        self._action = np.zeros((grippers, 8))
+        self._action[:, 6] = 1.0
+        self._note_state()
+
+    def add(self, events: list[Any], frame: Any) -> None:
+        """Take a frame that was just run."""
+        names = self._simulation.grippers.names
+        for event in events:
+            if isinstance(event, Target):
+                row = self._action[names.index(event.gripper)]
+                row[:3] = event.position
+                if event.orientation is not None:
+                    row[3:7] = event.orientation
+            elif isinstance(event, Grasp):
+                self._action[names.index(event.gripper), 7] = event.closed
+        self._lists["actions"].append(self._action.copy())
+        self._lists["wrenches"].append(frame.wrenches.copy())
+        self._note_state()
+
+    def trajectory(self, run: int) -> Trajectory:
+        """All that was noted."""
+        simulation = self._simulation
+        return Trajectory(
+            run=run,
+            rate=simulation.scene.rate,
+            grippers=tuple(simulation.grippers.names),
+            obstacles=() if simulation.obstacles is None else tuple(simulation.obstacles.names),
+            triangles=np.asarray(simulation.scene.sheet.triangles(), dtype=np.int32).reshape(-1, 3),
+            **{name: np.array(values, dtype=np.float32) for name, values in self._lists.items()},
+        )
+
+    def _note_state(self) -> None:
+        simulation = self._simulation
+        grippers = simulation.grippers
+        closed = [[float(grippers.is_closed(k))] for k in range(len(grippers.names))]
+        self._lists["positions"].append(simulation.state.x.T.astype(np.float32))
+        self._lists["velocities"].append(simulation.state.v.T.astype(np.float32))
+        self._lists["poses"].append(np.concatenate([grippers.poses(), np.reshape(closed, (-1, 1))], axis=1))
+        none = np.zeros((0, 7))
+        self._lists["obstacle_poses"].append(none if simulation.obstacles is None else simulation.obstacles.poses())

@@ -1,0 +1,149 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a study came to: a table in the terminal, an outcome over what varies as a plot, one run in Rerun."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cloth_sim_ros.batch import index
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.folder import StudyFolder, read_row
+from cloth_sim_ros.scene.unknown import suggestion
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: Columns that the table leaves out: they are for programs.
+_FOR_PROGRAMS = ("seed", "session", "bytes", "digest", "error_estimate", "frames")
+#: Widest cell.
+_WIDEST = 24
+
+
+def view(
+    folder: Path,
+    *,
+    outcome: str | None = None,
+    over: str | None = None,
+    plot: Path | None = None,
+    rows: int = 20,
+    run: int | None = None,
+    save: Path | None = None,
+) -> int:
+    """Show a study's folder.
+
+    Args:
+        folder: of the study.
+        outcome: of the plot, and the order of the table.
+        over: what varies, along x.
+        plot: picture to write.
+        rows: of the table, at most.
+        run: one run to open in Rerun instead.
+        save: recording of it to write, instead of opening the viewer.
+
+    Raises:
+        StudyError: if there is no such folder, run or column.
+    """
+    place = StudyFolder(folder)
+    table = index.read(place)
+    if run is not None:
+        return _replay(place, run, save)
+    name = None if outcome is None else column_of(table, outcome, "outcome")
+    along = None if over is None else column_of(table, over, "what varies")
+    if plot is not None and name is not None and along is not None:
+        draw(table, name, along, plot)
+        print(f"{plot}: {name} over {along}, {table.num_rows} runs")
+        return 0
+    print(text(table, order=name, rows=rows, first=along))
+    return 0
+
+
+def column_of(table: pa.Table, name: str, what: str) -> str:
+    """The column that a name means: its own, or an outcome's without the prefix.
+
+    Raises:
+        StudyError: if there is none.
+    """
+    for candidate in (name, index.OUTCOME + name):
+        if candidate in table.column_names:
+            return candidate
+    known = [column.removeprefix(index.OUTCOME) for column in table.column_names]
+    raise StudyError(f"{what} '{name}' is no column of the index{suggestion(name, known)}; it has {', '.join(known)}")
+
+
+def text(table: pa.Table, *, order: str | None = None, rows: int = 20, first: str | None = None) -> str:
+    """The table for a terminal; by an order's column, the largest first."""
+    if order is not None:
+        table = table.sort_by([(order, "descending")])
+    names = [name for name in table.column_names if name not in _FOR_PROGRAMS]
+    if all(not error for error in table["error"].to_pylist()):
+        names.remove("error")
+    for name in (order, first):
+        if name is not None:
+            names = ["run", name, *(other for other in names if other not in ("run", name))]
+    shown = table.slice(0, rows).select(names).to_pylist()
+    cells = [[name.removeprefix(index.OUTCOME) for name in names]]
+    cells += [[_cell(row[name]) for name in names] for row in shown]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(names))]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
+    if table.num_rows > rows:
+        lines.append(f"... {table.num_rows - rows} more; --rows shows them")
+    return "\n".join(lines)
+
+
+def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
+    """Draw an outcome over what varies: points, or at each of its texts.
+
+    Raises:
+        StudyError: if there is nothing to draw, or the outcome is no number.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    pairs = [
+        (x, y)
+        for x, y in zip(table[along].to_pylist(), table[name].to_pylist(), strict=True)
+        if x is not None and y is not None
+    ]
+    if not pairs:
+        raise StudyError(f"no run has both {name} and {along}: nothing to draw")
+    if not all(isinstance(y, int | float) for _, y in pairs):
+        raise StudyError(f"{name} is no number; an outcome or another number can be drawn")
+    plain = all(isinstance(x, int | float) for x, _ in pairs)
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot([x if plain else _cell(x) for x, _ in pairs], [y for _, y in pairs], "o", markersize=4, alpha=0.7)
+    values = [x for x, _ in pairs]
+    if plain and min(values) > 0 and max(values) > 50 * min(values):
+        axes.set_xscale("log")
+    axes.set(xlabel=along, ylabel=name.removeprefix(index.OUTCOME))
+    axes.grid(alpha=0.3)
+    figure.savefig(file, dpi=120)
+
+
+def _replay(place: StudyFolder, run: int, save: Path | None) -> int:
+    """Open one run in Rerun, in a process of its own."""
+    row = read_row(place.row_file(run)) if run >= 0 else None
+    if row is None:
+        raise StudyError(f"{place.path} has no finished run {run}")
+    if not row["session"]:
+        raise StudyError(f"run {run} has no session: {row['error']}")
+    if not place.read().clouds:
+        print(
+            "cloth_batch: the sessions hold no clouds; cloth_batch export FOLDER --mcap OUT writes some with them",
+            file=sys.stderr,
+        )
+    command = [sys.executable, "-m", "cloth_sim_ros.replay.main", str(place.path / row["session"])]
+    return subprocess.run([*command, *(["--save", str(save)] if save else [])], check=False).returncode
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    words = json.dumps(value) if isinstance(value, list) else str(value)
+    return words if len(words) <= _WIDEST else words[: _WIDEST - 3] + "..."

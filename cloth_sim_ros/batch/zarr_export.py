@@ -1,0 +1,86 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs as zarr v3: one group, an array for each quantity, its first axis the run; a chunk holds a run, or a part of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.batch.trajectories import Trajectory
+
+#: Each array: field of a trajectory, unit, what its axes behind run and frame are. States have one frame more.
+ARRAYS = {
+    "positions": ("m", ("particle", "xyz")),
+    "velocities": ("m/s", ("particle", "xyz")),
+    "poses": ("m, quaternion x y z w, closed", ("gripper", "pose")),
+    "actions": ("m, quaternion x y z w, close", ("gripper", "command")),
+    "wrenches": ("N, N m", ("gripper", "wrench")),
+    "obstacle_poses": ("m, quaternion x y z w", ("obstacle", "pose")),
+}
+#: Largest chunk before compression [bytes].
+_CHUNK = 64_000_000
+
+
+def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder) -> None:
+    """Write runs; runs that are shorter or have fewer particles than the largest are filled up with NaN.
+
+    Args:
+        path: folder to make.
+        runs: the runs.
+        count: how many there are.
+        place: of the study.
+    """
+    import zarr
+
+    group = zarr.open_group(str(path), mode="w-", zarr_format=3)
+    frames, sizes, numbers, arrays = [], [], [], dict[str, Any]()
+    for k, run in enumerate(runs):
+        numbers.append(run.run)
+        frames.append(len(run.actions))
+        sizes.append(run.positions.shape[1])
+        for name, (unit, axes) in ARRAYS.items():
+            values = getattr(run, name)
+            if 0 in values.shape:
+                continue
+            if name not in arrays:
+                arrays[name] = _create(group, name, unit, axes, (count, *values.shape))
+            array = arrays[name]
+            if any(have < want for have, want in zip(array.shape[1:], values.shape, strict=True)):
+                array.resize((count, *np.maximum(array.shape[1:], values.shape).tolist()))
+            array[(k, *(slice(0, size) for size in values.shape))] = values
+        if k == 0:
+            names = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
+            group.create_array("triangles", data=run.triangles)
+    for name, values in (("run", numbers), ("frame_count", frames), ("particle_count", sizes)):
+        group.create_array(name, data=np.array(values, dtype=np.int64))
+    group.attrs.update(
+        {
+            "format": "cloth_sim_ros study",
+            "study": place.study_file.read_text(encoding="utf-8"),
+            "frames": "row t of positions, velocities, poses and obstacle_poses is the state at t / rate; row t of "
+            "actions and wrenches is what happened from there to the next",
+            **names,
+        }
+    )
+
+
+def _create(group: Any, name: str, unit: str, axes: tuple[str, ...], shape: tuple[int, ...]) -> Any:
+    from zarr.codecs import ZstdCodec
+
+    per_frame = 4 * int(np.prod(shape[2:]))
+    together = min(shape[1], max(_CHUNK // per_frame, 1))
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=(1, together, *shape[2:]),
+        dtype="float32",
+        fill_value=float("nan"),
+        compressors=[ZstdCodec(level=3)],
+        dimension_names=("run", "frame", *axes),
+        attributes={"unit": unit},
+    )

@@ -1,0 +1,105 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""CDR bytes (XCDR1, little endian) of the messages that a session holds of each frame, laid out by hand: a generic
+writer takes longer than a small cloth's frame. Times are ROS times [ns].
+
+Alignment counts from the byte after the four-byte encapsulation header, as in `cdr`, which reads them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+MESH = "shape_msgs/msg/Mesh"
+STRING = "std_msgs/msg/String"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+POINT = "geometry_msgs/msg/PointStamped"
+POSE = "geometry_msgs/msg/PoseStamped"
+BOOL = "std_msgs/msg/Bool"
+
+_LITTLE = b"\x00\x01\x00\x00"
+_SECOND = 1_000_000_000
+_FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+
+
+class CloudBytes:
+    """A sensor_msgs/PointCloud2 whose header stamp and points alone change.
+
+    Args:
+        frame_id: coordinate frame.
+        height: rows of a grid, or 1.
+        width: columns of a grid, or the number of particles.
+        velocity: whether each point has its velocity too: fields vx, vy, vz [m/s].
+    """
+
+    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False) -> None:
+        names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
+        size = 4 * len(names)
+        self._points = np.empty((height * width, len(names)), dtype="<f4")
+        body = bytearray(8) + _text(frame_id)
+        body = _aligned(body, 4) + struct.pack("<III", height, width, len(names))
+        for index, name in enumerate(names):
+            body = _aligned(body, 4) + _text(name)
+            body = _aligned(body, 4) + struct.pack("<IB", 4 * index, _FLOAT32)
+            body = _aligned(body, 4) + struct.pack("<I", 1)
+        body = _aligned(body + b"\x00", 4) + struct.pack("<III", size, size * width, self._points.nbytes)
+        self._middle = bytes(body[8:])
+        # Behind the points: is_dense, filled up to a multiple of four as it travels.
+        self._end = b"\x01\x00\x00\x00"
+
+    def at(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:
+        """The bytes for positions x [m] at a time; velocities v [m/s] where it has them; both (3, n)."""
+        self._points[:, :3] = x.T
+        if v is not None:
+            self._points[:, 3:] = v.T
+        return b"".join((_LITTLE, _stamp(stamp), self._middle, self._points.data, self._end))
+
+
+def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:
+    """A shape_msgs/Mesh: particles of each triangle (m, 3), rest positions [m] (n, 3)."""
+    corners, places = np.ascontiguousarray(triangles, dtype="<u4"), np.ascontiguousarray(vertices, dtype="<f8")
+    head = struct.pack("<I", len(corners)) + corners.tobytes() + struct.pack("<I", len(places))
+    return _LITTLE + bytes(_aligned(bytearray(head), 8)) + places.tobytes()
+
+
+def pose_bytes(position: Iterable[float], orientation: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
+    """A geometry_msgs/PoseStamped: position [m], quaternion x, y, z, w."""
+    return _stamped(frame_id, stamp, (*position, *orientation))
+
+
+def point_bytes(position: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
+    """A geometry_msgs/PointStamped: position [m]."""
+    return _stamped(frame_id, stamp, tuple(position))
+
+
+def wrench_bytes(wrench: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
+    """A geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
+    return _stamped(frame_id, stamp, tuple(float(value) for value in wrench))
+
+
+def bool_bytes(value: bool) -> bytes:
+    """A std_msgs/Bool."""
+    return _LITTLE + bytes([value])
+
+
+def _stamped(frame_id: str, stamp: int, numbers: tuple[float, ...]) -> bytes:
+    body = _aligned(bytearray(_stamp(stamp)) + _text(frame_id), 8)
+    return _LITTLE + bytes(body) + struct.pack(f"<{len(numbers)}d", *numbers)
+
+
+def _stamp(nanoseconds: int) -> bytes:
+    return struct.pack("<iI", *divmod(nanoseconds, _SECOND))
+
+
+def _text(text: str) -> bytes:
+    raw = text.encode()
+    return struct.pack("<I", len(raw) + 1) + raw + b"\x00"
+
+
+def _aligned(body: bytearray, size: int) -> bytearray:
+    return body + bytes(-len(body) % size)

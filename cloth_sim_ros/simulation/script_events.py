@@ -1,0 +1,44 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scripted grasps as events, frame by frame: what plays a script without a node and without a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.gripper_script import GripperScript
+
+
+class ScriptEvents:
+    """Events of scripts that begin together at time 0.
+
+    A frame's target is where the script has the gripper at the frame's end; a grasp takes effect at the beginning of
+    the first frame that does not begin before it.
+
+    Args:
+        scripts: one for each gripper.
+        period: simulated time of one frame [s].
+    """
+
+    def __init__(self, scripts: Sequence[GripperScript], period: float) -> None:
+        self._scripts = scripts
+        self._period = period
+        self._waiting = [list(script.grasps) for script in scripts]
+        self._told: list[Event | None] = [None] * len(scripts)
+
+    def at(self, frame: int) -> list[Event]:
+        """The events with which the frame begins that ends as number `frame` + 1; ask for the frames in order.
+
+        A target that is the last one again is left out, so that a cloth can fall asleep.
+        """
+        events: list[Event] = []
+        for index, script in enumerate(self._scripts):
+            target = Target(script.gripper, *script.pose((frame + 1) * self._period))
+            if target != self._told[index]:
+                self._told[index] = target
+                events.append(target)
+            waiting = self._waiting[index]
+            while waiting and waiting[0].time <= frame * self._period + 1e-9:
+                events.append(Grasp(script.gripper, waiting.pop(0).closed))
+        return events
