@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study's runs as a dataset: zarr v3, LeRobotDataset v3.0, sessions with clouds. A dataset appears when it is whole."""
+"""A study's runs as a dataset: zarr v3, LeRobotDataset v3.0, sessions with clouds. It appears when it is whole."""
 
 from __future__ import annotations
 

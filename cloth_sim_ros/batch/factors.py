@@ -21,7 +21,7 @@ MOST_CHOICES = 1_000_000
 class Factor:
     """One thing that varies."""
 
-    #: Full name: of a parameter, `name[i]` for an entry of an array, `target.<gripper>.x` and the like, `policy.<name>`.
+    #: Full name: of a parameter, `name[i]` of an array's entry, `target.<gripper>.x` and the like, `policy.<name>`.
     name: str
     #: One of `KINDS`.
     kind: str

@@ -10,11 +10,12 @@ index.parquet          all rows, gathered by the client
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import secrets
 import shutil
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ from cloth_sim_ros.batch.study import Study
 #: Files of a folder: file systems slow down with many.
 _SHARD = 1000
 _HIDDEN = ".unfinished-"
-_LEFTOVER_SECONDS = 3600.0
 
 
 class StudyFolder:
@@ -151,14 +151,29 @@ class StudyFolder:
         """Write a run's row: from now on the run is finished."""
         self.write(self.row_file(int(row["run"])), json.dumps(row, allow_nan=False).encode())
 
-    def remove_leftovers(self, *, all_of_them: bool) -> None:
-        """Remove what killed processes left half-written: all of it where nothing runs any more, else what is old."""
-        for path in self.path.rglob(f"{_HIDDEN}*"):
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the folder for one client.
+
+        Raises:
+            StudyError: if another one holds it.
+        """
+        descriptor = os.open(self.path / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
             try:
-                if not all_of_them and time.time() - path.stat().st_mtime < _LEFTOVER_SECONDS:
-                    continue
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise StudyError(f"another cloth_batch works on {self.path}; wait for it, or end it") from None
             except OSError:
-                continue
+                # Some network file systems have no locks.
+                pass
+            yield
+        finally:
+            os.close(descriptor)
+
+    def remove_leftovers(self) -> None:
+        """Remove what killed workers left half-written. One that a lost client left at work fails by it, unheard."""
+        for path in list(self.path.rglob(f"{_HIDDEN}*")):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:

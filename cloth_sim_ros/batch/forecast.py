@@ -153,6 +153,6 @@ def _check_extremes(study: Study, samples: Sequence[Sequence[Any]]) -> None:
                 study.scene({factor.name: value})
             except ParameterError as error:
                 raise StudyError(
-                    f"vary: '{factor.name}' is {value!r} in run {drawn.index(value)}, drawn from a normal distribution: "
+                    f"vary: '{factor.name}' is {value!r} in run {drawn.index(value)}, of a normal distribution: "
                     f"{error}; narrow it, or take uniform"
                 ) from error

@@ -57,7 +57,7 @@ def _run_parser() -> argparse.ArgumentParser:
         description="Runs a study: many simulations of one scene, on all cores or on a Dask cluster. Each run is a "
         "session of its own. Exit status 0: every run went well; 1: some did not, or the study had to stop; "
         "2: it was refused before the first run.",
-        epilog="also: cloth_batch check study.yaml, cloth_batch view FOLDER, cloth_batch export FOLDER; each has --help",
+        epilog="also: cloth_batch check study.yaml, cloth_batch view FOLDER, cloth_batch export FOLDER",
     )
     parser.add_argument("study", type=Path, metavar="study.yaml", help="what is run; docs/studies.md describes it")
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="where the results go")

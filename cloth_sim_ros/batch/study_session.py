@@ -15,7 +15,7 @@ from typing import Any
 from cloth_sim_ros.batch import index, study_file
 from cloth_sim_ros.batch.cluster import cores, local_scheduler
 from cloth_sim_ros.batch.conduct import Conductor
-from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.errors import FolderError, StudyError
 from cloth_sim_ros.batch.folder import StudyFolder
 from cloth_sim_ros.batch.forecast import attempt, check_room, draw, quantity
 from cloth_sim_ros.batch.study import Study
@@ -70,29 +70,33 @@ def run_study(
         tqdm.write(f"{len(rows)} of {study.runs} runs are finished, {len(left)} are left")
     elif scheduler is None:
         tqdm.write(f"{study.runs} runs take {forecast.in_words(study.runs, count)}")
-    place.remove_leftovers(all_of_them=not left)
     begun, before = time.perf_counter(), len(rows)
-    try:
-        with tqdm(total=study.runs, initial=before, unit="run", desc="study", disable=None, smoothing=0.05) as bar:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(place.held())
+        place.remove_leftovers()
+        # In the reverse order: the cluster ends, what it left half-written goes, the index tells what is there.
+        stack.callback(_write_index, place, rows)
+        stack.callback(place.remove_leftovers)
+        bar = stack.enter_context(tqdm(total=study.runs, initial=before, unit="run", desc="study", disable=None))
 
-            def finished(run: int, row: dict[str, Any]) -> None:
-                if run not in rows:
-                    rows[run] = row
-                    bar.update()
+        def finished(run: int, row: dict[str, Any]) -> None:
+            if run not in rows:
+                rows[run] = row
+                bar.update()
 
-            conductor = Conductor(place, study, samples, forecast.seconds, finished, tqdm.write)
-            if left:
-                with contextlib.ExitStack() as stack:
-                    address = scheduler or stack.enter_context(local_scheduler(workers, tqdm.write))
-                    conductor.conduct(address, left, wait=wait)
-        place.remove_leftovers(all_of_them=True)
-    finally:
-        # A second error, of a disk that is full, must not hide the first.
-        with contextlib.suppress(RuntimeError):
-            index.write(place, rows.values())
+        conductor = Conductor(place, study, samples, forecast.seconds, finished, tqdm.write)
+        if left:
+            address = scheduler or stack.enter_context(local_scheduler(workers, tqdm.write))
+            conductor.conduct(address, left, wait=wait)
     index.write(place, rows.values())
     print(summary(place, rows.values(), time.perf_counter() - begun, len(rows) - before))
     return 0 if all(row["status"] == OK for row in rows.values()) else 1
+
+
+def _write_index(place: StudyFolder, rows: dict[int, dict[str, Any]]) -> None:
+    """Write the index of what is there; a disk that is full is told of by what stopped the study."""
+    with contextlib.suppress(FolderError):
+        index.write(place, rows.values())
 
 
 def _held(place: StudyFolder, study: Study, resume: bool, retry_failed: bool) -> dict[int, dict[str, Any]]:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs as zarr v3: one group, an array for each quantity, its first axis the run; a chunk holds a run, or a part of it."""
+"""Runs as zarr v3: one group, an array for each quantity, its first axis the run; a chunk holds a run or part of it."""
 
 from __future__ import annotations
 

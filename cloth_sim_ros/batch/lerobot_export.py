@@ -1,0 +1,269 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs as a LeRobotDataset v3.0, written without the lerobot package: an episode a run, a row a frame.
+
+A row holds what was known at the beginning of a frame, and the action that the frame then followed. The format is that
+of https://huggingface.co/docs/lerobot/lerobot-dataset-v3: data and episodes as Parquet, videos beside.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.batch.lerobot_stats import aggregate, statistics
+from cloth_sim_ros.batch.trajectories import Trajectory
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+VERSION = "v3.0"
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+CAMERA = "observation.images.cloth"
+#: Files of a chunk's folder, and the size at which a new file is begun [MB]: the format's own defaults.
+_CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+#: What every dataset has besides: type and, of an episode's rows, the values.
+_DEFAULTS = {
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
+
+
+def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> None:
+    """Write runs.
+
+    Args:
+        path: folder to make.
+        runs: the runs; all of one cloth.
+        task: what they do, in words.
+        video: whether each is rendered.
+
+    Raises:
+        StudyError: if the runs differ in what they consist of, or their rate is no whole number.
+    """
+    dataset: _Dataset | None = None
+    try:
+        for run in runs:
+            if dataset is None:
+                dataset = _Dataset(path, run, task=task, video=video)
+            dataset.add(run)
+    finally:
+        if dataset is not None:
+            dataset.close()
+    assert dataset is not None
+    dataset.finish()
+
+
+def features_of(run: Trajectory) -> dict[str, dict[str, Any]]:
+    """Names and widths of what a run's rows hold, as info.json has them."""
+    grippers, particles = run.grippers, run.positions.shape[1]
+    poses = [f"{name}.{axis}" for name in grippers for axis in (*_POSE, "closed")]
+    actions = [f"{name}.{axis}" for name in grippers for axis in (*_POSE, "close")]
+    wrenches = [f"{name}.{axis}" for name in grippers for axis in ("fx", "fy", "fz", "tx", "ty", "tz")]
+    obstacles = [f"{name}.{axis}" for name in run.obstacles for axis in _POSE]
+    points = [f"{k}.{axis}" for k in range(particles) for axis in "xyz"]
+    speeds = [f"{k}.v{axis}" for k in range(particles) for axis in "xyz"]
+    widths = {
+        "observation.state": poses,
+        "observation.environment_state": points,
+        "observation.velocities": speeds,
+        "observation.wrench": wrenches,
+        "observation.obstacles": obstacles,
+        "action": actions,
+    }
+    wide = {
+        name: {"dtype": "float32", "shape": [len(names)], "names": names} for name, names in widths.items() if names
+    }
+    return wide | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in _DEFAULTS.items()}
+
+
+def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
+    """An episode's rows: what was known when each frame began, shape (T, width)."""
+    count = len(run.actions)
+    # The wrench that is known is that of the frame before; before the first there is none.
+    wrenches = np.concatenate([np.zeros_like(run.wrenches[:1]), run.wrenches[:-1]])
+    found = {
+        "observation.state": run.poses[:-1],
+        "observation.environment_state": run.positions[:-1],
+        "observation.velocities": run.velocities[:-1],
+        "observation.wrench": wrenches,
+        "observation.obstacles": run.obstacle_poses[:-1],
+        "action": run.actions,
+    }
+    return {name: values.reshape(count, -1) for name, values in found.items() if values.size}
+
+
+class _Dataset:
+    """One dataset that grows by episodes."""
+
+    def __init__(self, path: Path, run: Trajectory, *, task: str, video: bool) -> None:
+        if not float(run.rate).is_integer():
+            raise StudyError(f"the scene's rate is {run.rate} Hz; LeRobot has whole frames per second: set rate so")
+        self._path, self._task, self._video = path, task, video
+        self._fps = int(run.rate)
+        self._features = features_of(run)
+        self._info: dict[str, Any] = {}
+        self._episodes: list[dict[str, Any]] = []
+        self._stats: list[dict[str, dict[str, np.ndarray]]] = []
+        self._writer: pq.ParquetWriter | None = None
+        self._file = 0
+        self._frames = 0
+
+    def add(self, run: Trajectory) -> None:
+        """Write a run as the next episode."""
+        if features_of(run) != self._features:
+            raise StudyError(
+                f"run {run.run} has other grippers, obstacles or particles than the first one; LeRobot has one layout "
+                "for all episodes: export with --zarr, or vary what leaves them"
+            )
+        count, episode = len(run.actions), len(self._episodes)
+        columns = columns_of(run)
+        columns["timestamp"] = (np.arange(count) / self._fps).astype(np.float32)
+        columns["frame_index"] = np.arange(count)
+        columns["episode_index"] = np.full(count, episode)
+        columns["index"] = np.arange(self._frames, self._frames + count)
+        columns["task_index"] = np.zeros(count, dtype=np.int64)
+        chunk, file = self._write_rows(columns)
+        entry: dict[str, Any] = {
+            "episode_index": episode,
+            "tasks": [self._task],
+            "length": count,
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "dataset_from_index": self._frames,
+            "dataset_to_index": self._frames + count,
+        }
+        stats = {name: statistics(values) for name, values in columns.items()}
+        if self._video:
+            entry |= self._write_video(run, episode, stats)
+        self._frames += count
+        self._stats.append(stats)
+        flat = {f"stats/{name}/{key}": v.tolist() for name, of in stats.items() for key, v in of.items()}
+        self._episodes.append(entry | flat | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
+
+    def close(self) -> None:
+        """Close the file that is being written."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def finish(self) -> None:
+        """Write what tells of the episodes."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        target = self._path / EPISODES.format(chunk_index=0, file_index=0)
+        target.parent.mkdir(parents=True)
+        pq.write_table(pa.Table.from_pylist(self._episodes), target, compression="snappy")
+        pq.write_table(_tasks(self._task), self._path / "meta" / "tasks.parquet")
+        features = dict(self._features)
+        if self._video:
+            features[CAMERA] = self._info
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": "cloth_sim_ros",
+            "total_episodes": len(self._episodes),
+            "total_frames": self._frames,
+            "total_tasks": 1,
+            "chunks_size": _CHUNK_FILES,
+            "data_files_size_in_mb": _DATA_MB,
+            "video_files_size_in_mb": _VIDEO_MB,
+            "fps": self._fps,
+            "splits": {"train": f"0:{len(self._episodes)}"},
+            "data_path": DATA,
+            "video_path": VIDEO if self._video else None,
+            "features": features,
+        }
+        (self._path / "meta" / "info.json").write_text(json.dumps(info, indent=4))
+        total = {
+            name: {key: values.tolist() for key, values in of.items()} for name, of in aggregate(self._stats).items()
+        }
+        (self._path / "meta" / "stats.json").write_text(json.dumps(total, indent=4))
+
+    def _write_rows(self, columns: dict[str, np.ndarray]) -> tuple[int, int]:
+        """Write an episode's rows as one row group; the chunk and the file they are in."""
+        import pyarrow.parquet as pq
+
+        table = _table(columns, self._features)
+        path = self._path / DATA.format(chunk_index=self._file // _CHUNK_FILES, file_index=self._file % _CHUNK_FILES)
+        if self._writer is not None and path.stat().st_size >= _DATA_MB * 1024**2:
+            self.close()
+            self._file += 1
+            path = self._path / DATA.format(
+                chunk_index=self._file // _CHUNK_FILES, file_index=self._file % _CHUNK_FILES
+            )
+        if self._writer is None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(path, table.schema, compression="snappy", use_dictionary=True)
+        self._writer.write_table(table)
+        return self._file // _CHUNK_FILES, self._file % _CHUNK_FILES
+
+    def _write_video(self, run: Trajectory, episode: int, stats: dict[str, Any]) -> dict[str, Any]:
+        """Render an episode into a file of its own; where it is."""
+        from cloth_sim_ros.batch.video import render
+
+        chunk, file = episode // _CHUNK_FILES, episode % _CHUNK_FILES
+        path = self._path / VIDEO.format(video_key=CAMERA, chunk_index=chunk, file_index=file)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._info, pixels = render(run, path, fps=self._fps)
+        stats[CAMERA] = pixels
+        return {
+            f"videos/{CAMERA}/chunk_index": chunk,
+            f"videos/{CAMERA}/file_index": file,
+            f"videos/{CAMERA}/from_timestamp": 0.0,
+            f"videos/{CAMERA}/to_timestamp": len(run.actions) / self._fps,
+        }
+
+
+def _table(columns: dict[str, np.ndarray], features: dict[str, dict[str, Any]]) -> pa.Table:
+    """Rows as Arrow: lists of fixed length, and what Hugging Face's datasets asks for in the schema's metadata."""
+    import pyarrow as pa
+
+    arrays, told = {}, {}
+    for name, feature in features.items():
+        values, kind = columns[name], pa.type_for_alias(feature["dtype"])
+        value = {"dtype": feature["dtype"], "_type": "Value"}
+        if values.ndim == 1:
+            arrays[name], told[name] = pa.array(values, type=kind), value
+        else:
+            flat = pa.array(values.astype(feature["dtype"]).ravel(), type=kind)
+            arrays[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+            told[name] = {"feature": value, "length": values.shape[1], "_type": "Sequence"}
+    metadata = {"huggingface": json.dumps({"info": {"features": told}})}
+    return pa.table(arrays).replace_schema_metadata(metadata)
+
+
+def _tasks(task: str) -> pa.Table:
+    """The tasks as pandas reads them: the words are the index."""
+    import pyarrow as pa
+
+    def column(name: str, kind: str, numpy_kind: str) -> dict[str, Any]:
+        return {
+            "name": name,
+            "field_name": name,
+            "pandas_type": kind,
+            "numpy_type": numpy_kind,
+            "metadata": None,
+        }
+
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [column(None, "unicode", "object") | {"field_name": None}],  # type: ignore[arg-type]
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.0.0",
+    }
+    table = pa.table({"task_index": pa.array([0], type=pa.int64()), "task": pa.array([task])})
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})

@@ -1,0 +1,49 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Statistics of a dataset's features, as LeRobot normalises by them: of each episode, and of all together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Quantiles by their names in the format.
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+
+Statistics = dict[str, NDArray[np.float64]]
+
+
+def statistics(values: NDArray[np.generic]) -> Statistics:
+    """Of one feature over an episode's frames, shape (T, width) or (T,): arrays of the width; `count` is the frames."""
+    wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    found = {
+        "min": wide.min(axis=0),
+        "max": wide.max(axis=0),
+        "mean": wide.mean(axis=0),
+        "std": wide.std(axis=0),
+        "count": np.array([len(wide)]),
+    }
+    quantiles = np.quantile(wide, list(QUANTILES.values()), axis=0)
+    return found | dict(zip(QUANTILES, quantiles, strict=True))
+
+
+def aggregate(episodes: Sequence[dict[str, Statistics]]) -> dict[str, Statistics]:
+    """Of all episodes: exact but for the quantiles, which are means over episodes by their frames, as LeRobot's are."""
+    total: dict[str, Statistics] = {}
+    for name in episodes[0]:
+        each = {key: np.array([episode[name][key] for episode in episodes]) for key in episodes[0][name]}
+        frames = each["count"].sum()
+        weights = (each["count"] / frames).reshape(-1, *(1,) * (each["mean"].ndim - 1))
+        mean = (each["mean"] * weights).sum(axis=0)
+        variance = ((each["std"] ** 2 + (each["mean"] - mean) ** 2) * weights).sum(axis=0)
+        total[name] = {
+            "min": each["min"].min(axis=0),
+            "max": each["max"].max(axis=0),
+            "mean": mean,
+            "std": np.sqrt(variance),
+            "count": np.array([frames]),
+            **{key: (each[key] * weights).sum(axis=0) for key in QUANTILES},
+        }
+    return total

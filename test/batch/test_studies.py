@@ -1,0 +1,333 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Studies: their files, their runs, what is told before the first one, and what each folder holds in the end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("distributed")
+pytest.importorskip("pyarrow")
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
+
+from cloth_sim_ros.batch import index, study_file
+from cloth_sim_ros.batch.errors import FolderError, StudyError
+from cloth_sim_ros.batch.factors import read
+from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.batch.forecast import draw
+from cloth_sim_ros.batch.main import main
+from cloth_sim_ros.batch.sampling import sample
+from cloth_sim_ros.batch.study_run import perform, perform_all
+from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.verify.run import verify
+
+BASE = {
+    "scene": "cloth_sim.yaml",
+    "parameters": {"cloth.resolution": [5, 5], "tolerance": 1e-3, "gripper.radius": 0.3},
+    "scripts": "grasp.yaml",
+    "duration": 0.5,
+    "runs": 4,
+    "vary": {"material.density": {"uniform": [0.1, 0.3]}, "target.gripper.z": {"normal": [0.0, 0.01]}},
+}
+POLICY = """\
+from cloth_sim_ros import Grasp, Target
+
+class Lift:
+    def __init__(self):
+        self.start = None
+
+    def __call__(self, seen):
+        if self.start is None:
+            self.start = seen.positions[-1]
+            return [Target("gripper", self.start), Grasp("gripper", True)]
+        if seen.time > seen.values["fails_after"]:
+            raise RuntimeError("the arm is at its end")
+        return Target("gripper", self.start + [0.0, 0.0, 0.1 * seen.time + 1e-3 * seen.rng.normal()])
+
+def broken(seen):
+    return 1 / 0
+
+def spread(run):
+    return {"spread": run.positions[:, 2].std(), "kept": len(run.times) == 30}
+"""
+
+
+def study_of(folder: Path, **entries):
+    content = {**BASE, **entries}
+    return study_file.from_dict({k: v for k, v in content.items() if v is not None}, folder=folder)
+
+
+def lay_down(folder: Path, study) -> tuple[StudyFolder, list]:
+    place = StudyFolder(folder)
+    samples, _ = draw(study, 2)
+    place.create(study, samples, "")
+    return place, samples
+
+
+@pytest.fixture
+def with_policy(tmp_path: Path):
+    (tmp_path / "arm.py").write_text(POLICY)
+    return study_of(
+        tmp_path,
+        scripts=None,
+        policy="arm.py:Lift",
+        outcomes=["arm.py:spread"],
+        vary={"policy.fails_after": [9.0, 0.2]},
+        sampling="grid",
+        runs=None,
+    )
+
+
+def test_a_run_is_a_session_that_runs_again_and_its_row_tells_of_it(tmp_path: Path) -> None:
+    study = study_of(tmp_path)
+    place, samples = lay_down(tmp_path / "out", study)
+    row = perform(place, study, 2, samples[2])
+    verdict = verify([place.path / row["session"]])
+    assert (verdict.same, verdict.frames, verdict.clouds) == (True, 30, 30)
+    assert not verdict.missing
+    assert (row["status"], row["frames"]) == ("ok", 30)
+    assert row["values"]["material.density"] == samples[2][0]
+    assert row["outcomes"]["mean_height"] > 0.5
+
+
+def test_bits_do_not_depend_on_order_process_or_place_and_bytes_neither(tmp_path: Path) -> None:
+    study = study_of(tmp_path)
+    first, samples = lay_down(tmp_path / "first", study)
+    second, again = lay_down(tmp_path / "second", study)
+    assert samples == again
+    for run in (0, 1, 2, 3):
+        perform(first, study, run, samples[run])
+    # As a worker does it, from what lies in the folder.
+    perform_all(str(second.path), [(run, again[run]) for run in (3, 1, 0, 2)])
+    for run in range(4):
+        assert first.session(run).read_bytes() == second.session(run).read_bytes()
+    digests = [row["digest"] for row in first.rows()]
+    assert digests == [row["digest"] for row in second.rows()]
+    assert len(set(digests)) == 4
+
+
+def test_without_clouds_a_session_is_small_and_runs_again_all_the_same(tmp_path: Path) -> None:
+    rows = {}
+    for clouds in (True, False):
+        study = study_of(tmp_path, clouds=clouds)
+        place, samples = lay_down(tmp_path / str(clouds), study)
+        rows[clouds] = perform(place, study, 0, samples[0])
+        assert verify([place.path / rows[clouds]["session"]]).same
+    assert rows[True]["digest"] == rows[False]["digest"]
+    assert rows[False]["bytes"] < rows[True]["bytes"]
+
+
+def test_a_run_that_fails_is_recorded_to_where_it_failed(with_policy, tmp_path: Path) -> None:
+    place, samples = lay_down(tmp_path / "out", with_policy)
+    well, failed = (perform(place, with_policy, run, values) for run, values in enumerate(samples))
+    assert (well["status"], failed["status"]) == ("ok", "failed")
+    assert well["outcomes"]["kept"] == 1.0
+    assert well["outcomes"]["spread"] > 0.0
+    assert "RuntimeError: the arm is at its end (arm.py, line 12)" in failed["error"]
+    verdict = verify([place.path / failed["session"]])
+    assert verdict.same
+    assert verdict.frames == failed["frames"] == 13
+
+
+def test_a_policys_random_numbers_are_those_of_its_run(with_policy, tmp_path: Path) -> None:
+    one, samples = lay_down(tmp_path / "one", with_policy)
+    other, _ = lay_down(tmp_path / "other", with_policy)
+    perform(one, with_policy, 1, samples[0])
+    perform(one, with_policy, 0, samples[0])
+    perform(other, with_policy, 0, samples[0])
+    digests = [row["digest"] for row in one.rows()]
+    assert digests[0] == next(other.rows())["digest"]
+    assert digests[0] != digests[1]
+
+
+def test_a_row_that_is_there_is_not_done_again(tmp_path: Path) -> None:
+    study = study_of(tmp_path)
+    place, samples = lay_down(tmp_path / "out", study)
+    row = perform(place, study, 0, samples[0])
+    assert perform(place, study, 0, samples[0]) == row
+
+
+@pytest.mark.parametrize("where", ["session", "row"])
+def test_a_full_disk_names_the_folder_and_leaves_nothing(tmp_path: Path, monkeypatch, where: str) -> None:
+    study = study_of(tmp_path)
+    place, samples = lay_down(tmp_path / "out", study)
+
+    def full(*_arguments, **_options):
+        raise OSError(28, "No space left on device")
+
+    name = "cloth_sim_ros.session.storage.AppendFile._write" if where == "session" else "os.replace"
+    monkeypatch.setattr(name, full)
+    with pytest.raises(FolderError, match=r"nothing more fits into .*out.*--resume"):
+        perform(place, study, 0, samples[0])
+    monkeypatch.undo()
+    assert not list(place.path.rglob(".unfinished*"))
+    assert not list(place.rows())
+    assert perform(place, study, 0, samples[0])["status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({"scnee": "x"}, "there is no entry 'scnee'; did you mean 'scene'"),
+        ({"scene": "nowhere.yaml"}, "scene 'nowhere.yaml' is neither"),
+        (
+            {"parameters": {"material.densty": 0.2}},
+            "unknown parameter 'material.densty'; did you mean 'material.density'",
+        ),
+        ({"vary": {"material.densty": [0.2]}}, "'material.densty' at 0.2: unknown.*did you mean 'material.density'"),
+        ({"vary": {"air.drag": []}}, "'air.drag' is empty"),
+        ({"vary": {"air.drag": {"uniform": [1.0, 0.5]}}}, "empty range from 1.0 to 0.5"),
+        ({"vary": {"air.drag": {"uniform": [-1.0, 0.5]}}}, "air.drag is -1.0"),
+        ({"vary": {"air.drag": {"unifrom": [0.0, 0.5]}}}, "did you mean 'uniform'"),
+        ({"vary": {"air.drag": {"log_uniform": [0.0, 0.5]}}}, "both above 0"),
+        ({"vary": {"air.drag": {"normal": [0.1, 0.0]}}}, "standard deviation 0.0"),
+        ({"vary": {"cloth.size[2]": [1.0]}}, "has the entries 0 to 1"),
+        ({"vary": {"target.griper.z": [0.1]}}, "did you mean 'gripper'"),
+        ({"vary": {"target.gripper.9.z": [0.1]}}, "positions 1 to"),
+        ({"vary": {"policy.speed": [0.1]}}, "there is no policy"),
+        ({"vary": {"cloth.mesh": ["nowhere.obj"]}}, "nowhere.obj"),
+        ({"runs": 0}, "runs is 0"),
+        ({"runs": None}, "'runs' is missing"),
+        ({"sampling": "grid"}, "varies continuously"),
+        ({"sampling": "sobel"}, "did you mean 'sobol'"),
+        ({"duration": -1.0}, "duration is -1.0"),
+        ({"clouds": "maybe"}, "true or false"),
+        ({"seed": -1}, "seed is -1"),
+        ({"scripts": "fold_left.yaml"}, "for the gripper 'left'"),
+        ({"policy": "arm.py:Lift"}, "not both"),
+        ({"scripts": None, "policy": "arm.py:Lift"}, "cannot read"),
+    ],
+)
+def test_what_is_wrong_in_a_study_is_told(tmp_path: Path, entries, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        study_of(tmp_path, **entries)
+
+
+def test_a_policy_that_raises_is_told_before_the_first_run(tmp_path: Path) -> None:
+    (tmp_path / "arm.py").write_text(POLICY)
+    study = study_of(tmp_path, scripts=None, vary={}, policy="arm.py:broken")
+    with pytest.raises(StudyError, match=r"no run begins: policy 'arm.py:broken' raised ZeroDivisionError.*line 16"):
+        draw(study, 2)
+    (tmp_path / "worse.py").write_text("import nothing_of_that_name\n")
+    with pytest.raises(StudyError, match="ModuleNotFoundError"):
+        study_of(tmp_path, scripts=None, vary={}, policy="worse.py:f")
+    with pytest.raises(StudyError, match="no function 'lift'; it has"):
+        study_of(tmp_path, scripts=None, vary={}, policy="arm.py:lift")
+
+
+def test_too_many_runs_are_refused_with_what_they_would_take(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r"runs is 1000000000; at most 10000000.*B and .* hours on 2 cores"):
+        draw(study_of(tmp_path, runs=1e9), 2)
+
+
+def test_a_normal_value_that_makes_no_scene_is_told_with_its_run(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r"'air.drag' is -.* in run \d+"):
+        draw(study_of(tmp_path, vary={"air.drag": {"normal": [0.0, 1.0]}}), 2)
+
+
+def test_a_folder_of_another_study_is_refused(tmp_path: Path, capsys) -> None:
+    place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
+    with pytest.raises(StudyError, match="holds another study: it differs in duration"):
+        place.create(study_of(tmp_path, duration=1.0), [], "")
+    (tmp_path / "study.yaml").write_text(json.dumps({**BASE, "seed": 5}))
+    assert main([str(tmp_path / "study.yaml"), "--out", str(place.path), "--resume"]) == 2
+    assert "differs in seed" in capsys.readouterr().err
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("")
+    assert main([str(tmp_path / "study.yaml"), "--out", str(tmp_path / "full")]) == 2
+    assert "holds no study" in capsys.readouterr().err
+
+
+def test_a_study_reads_back_as_it_is(tmp_path: Path) -> None:
+    study = study_of(tmp_path, vary={"cloth.size[0]": [0.8, 1.2], "material.density": {"uniform": [0.1, 0.3]}})
+    place, samples = lay_down(tmp_path / "out", study)
+    assert place.read() == study
+    assert place.samples() == samples
+    place.check_same(place.read())
+
+
+@pytest.mark.parametrize("sampling", ["sobol", "latin_hypercube", "random"])
+def test_samples_fill_their_ranges_and_follow_from_the_seed(sampling: str) -> None:
+    factors = [
+        read("a", {"uniform": [1.0, 2.0]}),
+        read("b", {"log_uniform": [1e-6, 1e-2]}),
+        read("c", {"integers": [1, 4]}),
+        read("d", ["x", "y"]),
+        read("e", {"normal": [5.0, 0.5]}),
+        read("f", {"steps": [0.0, 1.0, 5]}),
+    ]
+    drawn = sample(factors, runs=256, seed=1, sampling=sampling)
+    a, b, c, d, e, f = zip(*drawn, strict=True)
+    assert drawn == sample(factors, runs=256, seed=1, sampling=sampling)
+    assert drawn != sample(factors, runs=256, seed=2, sampling=sampling)
+    # A quarter of the runs in each quarter of a range, within five standard deviations of plain chance.
+    for values in (np.array(a) - 1.0, np.log10(b) / 4.0 + 1.5):
+        assert np.all(np.abs(np.histogram(values, bins=4, range=(0.0, 1.0))[0] - 64) < 35)
+    assert set(c) == {1, 2, 3, 4}
+    assert set(d) == {"x", "y"}
+    assert abs(np.mean(e) - 5.0) < 0.16
+    assert set(f) == {0.0, 0.25, 0.5, 0.75, 1.0}
+
+
+def test_a_grid_has_every_combination_once() -> None:
+    factors = [read("a", [1, 2]), read("b", {"integers": [0, 2]})]
+    assert sample(factors, runs=6, seed=0, sampling="grid") == [(1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2)]
+
+
+def test_moved_targets_move_the_script(tmp_path: Path) -> None:
+    study = study_of(tmp_path, vary={"target.gripper.x": [0.1], "target.gripper.2.z": [0.5]})
+    before, after = study.scripts[0], study.moved_scripts({"target.gripper.x": 0.1, "target.gripper.2.z": 0.5})[0]
+    moved = np.array([p.position for p in after.waypoints]) - np.array([p.position for p in before.waypoints])
+    assert np.allclose(moved[:, 0], 0.1)
+    assert np.allclose(moved[:, 2], [0.5 if k == 1 else 0.0 for k in range(len(moved))])
+
+
+def test_the_command_runs_a_study_and_goes_on_with_one(tmp_path: Path, capsys) -> None:
+    (tmp_path / "study.yaml").write_text(json.dumps({**BASE, "runs": 6}))
+    command = [str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert main(command) == 0
+    assert "6 of 6 runs went well" in capsys.readouterr().out
+    place = StudyFolder(tmp_path / "out")
+    whole = index.read(place).to_pydict()
+    assert whole["run"] == list(range(6))
+    assert "outcome.mean_height" in whole
+    assert main(command) == 2
+    assert "--resume goes on" in capsys.readouterr().err
+    place.row_file(3).unlink()
+    place.row_file(4).write_text('{"run": 4, "sta')
+    (place.path / "runs" / ".unfinished-0000003-abc").mkdir()
+    assert main([*command, "--resume"]) == 0
+    again = index.read(place).to_pydict()
+    assert again["digest"] == whole["digest"]
+    assert not list(place.path.rglob(".unfinished*"))
+    assert main(["view", str(place.path), "--outcome", "mean_height", "--rows", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert "mean_height" in shown
+    assert "4 more" in shown
+    picture = tmp_path / "plot.png"
+    assert (
+        main(["view", str(place.path), "--outcome", "held", "--over", "material.density", "--plot", str(picture)]) == 0
+    )
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert main(["view", str(place.path), "--outcome", "mean_heigth"]) == 2
+    assert "did you mean 'mean_height'" in capsys.readouterr().err
+
+
+def test_a_second_client_is_refused(tmp_path: Path) -> None:
+    place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
+    with place.held(), pytest.raises(StudyError, match="another cloth_batch"), StudyFolder(place.path).held():
+        pass
+
+
+def test_the_sessions_first_file_says_what_it_is(tmp_path: Path) -> None:
+    study = study_of(tmp_path)
+    place, samples = lay_down(tmp_path / "out", study)
+    row = perform(place, study, 0, samples[0])
+    with SessionReader([place.path / row["session"]]) as reader:
+        assert reader.missing is None
+        assert reader.metadata["session"] == "run_0000000"

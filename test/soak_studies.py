@@ -1,0 +1,237 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A study under fire: workers killed at random, the scheduler killed once, the disk full once. Every run must be there
+once, with the digest that it has in an undisturbed study.
+
+    .venv/bin/python test/soak_studies.py --runs 1000 --kills 50
+
+Scheduler and workers are the documented commands, processes of their own over TCP on the loopback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import random
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+
+BIN = Path(sys.executable).parent
+ROOT = Path(__file__).resolve().parent.parent
+STUDY = """\
+scene: cloth_sim.yaml
+parameters:
+  cloth.resolution: [8, 8]
+  tolerance: 1.0e-3
+  gripper.radius: 0.2
+scripts: grasp.yaml
+duration: {duration}
+runs: {runs}
+seed: 11
+vary:
+  material.density: {{uniform: [0.1, 0.3]}}
+  target.gripper.z: {{normal: [0.0, 0.01]}}
+"""
+#: A file of a run is larger than this [bytes]: with it as the limit of a file's size, nothing can be written.
+TOO_SMALL = 4096
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def batch(*arguments: str | Path) -> list[str]:
+    """A command line of cloth_batch."""
+    return [sys.executable, "-m", "cloth_sim_ros.batch.main", *map(str, arguments)]
+
+
+class Cluster:
+    """Dask's scheduler and workers as processes, started by the documented commands and started again when they end."""
+
+    def __init__(self, workers: int, folder: Path) -> None:
+        self.address = f"tcp://127.0.0.1:{free_port()}"
+        self._folder = folder
+        self._environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self._scheduler = self._start_scheduler()
+        self.limit_files = False
+        self._workers = [self._start_worker() for _ in range(workers)]
+
+    def _start(self, *command: str, limited: bool = False) -> subprocess.Popen[bytes]:
+        def limit() -> None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (TOO_SMALL, resource.RLIM_INFINITY))
+
+        return subprocess.Popen(
+            [str(BIN / "dask"), *command],
+            env=self._environment,
+            cwd=self._folder,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            preexec_fn=limit if limited else None,
+        )
+
+    def _start_scheduler(self) -> subprocess.Popen[bytes]:
+        port = self.address.rpartition(":")[2]
+        return self._start("scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+
+    def _start_worker(self) -> subprocess.Popen[bytes]:
+        # Without a nanny: whoever kills the process kills the worker.
+        return self._start(
+            "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", limited=self.limit_files
+        )
+
+    def tend(self) -> None:
+        """Start again what has ended, as a batch system does."""
+        if self._scheduler.poll() is not None:
+            self._scheduler = self._start_scheduler()
+        for k, worker in enumerate(self._workers):
+            if worker.poll() is not None:
+                self._workers[k] = self._start_worker()
+
+    def kill_worker(self, which: int) -> None:
+        """Kill a worker amid its work."""
+        _kill(self._workers[which % len(self._workers)])
+
+    def kill_scheduler(self) -> None:
+        """Kill the scheduler: everything it knew is lost."""
+        _kill(self._scheduler)
+
+    def limit(self, limited: bool) -> None:
+        """Let workers write nothing (or everything again), as on a disk that is full."""
+        self.limit_files = limited
+        for worker in self._workers:
+            _kill(worker)
+
+    def stop(self) -> None:
+        """End everything."""
+        for process in (*self._workers, self._scheduler):
+            _kill(process)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+@contextlib.contextmanager
+def cluster(workers: int, folder: Path) -> Iterator[Cluster]:
+    """A cluster that ends with the block."""
+    made = Cluster(workers, folder)
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def rows_in(folder: Path) -> int:
+    """Finished runs in a study's folder."""
+    return sum(1 for _ in (folder / "rows").glob("*/*.json") if not _.name.startswith("."))
+
+
+def disturbed(
+    study: Path, out: Path, *, runs: int, kills: int, workers: int, seed: int, say: Callable[[str], None]
+) -> dict[str, int]:
+    """Run a study on a cluster that is shot at until it is whole; what happened on the way."""
+    chance = random.Random(seed)
+    count = {"worker kills": 0, "scheduler kills": 0, "full disks": 0, "clients": 0}
+    with cluster(workers, out.parent) as dask:
+        client: subprocess.Popen[str] | None = None
+        next_kill = time.monotonic() + 3.0
+        while True:
+            dask.tend()
+            done = rows_in(out) if out.exists() else 0
+            if client is None:
+                more = ["--resume"] if count["clients"] else []
+                client = subprocess.Popen(
+                    batch(study, "--out", out, "--scheduler", dask.address, "--wait", "300", *more),
+                    env={**os.environ, "PYTHONPATH": str(ROOT)},
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    text=True,
+                )
+                count["clients"] += 1
+            elif client.poll() is not None:
+                text = client.stdout.read() if client.stdout else ""
+                say(f"client ended with {client.returncode}: {text.strip().splitlines()[-3:]}")
+                if client.returncode == 0:
+                    return count
+                assert "nothing more fits into" in text, text
+                assert not list((out / "runs").glob(".unfinished-*/*.mcap")), "half-written sessions stay"
+                dask.limit(False)
+                client = None
+            elif done >= runs // 3 and not count["scheduler kills"]:
+                count["scheduler kills"] += 1
+                dask.kill_scheduler()
+            elif done >= runs // 2 and not count["full disks"]:
+                count["full disks"] += 1
+                dask.limit(True)
+            elif time.monotonic() > next_kill and count["worker kills"] < kills and done and not dask.limit_files:
+                dask.kill_worker(chance.randrange(workers))
+                count["worker kills"] += 1
+                # The kills are spread over the study, and workers get time to start.
+                next_kill = time.monotonic() + chance.uniform(0.2, 6.0)
+            time.sleep(0.1)
+
+
+def compare(calm: Path, shot: Path, runs: int) -> int:
+    """Compare two folders' indexes; how many runs differ."""
+    tables = [pq.read_table(folder / "index.parquet").to_pydict() for folder in (calm, shot)]
+    for table, folder in zip(tables, (calm, shot), strict=True):
+        assert table["run"] == list(range(runs)), f"{folder}: runs are missing or twice there"
+        assert set(table["status"]) == {"ok"}, f"{folder}: {set(table['error'])}"
+        assert not list(folder.rglob(".unfinished-*")), f"{folder}: leftovers"
+        assert rows_in(folder) == runs
+        assert all((folder / name).is_file() for name in table["session"])
+    return sum(one != other for one, other in zip(tables[0]["digest"], tables[1]["digest"], strict=True))
+
+
+def soak(
+    folder: Path, *, runs: int, kills: int, workers: int = 2, seed: int = 1, duration: float = 2.5, say=print
+) -> dict[str, int]:
+    """Run the study undisturbed and under fire; what happened, with the number of runs that differ."""
+    study = folder / "study.yaml"
+    study.write_text(STUDY.format(runs=runs, duration=duration))
+    subprocess.run(
+        batch(study, "--out", folder / "calm", "--workers", str(workers)),
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL,
+    )
+    count = disturbed(study, folder / "shot", runs=runs, kills=kills, workers=workers, seed=seed, say=say)
+    count["runs that differ"] = compare(folder / "calm", folder / "shot", runs)
+    return count
+
+
+def main() -> int:
+    """Run the soak; 1 if a run differs."""
+    parser = argparse.ArgumentParser(description="Kills workers, the scheduler and the disk under a study.")
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--duration", type=float, default=2.5, help="of each run [s]")
+    options = parser.parse_args()
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="soak_studies_") as folder:
+        count = soak(Path(folder), **vars(options))
+    told = ", ".join(f"{number} {what}" for what, number in count.items())
+    print(f"{options.runs} runs: {told}; {time.monotonic() - begun:.0f} s")
+    return 1 if count["runs that differ"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
