@@ -92,6 +92,7 @@ soak: $(DEV) engines
 	@$(BIN)/python test/soak_verify.py --sessions 200
 	@$(BIN)/python test/soak_accuracy.py --sessions 30
 	@$(BIN)/python test/soak_sleep.py --seconds 60
+	@$(BIN)/python test/soak_studies.py --runs 1000 --kills 50
 
 bench: $(DEV) engine
 	@$(BIN)/cloth_bench $(ARGS)

@@ -92,6 +92,27 @@ def test_towel_is_a_scene_in_which_everything_counts() -> None:
     assert Simulation(scene).advance().moved
 
 
+def test_lift_study_lifts_as_fast_as_its_run_says(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    pytest.importorskip("rosbags")
+    import attrs
+
+    from cloth_sim_ros.batch import study_file
+    from cloth_sim_ros.batch.folder import StudyFolder
+    from cloth_sim_ros.batch.forecast import draw
+    from cloth_sim_ros.batch.study_run import perform
+
+    assert (ROOT / "examples" / "lift_policy.py").is_file()
+    study = attrs.evolve(study_file.read(ROOT / "examples" / "lift_study.yaml"), runs=2, duration=1.0)
+    place = StudyFolder(tmp_path / "lift")
+    samples, _ = draw(study, 1)
+    place.create(study, samples, "")
+    for run, values in enumerate(samples):
+        row = perform(place, study, run, values)
+        # Shaken by a millimetre, and the corner's particles are held by springs.
+        assert row["outcomes"]["lifted"] == pytest.approx(row["values"]["policy.speed"], abs=0.02), row["error"]
+
+
 def test_grasp_node_lifts_the_corner_of_a_live_cloth(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:

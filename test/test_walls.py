@@ -42,7 +42,10 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     # Environments inherit from gymnasium's classes; their names in `batch` are imported when they are first used.
     "batch": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE - {"gymnasium"}),
     # Problems that scipy solves for comparison import it at the top; the command imports a problem when asked for it.
-    "bench": ({"engine", "physics", "scene", "simulation", "batch"}, ROS | LATE - {"scipy.sparse", "scipy.optimize"}),
+    "bench": (
+        {"engine", "physics", "scene", "simulation", "session", "batch"},
+        ROS | LATE - {"scipy.sparse", "scipy.optimize"},
+    ),
     "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
 }
 
@@ -108,7 +111,9 @@ def test_of_rclpy_only_what_is_public_is_used() -> None:
                 assert not [name for name in names if name.startswith("_")], f"{path.name}:{node.lineno}"
 
 
-@pytest.mark.parametrize("command", ["session.main", "replay.main", "verify.main", "bench.main", "ros.gripper_main"])
+@pytest.mark.parametrize(
+    "command", ["session.main", "replay.main", "verify.main", "batch.main", "bench.main", "ros.gripper_main"]
+)
 def test_a_command_answers_before_it_loads_what_is_heavy(command: str) -> None:
     skip_without(command.split(".")[0])
     assert not loaded_by([f"cloth_sim_ros.{command}"]) & LATE

@@ -86,10 +86,9 @@ def _pictures(run: Trajectory) -> Any:
     low, high = run.positions.min(axis=(0, 1)), run.positions.max(axis=(0, 1))
     middle, half = (low + high) / 2.0, max(float((high - low).max()) / 2.0, 1e-3)
     axes.set(**{f"{axis}lim": (m - half, m + half) for axis, m in zip("xyz", middle.tolist(), strict=True)})
-    surface = Poly3DCollection(run.positions[0][run.triangles], facecolor="#d94f40", shade=True, linewidths=0.0)
     for positions in run.positions[:-1]:
-        surface.remove() if surface.axes is not None else None
-        surface = Poly3DCollection(positions[run.triangles], facecolor="#d94f40", shade=True, linewidths=0.0)
+        surface = Poly3DCollection(positions[run.triangles], facecolors="#d94f40", shade=True, linewidths=0.0)
         axes.add_collection3d(surface)
         canvas.draw()
         yield np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:, :, :3])
+        surface.remove()

@@ -29,6 +29,7 @@ COMMANDS = {
     "adds": ("adds", "whether features cost together what they cost one by one, for every pair of them"),
     "mesh-moduli": ("mesh_moduli", "moduli of sheets on irregular triangles: the distribution over random meshes"),
     "batch": ("batch", "many cloths in one process: real-time factor, threads, memory, rollouts, a soak"),
+    "studies": ("studies", "cloth_batch against plain simulations, Dask's cost a task, a million runs on paper"),
     "skip": ("skip", "what a feature costs absent, idle and active; a loop made by hand; counts; start-up"),
 }
 

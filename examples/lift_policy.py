@@ -1,0 +1,25 @@
+"""A policy for a study: takes the cloth's lower right corner, and lifts it with the speed that the run has."""
+
+from cloth_sim_ros import Grasp, Target
+from cloth_sim_ros.batch.user_code import Finished, Observation
+
+
+class Lift:
+    """Called at the beginning of each frame; each run has an object of its own."""
+
+    def __init__(self) -> None:
+        self.corner = None
+
+    def __call__(self, seen: Observation) -> list[Target | Grasp]:
+        """Return the events of the frame."""
+        if self.corner is None:
+            self.corner = seen.positions[-1]
+            return [Target("gripper", self.corner), Grasp("gripper", True)]
+        shake = 1e-3 * seen.rng.normal(size=3)  # the run's own random numbers
+        shake[2] += seen.values["speed"] * seen.time
+        return [Target("gripper", self.corner + shake)]
+
+
+def lifted(run: Finished) -> float:
+    """How far the corner was lifted [m]: an outcome, a column of the index."""
+    return float(run.positions[-1, 2] - run.initial[-1, 2])

@@ -1,0 +1,198 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Datasets, read back by zarr alone and by pyarrow alone, against the sessions that they were made of."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("zarr")
+pytest.importorskip("pyarrow")
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
+
+import pyarrow.parquet as pq
+
+from cloth_sim_ros.batch import study_file
+from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.batch.forecast import draw
+from cloth_sim_ros.batch.lerobot_stats import aggregate, statistics
+from cloth_sim_ros.batch.main import main
+from cloth_sim_ros.batch.study_run import perform
+from cloth_sim_ros.session.cdr import decode, decode_cloud
+from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.verify.run import verify
+
+POLICY = """\
+from cloth_sim_ros import Grasp, Target
+from cloth_sim_ros.simulation.events import Move
+
+def push(seen):
+    if seen.frame == 0:
+        return [Target("gripper", seen.positions[-1], (0.0, 0.0, 0.0, 1.0)), Grasp("gripper", True)]
+    if seen.frame == 9 and seen.values.get("fails"):
+        raise RuntimeError("told to")
+    return [Target("gripper", seen.positions[-1] + [0.0, 0.0, 0.01]), Move("ball", (0.0, 1.0 - 0.01 * seen.frame, 0.2))]
+"""
+STUDY = {
+    "scene": "cloth_sim.yaml",
+    "parameters": {
+        "cloth.resolution": [5, 6],
+        "tolerance": 1e-3,
+        "gripper.radius": 0.3,
+        "points.velocity": True,
+        "contact.thickness": 0.004,
+        "obstacles": ["ball"],
+        "ball.shape": "sphere",
+        "ball.size": [0.1],
+        "ball.position": [0.0, 1.0, 0.2],
+    },
+    "policy": "arm.py:push",
+    "duration": 0.25,
+    "sampling": "grid",
+}
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["clouds", "no clouds"])
+def folder(request, tmp_path_factory) -> StudyFolder:
+    here = tmp_path_factory.mktemp("study")
+    (here / "arm.py").write_text(POLICY)
+    vary = {"material.density": [0.1, 0.2], "policy.fails": [False, True]}
+    study = study_file.from_dict({**STUDY, "vary": vary, "clouds": request.param}, folder=here)
+    place = StudyFolder(here / "out")
+    samples, _ = draw(study, 1)
+    place.create(study, samples, "")
+    for run, values in enumerate(samples):
+        perform(place, study, run, values)
+    return place
+
+
+def recorded(path: Path):
+    """Clouds, velocities, wrenches and events of a session, as they were recorded."""
+    clouds, velocities, wrenches, events = [], [], [], []
+    with SessionReader([path]) as reader:
+        for message in reader.messages():
+            if message.topic.endswith("/points"):
+                cloud = decode_cloud(message.data)
+                clouds.append(cloud.xyz.copy())
+                velocities.append(cloud.velocity.copy())
+            elif message.topic.endswith("/gripper/wrench"):
+                wrench = decode(message.data, message.type_name).wrench
+                wrenches.append([getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"])
+            elif message.topic.endswith("/frame"):
+                events.append(read_frame(message).events)
+    return np.array(clouds), np.array(velocities), np.array(wrenches, dtype=np.float32), events
+
+
+def test_zarr_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None:
+    import zarr
+
+    out = tmp_path / "set.zarr"
+    assert main(["export", str(folder.path), "--zarr", str(out)]) == 0
+    group = zarr.open_group(str(out), mode="r")
+    assert json.loads((out / "zarr.json").read_text())["zarr_format"] == 3
+    # Runs 1 and 3 failed.
+    assert group["run"][:].tolist() == [0, 2]
+    assert group["frame_count"][:].tolist() == [15, 15]
+    assert group["positions"].chunks == (1, 16, 30, 3)
+    assert group["positions"].dtype == np.float32
+    for k, run in enumerate((0, 2)):
+        clouds, velocities, wrenches, events = recorded(folder.session(run))
+        if len(clouds):
+            assert np.array_equal(group["positions"][k, 1:], clouds)
+            assert np.array_equal(group["velocities"][k, 1:], velocities)
+        assert np.array_equal(group["wrenches"][k, :, 0], wrenches)
+        assert np.abs(wrenches).max() > 0.1
+        for frame, of_frame in enumerate(events):
+            (target,) = [event for event in of_frame if event["kind"] == "target"]
+            assert np.array_equal(group["actions"][k, frame, 0, :3], np.float32(target["position"]))
+            assert group["actions"][k, frame, 0, 7] == 1.0
+    assert np.all(group["obstacle_poses"][:, -1, 0, 1] < 0.9)
+    assert np.all(group["poses"][:, 1:, 0, 7] == 1.0)
+    assert main(["export", str(folder.path), "--zarr", str(out)]) == 2
+
+
+def test_lerobot_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    assert main(["export", str(folder.path), "--lerobot", str(out), "--task", "lift it"]) == 0
+    info = json.loads((out / "meta" / "info.json").read_text())
+    assert (info["codebase_version"], info["fps"], info["total_episodes"], info["total_frames"]) == ("v3.0", 60, 2, 30)
+    table = pq.read_table(out / info["data_path"].format(chunk_index=0, file_index=0))
+    assert table.num_rows == 30
+    assert set(table.column_names) == set(info["features"])
+    rows = {name: np.array(table[name].to_pylist()) for name in table.column_names}
+    assert rows["index"].tolist() == list(range(30))
+    assert rows["episode_index"].tolist() == [0] * 15 + [1] * 15
+    assert np.allclose(rows["timestamp"][:15], np.arange(15) / 60, atol=1e-6)
+    for name, feature in info["features"].items():
+        width = feature["shape"][0]
+        assert rows[name].shape == ((30,) if width == 1 and feature["names"] is None else (30, width))
+    assert pq.read_metadata(out / "data" / "chunk-000" / "file-000.parquet").num_row_groups == 2
+    for k, run in enumerate((0, 2)):
+        clouds, velocities, wrenches, _ = recorded(folder.session(run))
+        part = slice(15 * k, 15 * k + 15)
+        if len(clouds):
+            assert np.array_equal(rows["observation.environment_state"][part][1:], clouds[:-1].reshape(14, -1))
+            assert np.array_equal(rows["observation.velocities"][part][1:], velocities[:-1].reshape(14, -1))
+        # What was known when a frame began: the wrench of the one before.
+        assert np.array_equal(rows["observation.wrench"][part][1:], wrenches[:-1])
+        assert not rows["observation.wrench"][15 * k].any()
+    episodes = pq.read_table(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
+    assert [e["length"] for e in episodes] == [15, 15]
+    assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [(0, 15), (15, 30)]
+    assert [e["tasks"] for e in episodes] == [["lift it"], ["lift it"]]
+    assert episodes[1]["stats/action/max"] == rows["action"][15:].max(axis=0).tolist()
+    tasks = pq.read_table(out / "meta" / "tasks.parquet")
+    assert tasks.to_pylist() == [{"task_index": 0, "task": "lift it"}]
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+    stats = json.loads((out / "meta" / "stats.json").read_text())
+    assert np.allclose(stats["action"]["mean"], rows["action"].mean(axis=0), atol=1e-12)
+    assert np.allclose(stats["action"]["std"], rows["action"].std(axis=0), atol=1e-9)
+    assert stats["action"]["count"] == [30]
+
+
+def test_a_video_has_a_picture_for_each_row(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    pytest.importorskip("matplotlib")
+    (tmp_path / "arm.py").write_text(POLICY)
+    study = study_file.from_dict({**STUDY, "duration": 0.1, "vary": {"material.density": [0.1]}}, folder=tmp_path)
+    place = StudyFolder(tmp_path / "out")
+    samples, _ = draw(study, 1)
+    place.create(study, samples, "")
+    perform(place, study, 0, samples[0])
+    out = tmp_path / "set"
+    assert main(["export", str(place.path), "--lerobot", str(out), "--video"]) == 0
+    info = json.loads((out / "meta" / "info.json").read_text())
+    key = "observation.images.cloth"
+    with av.open(str(out / info["video_path"].format(video_key=key, chunk_index=0, file_index=0))) as video:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+    assert len(pictures) == info["total_frames"] == 6
+    assert list(pictures[0].shape) == info["features"][key]["shape"]
+    # Something of the cloth's red is to be seen, on white.
+    assert pictures[0][:, :, 1].min() < 120 < pictures[0][:, :, 1].max()
+    (episode,) = pq.read_table(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
+    assert episode[f"videos/{key}/to_timestamp"] == pytest.approx(0.1)
+    assert np.shape(episode[f"stats/{key}/mean"]) == (3, 1, 1)
+
+
+def test_sessions_without_clouds_come_out_with_them_on_demand(folder: StudyFolder, tmp_path: Path) -> None:
+    out = tmp_path / "sessions"
+    assert main(["export", str(folder.path), "--mcap", str(out)]) == 0
+    (first, _) = sorted(out.glob("*.mcap"))
+    verdict = verify([first])
+    assert verdict.same
+    assert verdict.clouds == verdict.frames == 15
+
+
+def test_statistics_of_all_episodes_are_those_of_their_rows() -> None:
+    generator = np.random.default_rng(0)
+    parts = [generator.normal(size=(n, 3)) + n for n in (5, 11)]
+    total = aggregate([{"x": statistics(part)} for part in parts])["x"]
+    rows = np.concatenate(parts)
+    assert np.allclose(total["mean"], rows.mean(axis=0))
+    assert np.allclose(total["std"], rows.std(axis=0))
+    assert np.array_equal(total["max"], rows.max(axis=0))
