@@ -26,6 +26,7 @@ COLUMNS = {
     "flagged_frames": "int64",
     "error_estimate": "float64",
     "wall_time": "float64",
+    "cpu_time": "float64",
     "session": "string",
     "bytes": "int64",
 }

@@ -72,7 +72,7 @@ def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -
     done = read_row(place.row_file(run))
     if done is not None and done["status"] == OK:
         return done
-    begun = time.perf_counter()
+    begun, worked = time.perf_counter(), time.process_time()
     named = dict(zip((factor.name for factor in study.factors), values, strict=True))
     workplace = None
     try:
@@ -84,7 +84,7 @@ def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(session, target)
             row["session"] = str(target.relative_to(place.path))
-        row["wall_time"] = time.perf_counter() - begun
+        row.update(wall_time=time.perf_counter() - begun, cpu_time=time.process_time() - worked)
         place.write_row(row)
     except OSError as error:
         raise folder_error(place.path, error) from error
@@ -108,6 +108,7 @@ def empty_row(study: Study, run: int, named: dict[str, Any], *, status: str, err
         "flagged_frames": 0,
         "error_estimate": None,
         "wall_time": 0.0,
+        "cpu_time": 0.0,
         "session": "",
         "bytes": 0,
     }

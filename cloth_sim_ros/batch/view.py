@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 #: Columns that the table leaves out: they are for programs.
-_FOR_PROGRAMS = ("seed", "session", "bytes", "digest", "error_estimate", "frames")
+_FOR_PROGRAMS = ("seed", "session", "bytes", "digest", "error_estimate", "frames", "cpu_time")
 #: Widest cell.
 _WIDEST = 24
 

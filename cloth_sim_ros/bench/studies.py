@@ -46,23 +46,29 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Studies", f"cloth_bench studies --resolution {options.resolution} --runs {options.runs}")
     with local_scheduler(options.workers, lambda _text: None) as address:
         task = _task_cost(address, options.tasks)
-        rows: list[list[Any]] = [["simulations alone, in processes", _plain(study, options.workers), 0.0]]
+        rows: list[list[Any]] = [["simulations alone, in processes", *_plain(study, options.workers), 0.0]]
         _through_cloth_batch(address, attrs.evolve(study, runs=options.workers))  # Workers import what they need.
         for clouds in (False, True):
             what = f"cloth_batch {'with' if clouds else 'without'} clouds"
             rows.append([what, *_through_cloth_batch(address, attrs.evolve(study, clouds=clouds))])
     simulated = options.runs * options.seconds
-    table = Table("throughput", ["what", "wall s", "times real time", "of plain %", "kB a simulated second"])
-    plain = rows[0][1]
-    for what, wall, size in rows:
-        table.rows.append([what, wall, simulated / wall, 100.0 * plain / wall, size / simulated / 1e3])
+    table = Table(
+        "throughput",
+        ["what", "wall s", "core s", "times real time", "a core", "of plain %", "a core %", "kB a simulated second"],
+    )
+    _, plain, plain_work, _ = rows[0]
+    for what, wall, work, size in rows:
+        shares = [simulated / wall, simulated / work, 100.0 * plain / wall, 100.0 * plain_work / work]
+        table.rows.append([what, wall, work, *shares, size / simulated / 1e3])
     report.tables.append(table)
-    report.tables.append(Table("Dask", ["tasks", "ms a task"], [[options.tasks, 1e3 * task]]))
-    report.tables.append(_sizing(options, rows, task))
+    costs = [options.tasks, 1e3 * task[0], 1e3 * task[1]]
+    report.tables.append(Table("Dask", ["tasks", "wall ms a task", "core ms of scheduler and client a task"], [costs]))
+    report.tables.append(_sizing(options, rows, task[1]))
     report.notes.append(
         f"a cloth of {options.resolution} x {options.resolution} particles, a corner carried by a gripper all the "
         f"time, tolerance 1 mm; {options.workers} processes with a thread each. Dask's cost is that of empty tasks "
-        "through one scheduler, client and workers on the same cores: an upper bound"
+        "through one scheduler, client and workers on the same cores: an upper bound. Core seconds are the processes' "
+        "own; on a machine that does other things they tell more than wall seconds, and the sizing is made of them"
     )
     return report
 
@@ -90,20 +96,20 @@ def _study(options: argparse.Namespace) -> Study:
     return attrs.evolve(study, scripts=(attrs.evolve(script, waypoints=tuple(begun), grasps=grasps),))
 
 
-def _task_cost(address: str, tasks: int) -> float:
-    """Wall time of an empty task [s], many at once."""
+def _task_cost(address: str, tasks: int) -> tuple[float, float]:
+    """Wall time of an empty task, many at once, and core time of this process, which is scheduler and client [s]."""
     client = connect(address, wait=30.0)
     try:
         client.gather(client.map(abs, range(100), pure=False))
-        begun = time.perf_counter()
+        begun, worked = time.perf_counter(), time.process_time()
         client.gather(client.map(abs, range(tasks), pure=False))
-        return (time.perf_counter() - begun) / tasks
+        return (time.perf_counter() - begun) / tasks, (time.process_time() - worked) / tasks
     finally:
         client.close()
 
 
-def _plain(study: Study, workers: int) -> float:
-    """Wall time of the same runs as plain simulations, in processes that share nothing [s]."""
+def _plain(study: Study, workers: int) -> tuple[float, float]:
+    """Wall time and core time of the same runs as plain simulations, in processes that share nothing [s]."""
     samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
     name = study.factors[0].name
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
@@ -111,18 +117,21 @@ def _plain(study: Study, workers: int) -> float:
         warm = attrs.evolve(study, duration=0.1)
         pool.starmap(_simulate, [(warm, run, {name: samples[run][0]}) for run in range(workers)], chunksize=1)
         begun = time.perf_counter()
-        pool.starmap(_simulate, [(study, run, {name: v[0]}) for run, v in enumerate(samples)], chunksize=1)
-        return time.perf_counter() - begun
+        work = pool.starmap(_simulate, [(study, run, {name: v[0]}) for run, v in enumerate(samples)], chunksize=1)
+        return time.perf_counter() - begun, sum(work)
 
 
-def _simulate(study: Study, run: int, named: dict[str, Any]) -> None:
+def _simulate(study: Study, run: int, named: dict[str, Any]) -> float:
+    """Run a simulation; its core time [s]."""
+    begun = time.process_time()
     motion = Motion.of(study, run, named)
     for _ in range(motion.frames):
         motion.advance()
+    return time.process_time() - begun
 
 
-def _through_cloth_batch(address: str, study: Study) -> tuple[float, float]:
-    """Wall time [s] and bytes of the study's sessions, on a cluster that stands ready."""
+def _through_cloth_batch(address: str, study: Study) -> tuple[float, float, float]:
+    """Wall time and core time [s] and bytes of the study's sessions, on a cluster that stands ready."""
     samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
     rows: dict[int, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -132,7 +141,7 @@ def _through_cloth_batch(address: str, study: Study) -> tuple[float, float]:
         begun = time.perf_counter()
         conductor.conduct(address, range(study.runs), wait=30.0)
         wall = time.perf_counter() - begun
-    return wall, float(sum(row["bytes"] for row in rows.values()))
+    return wall, sum(row["cpu_time"] for row in rows.values()), float(sum(row["bytes"] for row in rows.values()))
 
 
 def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> Table:
@@ -142,8 +151,8 @@ def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> 
         ["clouds", "core hours", f"cores for {_HOURS:g} h", "bytes", "tasks a second then", "scheduler busy %"],
     )
     simulated = options.runs * options.seconds
-    for what, wall, size in rows[1:]:
-        hours = wall * options.workers / simulated * _LENGTH * _MILLION / 3600.0
+    for what, _, work, size in rows[1:]:
+        hours = work / simulated * _LENGTH * _MILLION / 3600.0
         rate = _MILLION / (_HOURS * 3600.0)
         cloud = "yes" if what.endswith("with clouds") else "no"
         total = quantity(size / simulated * _LENGTH * _MILLION, "B")
