@@ -81,7 +81,7 @@ def _pictures(run: Trajectory) -> Any:
 
     figure = Figure(figsize=(WIDTH / 100.0, HEIGHT / 100.0), dpi=100)
     canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
     axes.set_axis_off()
     low, high = run.positions.min(axis=(0, 1)), run.positions.max(axis=(0, 1))
     middle, half = (low + high) / 2.0, max(float((high - low).max()) / 2.0, 1e-3)

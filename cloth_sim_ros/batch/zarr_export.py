@@ -54,7 +54,7 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
                 array.resize((count, *np.maximum(array.shape[1:], values.shape).tolist()))
             array[(k, *(slice(0, size) for size in values.shape))] = values
         if k == 0:
-            names = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
+            names: dict[str, Any] = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
             group.create_array("triangles", data=run.triangles)
     for name, values in (("run", numbers), ("frame_count", frames), ("particle_count", sizes)):
         group.create_array(name, data=np.array(values, dtype=np.int64))

@@ -1,22 +1,61 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study under fire: a sample of test/soak_studies.py, with Dask's documented commands over TCP."""
+"""A study on a cluster of the documented commands, over TCP, whose worker is killed; soak_studies.py does far more."""
 
 from __future__ import annotations
 
+import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("distributed")
 pytest.importorskip("pyarrow")
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
+
+from cloth_sim_ros.batch import study_file
+from cloth_sim_ros.batch.conduct import Conductor
+from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.batch.forecast import draw
+from cloth_sim_ros.batch.study_run import perform
+
+STUDY = {
+    "scene": "cloth_sim.yaml",
+    "parameters": {"cloth.resolution": [5, 5], "tolerance": 1e-3, "gripper.radius": 0.3},
+    "scripts": "grasp.yaml",
+    "duration": 2.0,
+    "runs": 4,
+    "vary": {"material.density": {"uniform": [0.1, 0.3]}},
+}
 
 
-def test_killed_workers_a_killed_scheduler_and_a_full_disk_change_no_digest(tmp_path: Path) -> None:
-    from soak_studies import soak
-
-    count = soak(tmp_path, runs=24, kills=2, duration=0.5, say=lambda _text: None)
-    assert count["runs that differ"] == 0
-    assert count["scheduler kills"] == 1
-    assert count["full disks"] == 1
-    assert count["clients"] == 2
+def test_a_killed_workers_runs_are_done_again_with_the_same_digests(tmp_path: Path) -> None:
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    try:
+        from soak_studies import cluster
+    finally:
+        sys.path.pop(0)
+    study = study_file.from_dict(STUDY, folder=tmp_path)
+    samples, _ = draw(study, 1)
+    calm, shot = StudyFolder(tmp_path / "calm"), StudyFolder(tmp_path / "shot")
+    for place in (calm, shot):
+        place.create(study, samples, "")
+    wanted = [perform(calm, study, run, values)["digest"] for run, values in enumerate(samples)]
+    told: dict[int, dict] = {}
+    conductor = Conductor(shot, study, samples, 10.0, told.__setitem__, say=lambda _text: None)
+    with cluster(1, tmp_path) as dask:
+        arguments = {"address": dask.address, "runs": range(4), "wait": 200.0}
+        thread = threading.Thread(target=conductor.conduct, kwargs=arguments, daemon=True)
+        thread.start()
+        killed = False
+        while thread.is_alive():
+            thread.join(0.1)
+            if told and not killed:
+                dask.kill_worker(0)
+                killed = True
+            dask.tend()
+    assert killed
+    assert [told[run]["digest"] for run in range(4)] == wanted
+    assert [row["run"] for row in shot.rows()] == [0, 1, 2, 3]
