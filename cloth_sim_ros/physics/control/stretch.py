@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.fallback import within_reach
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, larger_rates, step_counts
+from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.powers import root
 from cloth_sim_ros.physics.remembered import PINCHED, Error
@@ -185,6 +185,9 @@ class Stretch:
         told = columns.told(choice.columns)
         effort.evaluations += columns.evaluations - before
         effort.calls += effort.part_cost
+        # Steps that contact turned out to be too stiff for are not worth a judgement.
+        if told.finite and effort.touch.acts(columns, choice.columns) and not self._within(columns):
+            return False
         accepted = True
         if told.finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
@@ -195,20 +198,14 @@ class Stretch:
             return self._instead(finer, "not finite")
         if not accepted:
             return False
-        told = columns.told(self.choice.columns)
-        reached, own = 0.0, told.own
-        if effort.plan.contact is not None:
-            reached = max(columns.reached(self.choice.columns), told.contact)
-            own = columns.own(self.choice.columns)
-        limit = effort.touch.limit(reached, larger_rates(own, told.own), told.omega2, told.damping)
-        if not self.finest <= limit:
-            # The motion stiffened.
-            self.limit = min(self.limit, limit)
-            return self._instead(1.0, "not within their stability limit")
-        choice = self.choice
+        if not self._within(columns):
+            return False
+        choice, told = self.choice, columns.told(self.choice.columns)
         x, v = columns.combine(choice.columns)
-        after = math.inf if reached or own[0] else told.omega2
-        if self._unknown() and effort.energy.looks(memory.omega2, after, combined=choice.columns > 1):
+        after = math.inf if effort.touch.acts(columns, choice.columns) else told.omega2
+        # Where the error vouches for nothing, energy might come from nowhere.
+        unknown = options.tolerance is None or self._sums.error > self.rule.budget
+        if unknown and effort.energy.looks(memory.omega2, after, combined=choice.columns > 1):
             ends = (t, state.x, state.v, state.memory.get(PINCHED)), (t + length, x, v, columns.pads(choice.columns))
             # A combination's energy does not swing.
             step = self.finest if choice.columns == 1 else 0.0
@@ -223,9 +220,13 @@ class Stretch:
         columns.pass_on(choice.columns, state)
         return True
 
-    def _unknown(self) -> bool:
-        """Whether the error vouches for nothing: then energy might come from nowhere."""
-        return self._effort.options.tolerance is None or self._sums.error > self.rule.budget
+    def _within(self, columns: Columns) -> bool:
+        """Whether a part's steps are within the limit that the motion came to; if not, choose what to try next."""
+        limit = self._effort.touch.limit_met(columns, self.choice.columns)
+        if self.finest <= limit:
+            return True
+        self.limit = min(self.limit, limit)
+        return self._instead(1.0, "not within their stability limit")
 
     def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
         """The runs of a part; those of the first are kept over attempts with the same steps."""
@@ -322,12 +323,8 @@ class Stretch:
         return None if self._seek(self.choice.columns, refine, smooth=False) else error
 
     def _seek(self, columns: int, refine: float, *, smooth: bool) -> bool:
-        """Choose what is tried instead of what was not fine enough; return whether anything is.
-
-        Args:
-            columns: runs to combine.
-            refine: refinement that is wanted.
-            smooth: whether combinations gained on one another, as they do where the motion is smooth.
+        """Choose runs and refinement to try in place of what was not fine enough, those wanted if they can be afforded;
+        return whether anything is. `smooth`: combinations gained on one another, as they do where the motion is smooth.
         """
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
         affordable = self.affords(columns, finer)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Options
+from cloth_sim_ros.physics.integrators.columns import Columns, larger_rates
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import PINCHED, Stability, Touch
 from cloth_sim_ros.physics.state import State
@@ -59,6 +60,26 @@ class TouchRule:
             stiff, damped = self._plan.contact.limits(energy)
             omega2, damping = omega2 + stiff + own[0], damping + damped + own[1]
         return self._options.step_limit(omega2, damping)
+
+    @staticmethod
+    def _met(columns: Columns, count: int) -> tuple[float, tuple[float, float]]:
+        """What contact had to take up in T_K, K = count: an energy at obstacles, and rates of the cloth with itself."""
+        return max(columns.reached(count), columns.told(count).contact), columns.own(count)
+
+    def acts(self, columns: Columns, count: int) -> bool:
+        """Whether there was contact in T_K, K = count."""
+        if self._plan.contact is None:
+            return False
+        energy, own = self._met(columns, count)
+        return bool(energy or own[0])
+
+    def limit_met(self, columns: Columns, count: int) -> float:
+        """Return the step limit [s] of T_K, K = count: of contact in its runs, and of the sheet at its end."""
+        told = columns.told(count)
+        if self._plan.contact is None:
+            return self.limit(0.0, told.own, told.omega2, told.damping)
+        energy, own = self._met(columns, count)
+        return self.limit(energy, larger_rates(own, told.own), told.omega2, told.damping)
 
     def is_brief(self, longest: float, duration: float) -> bool:
         """Whether contact makes steps much shorter than the sheet does, over a stretch [s] of many: it is rather halved
