@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
-from support.random_contact import threads
+from support.random_contact import Coverage, threads
 from support.random_sessions import make_random_session
 from tqdm import tqdm
 
@@ -43,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     different = frames = clouds = cut = split = 0
+    coverage = Coverage()
     for seed in tqdm(range(options.first, options.first + options.sessions), unit="session", disable=None):
         with tempfile.TemporaryDirectory() as folder:
             asked = {
@@ -50,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "contact": options.contact,
                 "frames": 30 if options.contact else 60,
             }
-            paths = make_random_session(Path(folder), seed, **asked)
+            paths = make_random_session(Path(folder), seed, **asked, watch=coverage)
+            coverage.close()
             verdicts = [run_again(paths, count) for count in (THREADS if options.contact else (None,))]
         verdict = verdicts[0]
         frames, clouds = frames + verdict.frames, clouds + verdict.clouds
@@ -63,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{options.sessions} sessions, {split} of them split and {cut} cut off, {frames} frames and {clouds} clouds: "
         f"{different} sessions differ"
     )
+    if coverage.sessions:
+        print(f"sessions in which the cloth met what: {coverage}")
     return 1 if different else 0
 
 

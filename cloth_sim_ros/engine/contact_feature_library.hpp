@@ -58,7 +58,7 @@ CLOTH_API int cloth_features_rest(cloth::Plan* plan, double t, double duration, 
         *out = plan->features_act() ? 0 : 1;
     });
 }
-/// Squared frequency and damping rate, see feature_ahead.
+/// Squared frequency and damping rate, see feature_ahead, and the number of pairs that it looked at. Three numbers.
 CLOTH_API int cloth_features_ahead(cloth::Plan* plan, double t, double duration, double expected, const double* x,
                                    const double* v, double* out) {
     return guarded([&] {
@@ -66,6 +66,10 @@ CLOTH_API int cloth_features_ahead(cloth::Plan* plan, double t, double duration,
             plan->features ? cloth::feature_ahead(*plan, t, duration, expected, x, v) : cloth::SelfRates{};
         out[0] = r.omega2;
         out[1] = r.damping;
+        out[2] = 0.0;
+        if (!plan->features || !(r.omega2 < std::numeric_limits<double>::infinity())) return;
+        for (const cloth::NearFeatures& near : plan->features->obstacles)
+            if (!near.features.points.empty()) out[2] += static_cast<double>(near.triangles.size() + near.edges.size());
     });
 }
 /// Whether any passes through the cloth on straight ways from x0 at time t to x1, a duration later.

@@ -205,10 +205,15 @@ inline void pinch_accelerations(const Plan& plan, double t, const double* x, con
     }
 }
 
+/// How often particles were looked at for being in reach of an obstacle: of any, of one with friction.
+struct Visits {
+    std::int64_t all = 0, rough = 0;
+};
 /// Energy per mass, in U^2/2, that contact may have to take up within `duration`: of particles in contact what it has taken
 /// up already and that of their closing speed; of those that come into contact by then that of the speed that they come
 /// with, weight and wind included.
-inline double contact_ahead(const Plan& plan, double t, double duration, const double* x, const double* v) {
+inline double contact_ahead(const Plan& plan, double t, double duration, const double* x, const double* v,
+                            Visits* visits = nullptr) {
     const Contacts& contacts = plan.contacts;
     const auto law = contacts.law<double>();
     const double push = 2.0 * root(norm2(Vec3<double>{plan.push(0), plan.push(1), plan.push(2)}));
@@ -230,6 +235,10 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
     std::vector<double> pinched(contacts.pinches.size(), 0.0), masses(contacts.pinches.size(), 0.0);
     for (const Placed<double>& one : later) fastest = larger(root(norm2(one.speed)), fastest);
     for_each_near(plan, t, x, v, [&](double speed) { return reach(speed + fastest); }, [&](const NearOne& one) {
+        if (visits) {
+            ++visits->all;
+            if (contacts.obstacles[one.obstacle].rough.still > 0.0) ++visits->rough;
+        }
         double speed = one.closing;
         for (int k = 0; k < 2; ++k) {
             const Placed<double>& then = later[2 * one.obstacle + k];

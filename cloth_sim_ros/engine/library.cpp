@@ -255,10 +255,16 @@ CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double
         if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
     });
 }
-/// Energy per mass that contact may have to take up from time t on, see contact_ahead.
+/// Energy per mass that contact may have to take up from time t on, see contact_ahead, and the visits that it made: of
+/// all obstacles, of those with friction. Three numbers.
 CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, const double* x, const double* v,
                                   double* out) {
-    return guarded([&] { *out = cloth::contact_ahead(*plan, t, duration, x, v); });
+    return guarded([&] {
+        cloth::Visits visits;
+        out[0] = cloth::contact_ahead(*plan, t, duration, x, v, &visits);
+        out[1] = static_cast<double>(visits.all);
+        out[2] = static_cast<double>(visits.rough);
+    });
 }
 /// Anchors that runs start with, as `Contacts` has them.
 CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {

@@ -77,6 +77,29 @@ def rotation_matrix(orientation: Array) -> Array:
     )
 
 
+def carried(row: Array, t: float, h: float, x: Array) -> Array:
+    """Return the velocities [m/s] of particles at x, (3, n), that a body takes along as if they were part of it.
+
+    Args:
+        row: the body's path, PATH_NUMBERS.
+        t: time at the start of a step [s].
+        h: its length [s].
+        x: positions then [m].
+    """
+    places, turns = [], []
+    for moment in (t - float(row[0]), t + h - float(row[0])):
+        way, spin = (
+            moment * (row[k : k + 3] + moment * (row[k + 3 : k + 6] + moment * row[k + 6 : k + 9])) for k in (4, 17)
+        )
+        places.append(row[1:4] + way)
+        turns.append(rotation_matrix(np.array(turned_by(row[13:17].tolist(), spin.tolist()))))
+    (begin, end), away = turns, x - places[0][:, None]
+    # By component, so that no library of matrices chooses the order of sums.
+    own = [sum(begin[i, k] * away[i] for i in range(3)) for k in range(3)]
+    then = np.stack([places[1][i] + sum(end[i, k] * own[k] for k in range(3)) for i in range(3)])
+    return np.ascontiguousarray((then - x) / h)
+
+
 def planned_paths(
     t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:

@@ -45,6 +45,7 @@ from cloth_sim_ros.physics.runs import Run, Told, booked_size
 from cloth_sim_ros.physics.turn import one_at_a_time
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.physics.state import State
     from cloth_sim_ros.physics.touching import Touching
 
 #: What runs without contact end with.
@@ -266,6 +267,13 @@ class Plan:
         except TypeError as error:
             raise ValueError(f"runs of {list(steps)} steps; they must be whole numbers") from error
         self._asked = tuple(steps)
+
+    def evaluation_cost(self, t: float, duration: float, state: State) -> float:
+        """Return the estimated time of one force evaluation [ns], of runs from a state at time t over a duration [s]:
+        what contact may meet by then counts, by how much of it there is.
+        """
+        cost = self.step_cost * self.model.particle_count
+        return cost if self.contact is None else cost + CONSTANTS.operation * self.contact.work(t, duration, state)
 
     def _threads(self, wanted: int | None) -> int:
         """Threads of a run: a second one where a step is long enough to be worth meeting it."""

@@ -34,6 +34,9 @@ from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshe
 
 #: A part is stepped for so many times the energy that contact is expected to take up: neighbours may push, too.
 _EXPECTED = 1.5
+#: Operations of a force evaluation: of a particle in reach of an obstacle, what friction adds to it, and of a pair of
+#: a particle or point and a triangle, or of two edges, that may come near.
+NEAR, RUBBED, PAIR = 60, 150, 150
 #: Halvings of the range in which an implicit step looks for the rate of pads: down to its last bit.
 _BISECTIONS = 60
 
@@ -246,7 +249,7 @@ class Touching:
                         "has no force there; move the one or the other"
                     )
         omega2, damping = self.limits(_EXPECTED * energy)
-        own = self.own_ahead(t, duration, x, v)
+        own = self._own_ahead(t, duration, x, v)
         if not math.isfinite(own[0]):
             self.check_clear(t, x)
         return omega2 + own[0], damping + own[1]
@@ -255,15 +258,25 @@ class Touching:
         """Return what contact of the cloth's triangles and edges, with itself and with obstacles, may come to within a
         duration [s] from time t on, as `ahead` does.
         """
+        return self._own_ahead(t, duration, x, v)[:2]
+
+    def work(self, t: float, duration: float, state: State) -> float:
+        """Return the operations that contact adds to a force evaluation: of what a state at time t [s] has in reach."""
+        self.lay_pads(state.memory.get(PINCHED))
+        _, near, rough = self._looked_at(t, duration, state.x, state.v).tolist()
+        return NEAR * near + RUBBED * rough + PAIR * self._own_ahead(t, duration, state.x, state.v)[2]
+
+    def _own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
+        """Return the same as `own_ahead`, and how many pairs come into question."""
         self.sync()
         # What contact holds already is known.
         expected = _EXPECTED if duration > 0.0 else 1.0
-        out = np.zeros(2)
+        out = np.zeros(3)
         if self.force.surface is not None:
             addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
             check(self._library.cloth_self_ahead(self._handle, duration, expected, *addresses))
-        met = (0.0, 0.0) if self._features is None else self._features.ahead(t, duration, expected, x, v)
-        return float(out[0]) + met[0], float(out[1]) + met[1]
+        met = (0.0, 0.0, 0.0) if self._features is None else self._features.ahead(t, duration, expected, x, v)
+        return float(out[0]) + met[0], float(out[1]) + met[1], float(out[2]) + met[2]
 
     def rests(self, duration: float, x: Array, v: Array) -> bool:
         """Return whether nothing of the cloth gets near itself within a duration [s], so that runs leave that out."""
@@ -283,13 +296,16 @@ class Touching:
         """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite where a
         particle is inside an obstacle.
         """
-        if not self.count:
-            return 0.0
-        self.sync()
-        out = np.empty(1)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-        check(self._library.cloth_contact_ahead(self._handle, t, duration, *addresses))
-        return float(out[0])
+        return float(self._looked_at(t, duration, x, v)[0])
+
+    def _looked_at(self, t: float, duration: float, x: Array, v: Array) -> Array:
+        """Return the same, and how often particles come into question: for any obstacle, for those with friction."""
+        out = np.zeros(3)
+        if self.count:
+            self.sync()
+            addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+            check(self._library.cloth_contact_ahead(self._handle, t, duration, *addresses))
+        return out
 
     def limits(self, energy: float) -> tuple[float, float]:
         """Return squared frequency and damping rate of contact that has taken up an energy per mass, in U^2/2."""

@@ -104,7 +104,7 @@ class Forecaster:
     def calibrate(self, cost: float | None) -> None:
         """Take over what a step of this cloth took on this machine for one particle [s], if that is known."""
         if cost is not None:
-            self._share = cost / (self._simulation.plan.step_cost * 1e-9)
+            self._share = cost / self._cost
 
     def tell(self) -> None:
         """Say what is to be expected now, unless that is what was said last."""
@@ -139,8 +139,15 @@ class Forecaster:
             period=scene.period,
             step=step,
             particles=plan.model.particle_count,
-            cost=self._share * plan.step_cost * 1e-9,
+            cost=self._share * self._cost,
         )
+
+    @property
+    def _cost(self) -> float:
+        """Of a step for one particle by the model of costs, contact as it is now included [s]."""
+        simulation, state = self._simulation, self._simulation.state
+        evaluation = simulation.plan.evaluation_cost(simulation.time, simulation.scene.period, state)
+        return 1e-9 * evaluation / state.particle_count
 
     def _remedy(self, factor: float) -> str:
         scene = self._simulation.scene

@@ -45,6 +45,8 @@ class ObstacleTopics:
         self._wrenches: dict[str, Output] = {}
         self._shown: bytes = b""
         self._poses = np.zeros((0, 7))
+        #: Who was stopped since the last report.
+        self._halted: set[str] = set()
 
     def start(self, stamp: int) -> None:
         """Publish where they are at a ROS time [ns], and listen."""
@@ -57,6 +59,13 @@ class ObstacleTopics:
 
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record what a frame did to them."""
+        self._halted.update(frame.halted)
+        for name in frame.halted:
+            self._log.warn(
+                f"halted {name}",
+                f"'{name}' is stopped: with what else is there it would have left the cloth no room; it stands still "
+                "until it is commanded anew",
+            )
         obstacles = self._simulation.obstacles
         solids, poses = self._solids()
         if [solid.name for solid in solids] != self._drawn:
@@ -82,6 +91,8 @@ class ObstacleTopics:
         gaps, contact, said = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
             said = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
+            said["halted"] = ", ".join(sorted(self._halted)) or "none"
+            self._halted.clear()
         if contact is not None and contact.force.surface is not None:
             count, gap = contact.own_gaps(self._simulation.state.x)
             said |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}

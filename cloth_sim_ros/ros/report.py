@@ -131,6 +131,9 @@ class Report:
             values["energy_work_j"] = f"{energy.work:.6g}"
             values["energy_wind_j"] = f"{energy.wind:.6g}"
             values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
+            contact = self._simulation.plan.contact
+            if contact is not None and contact.force.layered:
+                values["energy_rubbed_j"] = f"{energy.rubbed:.6g}"
             values["energy_balance_j"] = f"{energy.residual:.3g}"
         if advance is not None:
             values["steps_per_frame"] = str(advance.steps)

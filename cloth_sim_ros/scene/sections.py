@@ -185,9 +185,8 @@ class Contact:
         "Distance from an obstacle's surface, or from another part of the cloth, within which it pushes the cloth's "
         "middle surface away; at most half the shortest edge of the cloth",
         unit="m",
-        least=0.0,
+        least=1e-6,
         most=1.0,
-        open_least=True,
         live=True,
     )
     friction: tuple[float, ...] = parameter(

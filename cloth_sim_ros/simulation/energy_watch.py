@@ -23,8 +23,10 @@ class EnergyReport:
     work: float
     #: Done on the cloth by moving air.
     wind: float
-    #: Dissipated by springs, drag and grips.
+    #: Dissipated by springs, drag, grips and contact.
     dissipated: float
+    #: Of it, by friction between layers of the cloth.
+    rubbed: float = 0.0
     #: What the balance leaves over: energy - energy before - work - wind + dissipated, summed over all frames.
     residual: float
     #: Energy that went from one form into another, at least.
@@ -61,6 +63,7 @@ class EnergyWatch:
             work=sums.work + work,
             wind=sums.wind + wind,
             dissipated=sums.dissipated + lost,
+            rubbed=sums.rubbed + book.rubbed,
             residual=sums.residual + (kinetic + potential - sum(self._before) - work - wind + lost),
             turned_over=sums.turned_over + abs(kinetic - self._before[0]) + abs(lost) + abs(work) + abs(wind),
         )

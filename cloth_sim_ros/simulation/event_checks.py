@@ -105,8 +105,8 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
 
 
 def check_added(scene: Scene, wanted: Scene, state: State) -> None:
-    """Refuse a scene that is to be in force after another one where obstacles would hold the cloth: new ones, or those
-    in which particles were anchored.
+    """Refuse a scene that is to be in force after another one where obstacles would hold the cloth: new ones, those in
+    which particles were anchored, or those that another thickness has to keep out between particles.
 
     Raises:
         EventError: naming the obstacle and the place.
@@ -115,7 +115,7 @@ def check_added(scene: Scene, wanted: Scene, state: State) -> None:
     added = [name for name in wanted.obstacle_names if name not in kept]
     # New ones come to where they are described to start.
     _check_start(wanted, added, State(state.positions), "the cloth")
-    if wanted.cloth.anchors != scene.cloth.anchors and kept:
+    if kept and (wanted.cloth.anchors, wanted.contact.thickness) != (scene.cloth.anchors, scene.contact.thickness):
         there = attrs.evolve(wanted, obstacles=scene.obstacles)
         _check_start(there, kept, state, "the cloth, once it is let go,")
 

@@ -26,6 +26,9 @@ class Frame:
     grasps: tuple[GraspResult, ...]
     #: One for each gripper that pinches whose pads came to rest, closed, in this frame.
     pinches: tuple[GraspResult, ...] = ()
+    #: Obstacles, and grippers that pinch, that would have left the cloth no room: they stand still where they were at
+    #: the frame's begin until they are commanded anew.
+    halted: tuple[str, ...] = ()
     #: Whether simulated time passed.
     moved: bool
     #: Name of the integrator that ran; of the one that is chosen where no time passed.

@@ -113,6 +113,12 @@ class Grippers:
             renewed(self._state, "gripper.placed")[g] = True
             self._movers.renewed("pose")[g] = target
 
+    def halt(self) -> list[str]:
+        """Let those that pinch stand still where they are, until they are commanded anew; return the names of those
+        that moved.
+        """
+        return [self.names[g] for g in self._movers.halt(sorted(self.reaches))]
+
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
         """Grab the free particles within the radius [m] of a gripper's present position."""
         memory = self._state.memory

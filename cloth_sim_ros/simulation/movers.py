@@ -99,6 +99,16 @@ class Movers:
         pose: Array = target[index]
         return pose
 
+    def halt(self, indices: Sequence[int]) -> list[int]:
+        """Let some stand still where they are, until they are aimed anew; return those of them that moved."""
+        going = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)
+        moving = [k for k in indices if going[k]]
+        if moving:
+            self.renewed("target")[moving] = self.array("pose")[moving]
+            for what in ("twist", "turn"):
+                self.renewed(what)[moving] = 0.0
+        return moving
+
     def paths(self, t: float, duration: float, goal: Goal | None = None) -> tuple[Array, list[float]]:
         """Move each over a frame, and return the paths, shape (count, PATH_NUMBERS), and by how much the way of each
         differs from that over the frame before [m], at most, along an axis.

@@ -63,6 +63,10 @@ class Obstacles:
         """Take note of a target."""
         self._movers.aim(self.names.index(event.obstacle), event.position, event.orientation)
 
+    def halt(self) -> list[str]:
+        """Let all stand still where they are, until they are commanded anew; return the names of those that moved."""
+        return [self.names[k] for k in self._movers.halt(range(len(self.names)))]
+
     def plan_frame(self, t: float, duration: float) -> tuple[Array, float]:
         """Return each obstacle's path over a frame that starts at time t [s], shape (count, PATH_NUMBERS), and by how
         much the way of one over it differs from that over the frame before [m], at most, along an axis.

@@ -12,7 +12,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
@@ -39,11 +39,13 @@ from cloth_sim_ros.simulation.loads import JUMP, is_gentle
 from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
 from cloth_sim_ros.simulation.snapshot import Snapshot
 from cloth_sim_ros.simulation.surroundings import (
+    booked,
     change_obstacles,
     grippers_of,
-    lay_paths,
+    halt,
     obstacles_of,
     pinching_of,
+    plan_movers,
     stand,
 )
 
@@ -230,13 +232,14 @@ class Simulation:
         moved = stepped or not self.paused
         done = self._move() if moved else None
         pinches = self.pinching.settle(self.plan, self.time) if moved and self.pinching is not None else []
-        wrenches, loads = self._loads(self._book if moved else None)
+        wrenches, loads = booked(self._book if moved else None, self.plan, self.grippers, self.pinching)
         frame = Frame(
             index=self.frame,
             time=self.time,
             events=tuple(events),
             grasps=tuple(grasps),
             pinches=tuple(pinches),
+            halted=self._halted if moved else (),
             moved=moved,
             integrator=done.integrator if done else self._integrator.name,
             tolerance=self._tolerance,
@@ -247,12 +250,6 @@ class Simulation:
         if done and not done.steps and not self.paused and self._settled:
             self._slept = frame
         return frame
-
-    def _loads(self, book: Book | None) -> tuple[Array, Array]:
-        """What the cloth did to grippers and to obstacles, as a frame tells it; nothing without a book."""
-        wrenches = book.wrenches if book else np.zeros((len(self.grippers.names), 6))
-        loads = book.loads if book else np.zeros((self.plan.obstacle_count, 6))
-        return wrenches, loads if self.pinching is None else self.pinching.take_over(loads, wrenches)
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
@@ -289,9 +286,11 @@ class Simulation:
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._scene.period
         done: Advance | None = None
+        self._halted: tuple[str, ...] = ()
         if is_asleep(state) and self._known_to_rest and self._settled and self.frame < sleeps_until(state):
             done = self._sleep.frame(self._integrator.name)
         else:
+            before = state.share()
             self._plan_movers(start)
             if is_asleep(state) and self._sleeps_on(start):
                 done = self._sleep.frame(self._integrator.name)
@@ -299,7 +298,16 @@ class Simulation:
             self._known_to_rest = False
             if self._energy is not None:
                 self._energy.begin(state, start)
-            done = self._integrator.advance(self.plan, state, start, period, self._book)
+            try:
+                done = self._integrator.advance(self.plan, state, start, period, self._book)
+            except UnstableError:
+                state.restore(before)
+                self._halted = halt(self.obstacles, self.grippers)
+                if not self._halted:
+                    raise
+                # Where nothing comes nearer there is always a way: that the cloth stays where it is.
+                self._plan_movers(start)
+                done = self._integrator.advance(self.plan, state, start, period, self._book)
             if self._energy is not None and self._book is not None:
                 self.energy_report = self._energy.end(state, start + period, self._book)
             moving = None if self._energy is None else state.share()
@@ -315,15 +323,9 @@ class Simulation:
 
     def _plan_movers(self, t: float) -> None:
         """Lay the paths of grippers and obstacles over the frame that starts at time t [s]."""
-        state, period, gripper = self.state, self._scene.period, self._scene.gripper
-        jerk = 0.0
-        if self.plan.grips is not None:
-            jerk = self.grippers.plan_frame(self.plan.grips, self.model, t, period, gripper.stiffness, gripper.damping)
-        if self.plan.contact is not None:
-            force = self.plan.contact.force
-            jerk = max(jerk, lay_paths(force, self.obstacles, self.pinching, self.grippers, t, period))
-        if jerk > JUMP * period:
-            restart(state)
+        change = plan_movers(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
+        if change > JUMP * self._scene.period:
+            restart(self.state)
 
     def _sleeps_on(self, t: float) -> bool:
         """Whether a sleeping cloth may sleep on; if so, the book gets its wrenches."""

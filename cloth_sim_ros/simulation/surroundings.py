@@ -17,6 +17,7 @@ from cloth_sim_ros.simulation.grippers import Grippers
 from cloth_sim_ros.simulation.movers import standing
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.physics.book import Book
     from cloth_sim_ros.physics.forces.contact import Contact
     from cloth_sim_ros.physics.obstacles import Obstacle
     from cloth_sim_ros.physics.plan import Plan
@@ -74,30 +75,30 @@ def pinching_of(plan: Plan, grippers: Grippers, state: State) -> Pinching | None
     return Pinching(pads, grippers, state)
 
 
-def lay_paths(
-    force: Contact,
-    obstacles: Obstacles | None,
-    pinching: Pinching | None,
-    grippers: Grippers,
-    t: float,
-    duration: float,
+def plan_movers(
+    plan: Plan, scene: Scene, obstacles: Obstacles | None, pinching: Pinching | None, grippers: Grippers, t: float
 ) -> float:
-    """Lay the paths of obstacles and pads over a frame that starts at time t [s] into the force that keeps cloth out;
-    those of grippers are planned.
+    """Lay the paths of grippers, obstacles and pads over the frame that starts at time t [s] into the plan's forces.
 
     Returns:
-        By how much the way of an obstacle over it differs from that over the frame before [m], at most, along an axis.
+        By how much the way of one that may push or pull over it differs from that over the frame before [m], at most,
+        along an axis.
     """
-    paths, change = list[Array](), 0.0
+    period, gripper, change = scene.period, scene.gripper, 0.0
+    if plan.grips is not None:
+        change = grippers.plan_frame(plan.grips, plan.model, t, period, gripper.stiffness, gripper.damping)
+    if plan.contact is None:
+        return change
+    force, paths, most = plan.contact.force, list[Array](), 0.0
     if obstacles is not None:
-        rows, change = obstacles.plan_frame(t, duration)
+        rows, most = obstacles.plan_frame(t, period)
         paths.append(rows)
     if pinching is not None:
         paths.append(pinching.rows(grippers.paths))
         force.drive(pinching.driven())
     if paths:
         force.move(np.concatenate(paths))
-    return change
+    return max(change, most)
 
 
 def stand(force: Contact, obstacles: Obstacles | None, pinching: Pinching | None, grippers: Grippers, t: float) -> None:
@@ -108,6 +109,20 @@ def stand(force: Contact, obstacles: Obstacles | None, pinching: Pinching | None
         force.drive(pinching.driven())
     if paths:
         force.move(np.concatenate(paths))
+
+
+def halt(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:
+    """Let obstacles, and grippers that pinch, stand still where they are until they are commanded anew: where they go
+    they leave the cloth no room. Return the names of those that moved.
+    """
+    return (*([] if obstacles is None else obstacles.halt()), *grippers.halt())
+
+
+def booked(book: Book | None, plan: Plan, grippers: Grippers, pinching: Pinching | None) -> tuple[Array, Array]:
+    """Return what the cloth did to grippers and to obstacles, as a frame tells it; nothing without a book."""
+    wrenches = book.wrenches if book else np.zeros((len(grippers.names), 6))
+    loads = book.loads if book else np.zeros((plan.obstacle_count, 6))
+    return wrenches, loads if pinching is None else pinching.take_over(loads, wrenches)
 
 
 def solids_and_poses(obstacles: Obstacles | None, pinching: Pinching | None) -> tuple[list[Obstacle], Array]:

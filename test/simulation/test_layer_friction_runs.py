@@ -149,3 +149,11 @@ def test_what_can_not_be_is_refused():
     state.memory[ANCHORS][-1, 0], state.memory[ANCHORS][-1, 3] = 1e5, 1.0
     with pytest.raises(ValueError, match=r"in triangle 100000\.0; it must be a whole number from 0 to 161"):
         Simulation(simulation.scene, state).advance()
+
+
+def test_the_energy_watch_tells_what_layers_rub_apart():
+    simulation = touching(fold(diagnostics__energy=True))
+    for _ in range(3):
+        simulation.advance()
+    report = simulation.energy_report
+    assert 0.0 < report.rubbed < report.dissipated

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +13,8 @@ from unittest import mock
 import numpy as np
 
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: Shapes of obstacles, and how many sizes each has.
 SIZES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
@@ -70,6 +73,40 @@ def change(random: np.random.Generator) -> dict[str, Any]:
         {"gripper.force": float(random.uniform(0.1, 2.0))},
     ]
     return changes[random.integers(len(changes))]
+
+
+class Coverage:
+    """Counts the sessions in which something of contact happened; its call is shown each frame."""
+
+    def __init__(self) -> None:
+        self.sessions: Counter[str] = Counter()
+        self._seen: set[str] = set()
+
+    def __call__(self, simulation: Simulation, frame: Frame) -> None:
+        gaps, contact = simulation.gaps(), simulation.plan.contact
+        if gaps is None or contact is None or not frame.moved:
+            return
+        touched = [solid for solid, (count, _) in zip(contact.force.obstacles, gaps, strict=True) if count]
+        self._seen.update("a pad" if k.name.endswith((".left", ".right")) else f"a {k.shape}" for k in touched)
+        anchors = simulation.state.memory.get(ANCHORS)
+        if anchors is not None and anchors[: len(gaps), 3].any():
+            self._seen.add("friction on obstacles")
+        if contact.own_gaps(simulation.state.x)[0]:
+            self._seen.add("the cloth itself")
+        if any(result.held for result in frame.pinches):
+            self._seen.add("a closed pinch that holds")
+        if frame.halted:
+            self._seen.add("obstacles or grippers halted")
+        if frame.advance is not None and frame.advance.flagged:
+            self._seen.add("flagged frames")
+
+    def close(self) -> None:
+        """Count what was seen in a session that has ended."""
+        self.sessions.update(self._seen)
+        self._seen.clear()
+
+    def __str__(self) -> str:
+        return ", ".join(f"{what} {count}" for what, count in sorted(self.sessions.items()))
 
 
 @contextmanager

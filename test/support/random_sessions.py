@@ -15,7 +15,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.writer import WriterOptions
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from support import random_contact
 from support.random_contact import SIZES, some
 from support.session_maker import Change, SessionMaker
@@ -141,16 +141,16 @@ def make_random_session(
     obstacles: bool = False,
     contact: bool = False,
     change: Callable[[int], Change | None] = lambda _frame: None,
+    watch: Callable[[Simulation, Frame], object] = lambda _simulation, _frame: None,
 ) -> list[Path]:
     """Write a random session; its files, in order. It may end cut off, and may have several files.
 
-    For the k-th frame `change` may give what spoils its messages.
+    For the k-th frame `change` may give what spoils its messages; `watch` is shown each.
     """
     random = np.random.default_rng(seed)
     options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)
-    maker = SessionMaker(
-        folder, random_scene(random, obstacles=obstacles, contact=contact), stem=f"random_{seed}", options=options
-    )
+    scene = random_scene(random, obstacles=obstacles, contact=contact)
+    maker = SessionMaker(folder, scene, stem=f"random_{seed}", options=options, watch=watch)
     for k in range(frames):
         spoil = change(k)
         maker.add(random_events(random, maker, contact=contact), **({"change": spoil} if spoil else {}))

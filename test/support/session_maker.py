@@ -19,7 +19,7 @@ from cloth_sim_ros.session.layouts import Qos
 from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
 NODE = "/cloth_sim"
@@ -132,6 +132,7 @@ class SessionMaker:
         options: layout of the files.
         metadata: entries of the files' metadata, over those of the present environment.
         topology: write it; without it there is no surface.
+        watch: is shown each frame.
     """
 
     def __init__(
@@ -143,8 +144,9 @@ class SessionMaker:
         options: WriterOptions | None = None,
         metadata: Mapping[str, str] | None = None,
         topology: bool = True,
+        watch: Callable[[Simulation, Frame], object] = lambda _simulation, _frame: None,
     ) -> None:
-        self._with_topology = topology
+        self._with_topology, self._watch = topology, watch
         self._metadata = dict(metadata or {})
         self.simulation = Simulation(scene)
         self.paths: list[Path] = []
@@ -185,6 +187,7 @@ class SessionMaker:
                 data = encode(message_class(_BOOL)(data=event.closed), _BOOL)
                 self._write(f"{NODE}/{event.gripper}/grasp", _BOOL, change, data)
         frame = self.simulation.advance(events)
+        self._watch(self.simulation, frame)
         record = FrameRecord(
             frame=frame.index,
             time=frame.time,

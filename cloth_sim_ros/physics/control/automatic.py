@@ -79,7 +79,7 @@ class Automatic(Integrator):
 
     def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         memory = Choice.of(state)
-        self._choose(memory, plan, state, duration)
+        self._choose(memory, plan, state, t, duration)
         memory.wait -= 1.0
         done, missed = None, ""
         if memory.implicit:
@@ -117,11 +117,11 @@ class Automatic(Integrator):
         """Whether a frame of a cost [ns] fits the work limit."""
         return self.work == 0.0 or cost <= self.work * duration * 1e9
 
-    def _choose(self, memory: Choice, plan: Plan, state: State, duration: float) -> None:
+    def _choose(self, memory: Choice, plan: Plan, state: State, t: float, duration: float) -> None:
         """Compare costs, from time to time and whenever the implicit method turns out dear."""
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > CONSTANTS.trust * memory.explicit):
             return
-        memory.explicit, memory.vain = _explicit_frame(plan, state, duration), 0.0
+        memory.explicit, memory.vain = _explicit_frame(plan, state, t, duration), 0.0
         better = memory.explicit > CONSTANTS.affordable * duration * 1e9 and within_reach(plan)
         if better:
             implicit = memory.cost or _first(plan)
@@ -131,7 +131,7 @@ class Automatic(Integrator):
         memory.implicit, memory.wait = float(better), CONSTANTS.wait
 
 
-def _explicit_frame(plan: Plan, state: State, duration: float) -> float:
+def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> float:
     """Estimated cost of a frame by explicit steps at the stability limit [ns].
 
     What accuracy asks for on top of that is not counted: a motion that makes explicit steps smaller than stability
@@ -140,7 +140,7 @@ def _explicit_frame(plan: Plan, state: State, duration: float) -> float:
     known = Stability.of(state)
     rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
     steps = max(1.0, duration / (CONSTANTS.safety * leapfrog_limit(*rates)))
-    return steps * plan.step_cost * plan.model.particle_count
+    return steps * plan.evaluation_cost(t, duration, state)
 
 
 def _first(plan: Plan) -> float:

@@ -171,9 +171,8 @@ class Stretch:
 
     def _parts(self, columns: int, steps: int) -> int:
         """Into how many parts it is cut."""
-        if columns == 1 and self._effort.options.tolerance is None:
-            return 1
-        return self._stability.parts(columns, steps, self._duration)
+        alone = columns == 1 and self._effort.options.tolerance is None
+        return 1 if alone else self._stability.parts(columns, steps, self._duration)
 
     def _part(self, part: int, length: float, start: State) -> bool:
         """Run one part; return whether it holds."""
@@ -192,8 +191,10 @@ class Stretch:
         if told.finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
         if not told.finite:
-            # Contact that stops nothing any more: by finer steps it would have reached no further.
-            limit = effort.touch.limit(columns.reached(self.choice.columns), columns.own(self.choice.columns))
+            # Contact that stops nothing any more: by finer steps it would have reached no further. Steps that ended on
+            # a surface, where the limit is none, were too long.
+            reached, own = columns.reached(self.choice.columns), columns.own(self.choice.columns)
+            limit = effort.touch.limit(reached, own) or 0.5 * self.finest
             finer, self.limit = 2.0 if self.finest <= limit else 1.0, min(self.limit, limit)
             return self._instead(finer, "not finite")
         if not accepted:
@@ -222,7 +223,8 @@ class Stretch:
 
     def _within(self, columns: Columns) -> bool:
         """Whether a part's steps are within the limit that the motion came to; if not, choose what to try next."""
-        limit = self._effort.touch.limit_met(columns, self.choice.columns)
+        # A run that ended on a surface has no limit at all.
+        limit = self._effort.touch.limit_met(columns, self.choice.columns) or 0.5 * self.finest
         if self.finest <= limit:
             return True
         self.limit = min(self.limit, limit)

@@ -13,6 +13,7 @@ import numpy as np
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import carried
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
@@ -33,8 +34,8 @@ _SLOW = 0.5
 _PATIENCE, _LEAST_SHARE = 4, 1e-3
 #: Attempts after which an advance is given up.
 _ATTEMPTS = 12
-#: Steps of an advance from which one that has no result is not tried again: 8 us in a frame of 60 Hz, in which an
-#: obstacle comes nearer by a millimetre at 120 m/s.
+#: Steps of an advance from which one that has no result is neither tried again nor halved: 8 us in a frame of 60 Hz,
+#: in which an obstacle comes nearer by a millimetre at 120 m/s.
 _MOST_STEPS = 2048
 #: Without a tolerance: that distance [m].
 CONVERGED_DISTANCE = 1e-9
@@ -121,26 +122,31 @@ class ImplicitAdvance:
                 break
             state.restore(start)
             rejected += 1
-            if rejected > _ATTEMPTS or (error is None and steps >= _MOST_STEPS):
+            if rejected > _ATTEMPTS or (error is None and (self._divides or steps >= _MOST_STEPS)):
                 why = "; do obstacles leave the cloth room?" if self._plan.contact is not None else ""
-                raise UnstableError(f"implicit: steps of {self._duration / steps:.3g} s did not stay finite{why}")
+                h = self._duration / (_MOST_STEPS if self._divides else steps)
+                raise UnstableError(f"implicit: steps of {h:.3g} s did not stay finite{why}")
             steps = max(steps, round(CONSTANTS.last_steps)) if self._spent else finer
         flagged = int(error > self._budget) + self._unsolved
-        h = self._duration / steps
         memory.step = self._duration / self._steps_next(steps, least, error)
         memory.store(state)
         return Advance(
-            steps=steps,
+            steps=self._taken,
             evaluations=self._evaluations,
-            step=h,
+            step=self._finest,
             limit=math.inf,
             rejected=rejected,
             integrator=integrator.name,
             binds=self._binds(steps, least),
             error=error,
             flagged=flagged,
-            reason=self._reason(h, steps),
+            reason=self._reason(self._finest, steps),
         )
+
+    @property
+    def _divides(self) -> bool:
+        """Whether a step that has no result is taken in halves."""
+        return self._safe and self._plan.contact is not None
 
     def _binds(self, steps: int, least: int) -> str:
         if self._integrator.step is not None:
@@ -169,31 +175,49 @@ class ImplicitAdvance:
         """Take equal steps; return the sum of their errors, or None if a stage did not converge."""
         h = self._duration / steps
         self._close = _CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
-        self._curvature, self._unsolved = math.inf, 0
+        self._curvature, self._unsolved, self._taken, self._finest = math.inf, 0, 0, h
         state, total, contact = self._state, 0.0, self._plan.contact
         guess = np.empty_like(state.x)
         if contact is not None:
             contact.take(state)
         self._plan.accelerations(self._t, state.x, state.v, guess)
         for k in range(steps):
-            t = self._t + k * h
-            if contact is not None:
-                contact.take(state)
-            done = self._step(t, h, guess)
-            if self._safe and (done is None or self._makes_energy(t, h, done)):
-                # Better unsolved than unstable.
-                self._unsolved += 1
-                done = self._safe_step(t, h, guess)
-            if done is None or not (np.isfinite(done.x).all() and np.isfinite(done.v).all()):
+            done = self._cover(self._t + k * h, h, guess)
+            if done is None:
                 return None
-            if self._book is not None:
-                for moment, weight, x, v in done.stages:
-                    note(self._book, self._plan, moment, x, v, weight)
-            state.x, state.v, guess = done.x, done.v, done.a
-            if contact is not None:
-                contact.follow(t + h, h, state)
-            total += done.error
+            error, guess = done
+            total += error
         return total
+
+    def _cover(self, t: float, h: float, guess: Array) -> tuple[float, Array] | None:
+        """Take a step, with obstacles in two halves where it has no result; return its error [m] and its last
+        acceleration, None where none of the smallest has one.
+        """
+        state, contact = self._state, self._plan.contact
+        if contact is not None:
+            contact.take(state)
+        done, unsolved = self._step(t, h, guess), 0
+        if self._safe and (done is None or self._makes_energy(t, h, done)):
+            # Better unsolved than unstable.
+            unsolved = 1
+            done = self._safe_step(t, h, guess)
+        if done is None or not (np.isfinite(done.x).all() and np.isfinite(done.v).all()):
+            if not self._divides or h * _MOST_STEPS < 1.5 * self._duration:
+                return None
+            # Where an obstacle went further than the cloth had room, half the way may leave it some.
+            half = 0.5 * h
+            first = self._cover(t, half, guess)
+            second = None if first is None else self._cover(t + half, half, first[1])
+            return None if first is None or second is None else (first[0] + second[0], second[1])
+        if self._book is not None:
+            for moment, weight, x, v in done.stages:
+                note(self._book, self._plan, moment, x, v, weight)
+        state.x, state.v = done.x, done.v
+        if contact is not None:
+            contact.follow(t + h, h, state)
+        self._unsolved += unsolved
+        self._taken, self._finest = self._taken + 1, min(self._finest, h)
+        return done.error, done.a
 
     def _step(self, t: float, h: float, guess: Array) -> _Step | None:
         """Take one step of the method; None if a stage does not converge."""
@@ -215,12 +239,16 @@ class ImplicitAdvance:
         stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
         return _Step(end, base_v + d * k2v, k2v, error, stages)
 
-    def _safe_step(self, t: float, h: float, guess: Array) -> _Step:
-        """Take a step by the implicit Euler method that lowers what it minimises, and makes no energy."""
+    def _safe_step(self, t: float, h: float, guess: Array) -> _Step | None:
+        """Take a step by the implicit Euler method that lowers what it minimises, and makes no energy; None where an
+        obstacle goes through the cloth, wherever that goes.
+        """
         x, v = self._state.x, self._state.v
         # With grippers where they are halfway: pulled from where they end, it would gain more than they put in.
         u = self._descend(t + 0.5 * h, x, v, h, guess)
         end = x + h * u
+        if self._crosses(t, h, end):
+            return None
         error = 0.5 * h * _largest(u - (v + h * guess))
         # Simpson's rule along the straight way that it goes: a gripper may turn back within such a step.
         sixth = h / 6.0
@@ -234,9 +262,11 @@ class ImplicitAdvance:
         return moved
 
     def _crosses(self, t: float, h: float, end: Array) -> bool:
-        """Whether a step would take a particle through an obstacle."""
+        """Whether a step would take anything through anything, or so near to it that no further step is sure not to."""
         contact = self._plan.contact
-        return contact is not None and contact.crosses(t, h, self._state.x, end)
+        if contact is None:
+            return False
+        return contact.crosses(t, h, self._state.x, end) or contact.crosses(t + h, 0.0, end, end)
 
     def _makes_energy(self, t: float, h: float, done: _Step) -> bool:
         gain, kinetic = self._gain(t, h, done)
@@ -284,8 +314,15 @@ class ImplicitAdvance:
         return None
 
     def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
-        """Return velocities u of a stage that lower what it minimises, from the best of some starts; one is rest."""
-        starts = [v + d * guess * (self._plan.model.inverse_masses > 0.0), v.copy(), np.zeros_like(v)]
+        """Return velocities u of a stage that lower what it minimises, from the best of some starts: rest, and those
+        that go along with an obstacle that moves, which stays as far away as it is.
+        """
+        moving = self._plan.model.inverse_masses > 0.0
+        starts = [v + d * guess * moving, v.copy(), np.zeros_like(v)]
+        if self._plan.contact is not None:
+            paths = self._plan.contact.force.paths
+            going = [row for row in paths if row[4:13].any() or row[17:26].any()]
+            starts += [carried(row, t - 0.5 * d, d, x) * moving for row in going]
         merits = [self._merit(t, x, v, d, start) for start in starts]
         best = min(range(len(starts)), key=lambda i: merits[i] if math.isfinite(merits[i]) else math.inf)
         u = starts[best]

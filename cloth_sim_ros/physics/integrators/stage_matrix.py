@@ -38,7 +38,9 @@ class StageMatrix:
         count = model.particle_count
         springs, others = _split(model)
         #: Springs and joints alone, as lists; all else.
-        self._springs, self._others = compile(Model(model.masses, springs)), compile(Model(model.masses, others))
+        self._springs = compile(Model(model.masses, springs))
+        # Anchored particles may lie within obstacles, where nothing is finite.
+        self._others = compile(Model(model.masses, others, anchors=model.anchors))
         parts = [part for force in springs for part in force.parts(count) or () if isinstance(part, Listed)]
         self._pairs = [np.ascontiguousarray(part.particles) for part in parts]
         moving = model.inverse_masses > 0.0

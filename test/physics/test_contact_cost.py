@@ -1,0 +1,66 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The model of costs counts contact by what is in reach, by no clock and by nothing that was kept from before."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.fallback import work_cap
+from cloth_sim_ros.physics.touching import NEAR, PAIR, RUBBED
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: A cloth at rest over what there is.
+OVER: dict[str, Any] = {
+    "cloth.resolution": [5, 5],
+    "cloth.size": [0.2, 0.2],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "cloth.position": [0.0, 0.0, 0.0],
+    "cloth.anchors": [""],
+    "gravity": [0.0, 0.0, 0.0],
+    "contact.thickness": 0.004,
+    "obstacles": ["it"],
+    "it.shape": "plane",
+    "it.position": [0.0, 0.0, -0.005],
+}
+
+
+def added(**values: Any) -> float:
+    """Operations that contact adds to an evaluation of a frame."""
+    cloth = Simulation(Scene.from_parameters({**OVER, **{k.replace("__", "."): v for k, v in values.items()}}))
+    costs = []
+    for _ in range(2):
+        costs.append(cloth.plan.evaluation_cost(cloth.time, cloth.scene.period, cloth.state))
+        # Lists of what is near are made for another reach meanwhile.
+        cloth.plan.ahead(cloth.time, 10.0 * cloth.scene.period, cloth.state.x, cloth.state.v + 1.0)
+    assert costs[0] == costs[1]
+    bare = cloth.plan.step_cost * cloth.state.particle_count
+    return (costs[0] - bare) / CONSTANTS.operation
+
+
+def test_what_is_out_of_reach_costs_nothing() -> None:
+    assert added(it__position=[0.0, 0.0, -0.5], contact__self=True) == 0.0
+    assert added(obstacles=[""]) == 0.0
+
+
+def test_particles_in_reach_cost_and_friction_on_top() -> None:
+    assert added(it__position=[0.0, 0.0, -0.003]) == pytest.approx(25 * NEAR)
+    assert added(it__position=[0.0, 0.0, -0.003], it__friction=[0.5]) == pytest.approx(25 * (NEAR + RUBBED))
+
+
+def test_pairs_of_edges_and_faces_in_reach_cost() -> None:
+    ball = {"it__shape": "sphere", "it__size": [0.01], "it__position": [0.02, 0.02, -0.0115]}
+    found = added(**ball)
+    # A point and the triangles about it.
+    assert found >= PAIR
+    assert found == pytest.approx(PAIR * round(found / PAIR))
+
+
+def test_a_frame_may_take_fewer_evaluations_where_each_costs_more() -> None:
+    plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
+    caps = [work_cap(plan, 1000.0, 1 / 60, 1e-3, 0.0, cost) for cost in (250.0, 500.0)]
+    assert caps[0] == pytest.approx(2.0 * caps[1], rel=1e-2)

@@ -1,0 +1,158 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles and grippers that would leave the cloth no room: they stand still, it is told, and time goes on."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.contact_scenes import still
+from support.session_maker import SessionMaker
+
+from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.integrators.columns import Columns
+from cloth_sim_ros.physics.integrators.implicit import Implicit
+from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.runs import Told
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Move, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.run import verify
+
+FRAME = 1.0 / 60.0
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+#: A small cloth on a table.
+LYING: dict[str, Any] = {
+    "cloth.resolution": [4, 4],
+    "cloth.size": [0.09, 0.09],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "cloth.position": [0.0, 0.0, 0.005],
+    "cloth.anchors": [""],
+    "contact.thickness": 0.005,
+    "tolerance": 1e-2,
+    "grippers": [""],
+    "obstacles": ["table", "iron"],
+    "table.shape": "plane",
+    "iron.shape": "box",
+    "iron.size": [0.2, 0.2, 0.02],
+    "iron.position": [0.0, 0.0, 0.1],
+}
+
+
+def finite(cloth: Simulation) -> bool:
+    gaps = cloth.gaps()
+    assert gaps is not None
+    return bool(np.isfinite(cloth.positions).all() and (gaps[:, 1] > 0.0).all())
+
+
+def test_an_obstacle_that_would_crush_the_cloth_stands_still_until_it_is_commanded_anew(tmp_path: Path) -> None:
+    halted: list[tuple[str, ...]] = []
+    maker = SessionMaker(
+        tmp_path, Scene.from_parameters(LYING), watch=lambda _cloth, frame: halted.append(frame.halted)
+    )
+    cloth = maker.simulation
+    assert cloth.obstacles is not None
+    for k in range(12):
+        maker.add([Move("iron", (0.0, 0.0, max(0.0, 0.1 - 0.02 * k)), UPRIGHT)] if k < 6 else [])
+        assert finite(cloth)
+    assert set(halted) == {(), ("iron",)}
+    # Its middle stands above half its height, where it has stood since.
+    assert 0.01 < cloth.obstacles.poses()[1, 2] < 0.03
+    assert cloth.obstacles.settled
+    assert halted[-1] == ()
+    maker.add([Move("iron", (0.0, 0.0, 0.1), UPRIGHT)])
+    for _ in range(3):
+        maker.add()
+    assert cloth.obstacles.poses()[1, 2] == pytest.approx(0.1)
+    assert finite(cloth)
+    again = verify([maker.finish()])
+    assert again.same
+    assert again.frames == 16
+
+
+def test_a_frame_tells_who_was_halted_and_nobody_else_is() -> None:
+    far = {
+        "obstacles": ["table", "iron", "far"],
+        "far.shape": "sphere",
+        "far.size": [0.1],
+        "far.position": [3.0, 0.0, 1.0],
+    }
+    cloth = Simulation(Scene.from_parameters({**LYING, **far}))
+    halted = [cloth.advance([Move("iron", (0.0, 0.0, -0.1))]).halted for _ in range(3)]
+    assert ("iron",) in halted
+    assert set(halted) <= {(), ("iron",)}
+
+
+def test_a_gripper_whose_pads_would_go_through_a_table_with_the_cloth_stands_still() -> None:
+    hand = {"grippers": ["hand"], "gripper.mode": "pinch", "gripper.pad_size": [0.08, 0.02, 0.08]}
+    cloth = Simulation(Scene.from_parameters({**LYING, **hand, "obstacles": ["table"]}))
+    frames = [cloth.advance([Target("hand", (0.0, 0.0, 0.1 - 0.03 * k))]) for k in range(8)]
+    assert any(frame.halted == ("hand",) for frame in frames)
+    assert finite(cloth)
+
+
+def test_a_thickness_by_which_an_obstacle_would_come_through_is_refused() -> None:
+    # A ball that particles keep out, between particles that are just outside it; nothing else keeps a thinner one's.
+    values = {**LYING, "obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "cloth.resolution": [3, 3]}
+    values |= {"cloth.size": [0.1, 0.1], "cloth.position": [0.025, 0.025, 0.0937], "contact.thickness": 0.003}
+    cloth = Simulation(Scene.from_parameters(values))
+    cloth.check(SetParameters({"contact.thickness": 0.002}))
+    with pytest.raises(EventError, match="obstacle 'ball' comes through the cloth between particles"):
+        cloth.check(SetParameters({"contact.thickness": 0.0002}))
+
+
+def test_what_moved_too_far_for_an_implicit_step_does_not_come_through() -> None:
+    # A ball under a cell, at 10 m/s: in an eighth of a frame it goes further than it is wide.
+    sheet = Scene.from_parameters(
+        {**LYING, "cloth.size": [0.4, 0.4], "obstacles": [""], "cloth.position": [0.0, 0.0, 0.0]}
+    )
+    model, ball = sheet.plan().model, Obstacle(name="ball", shape="sphere", size=(0.005,))
+    faces = OwnSurface(sheet.sheet.triangles(), sheet.sheet.positions(), thickness=0.003)
+    force = Contact([ball], thickness=0.003, faces=faces)
+    path = still((0.01, 0.02, -0.04))
+    path[6] = 10.0
+    force.move(path[None])
+    plan = compile(Model(model.masses, [*model.forces, force]))
+    state = sheet.starting_state()
+    Implicit(FRAME / 8.0).advance(plan, state, 0.0, FRAME)
+    assert plan.contact is not None
+    plan.contact.check_clear(FRAME, state.x)
+    assert state.x[2].max() > 0.05
+
+
+def test_anchored_particles_within_an_obstacle_leave_the_matrix_finite() -> None:
+    sheet = Scene.from_parameters(
+        {**LYING, "cloth.size": [0.4, 0.4], "obstacles": [""], "cloth.position": [0.0, 0.0, 0.0]}
+    )
+    model, post = sheet.plan().model, Obstacle(name="post", shape="box", size=(0.2, 0.2, 0.2))
+    faces = OwnSurface(sheet.sheet.triangles(), sheet.sheet.positions(), thickness=0.003)
+    force = Contact([post], thickness=0.003, faces=faces)
+    force.move(still((-0.2, -0.2, 0.0))[None])
+    x = sheet.starting_state().x
+    inside = np.flatnonzero((x[0] < -0.09) & (x[1] < -0.09))
+    StageMatrix(Model(model.masses, [*model.forces, force], anchors=inside)).update(0.0, x, 1e-3)
+
+
+def test_steps_that_end_on_a_surface_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth, told, ended = Simulation(Scene.from_parameters(LYING)), Columns.told, list[int]()
+
+    def on_the_surface(columns: Columns, count: int) -> Told:
+        found = told(columns, count)
+        if len(ended) < 3:
+            ended.append(columns.counts[0])
+            monkeypatch.setattr(Columns, "reached", lambda *_: math.inf)
+            return found._replace(activity=math.nan)
+        monkeypatch.undo()
+        return found
+
+    monkeypatch.setattr(Columns, "told", on_the_surface)
+    cloth.advance()
+    assert ended[0] < ended[1] < ended[2]
