@@ -16,6 +16,7 @@ from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import wrench_message
 from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
+from cloth_sim_ros.simulation.events import Move, Reset, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
@@ -45,7 +46,7 @@ class ObstacleTopics:
         self._wrenches: dict[str, Output] = {}
         self._shown: bytes = b""
         self._poses = np.zeros((0, 7))
-        #: Who was stopped since the last report.
+        #: Who was stopped and was not commanded anew since.
         self._halted: set[str] = set()
 
     def start(self, stamp: int) -> None:
@@ -59,7 +60,7 @@ class ObstacleTopics:
 
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record what a frame did to them."""
-        self._halted.update(frame.halted)
+        self._follow_halted(frame)
         for name in frame.halted:
             self._log.warn(
                 f"halted {name}",
@@ -92,11 +93,20 @@ class ObstacleTopics:
         if gaps is not None and len(gaps):
             said = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
             said["halted"] = ", ".join(sorted(self._halted)) or "none"
-            self._halted.clear()
         if contact is not None and contact.force.surface is not None:
             count, gap = contact.own_gaps(self._simulation.state.x)
             said |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
         return said
+
+    def _follow_halted(self, frame: Frame) -> None:
+        """Take note of who stands still because there was no room, and who was commanded since or is gone."""
+        anew = {event.obstacle for event in frame.events if isinstance(event, Move)}
+        anew |= {event.gripper for event in frame.events if isinstance(event, Target)}
+        scene = self._simulation.scene
+        known = {*scene.obstacle_names, *scene.gripper_names}
+        if any(isinstance(event, Reset) for event in frame.events):
+            known = set()
+        self._halted = ((self._halted - anew) & known) | set(frame.halted)
 
     def _follow(self, stamp: int) -> None:
         """Let topics be those of the obstacles that there are."""

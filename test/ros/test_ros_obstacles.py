@@ -184,3 +184,27 @@ def test_a_session_with_obstacles_runs_again_to_the_same_bits(client: Client, tm
     verdict = verify([path])
     assert verdict.same, verdict.first_reason
     assert verdict.frames == 35
+
+
+def test_what_would_crush_the_cloth_is_stopped_and_told_and_time_goes_on(
+    client: Client, capfd: pytest.CaptureFixture[str]
+) -> None:
+    small = {"cloth.resolution": [4, 4], "cloth.size": [0.09, 0.09], "cloth.position": [0.0, 0.0, 0.005]}
+    iron = {"iron.shape": "box", "iron.size": [0.2, 0.2, 0.02], "iron.position": [0.0, 0.0, 0.1]}
+    table = {"table.shape": "plane", "obstacles": ["table", "iron"], "contact.thickness": 0.005, "tolerance": 1e-2}
+    scene = {**{k: v for k, v in LYING.items() if not k.startswith("block")}, **small, **iron, **table}
+    with ClockedCloth(client, scene) as cloth:
+        cloth.target("iron", (0.0, 0.0, -0.1))
+        cloth.tick(4)
+        assert cloth.simulation.obstacles is not None
+        assert cloth.simulation.obstacles.poses()[1, 2] > 0.0
+        assert cloth.node._obstacles.describe()["halted"] == "iron"
+        assert "'iron' is stopped" in capfd.readouterr().err
+        frame = cloth.simulation.frame
+        cloth.target("iron", (0.0, 0.0, 0.1))
+        cloth.tick(4)
+        assert cloth.simulation.frame == frame + 4
+        assert cloth.node._obstacles.describe()["halted"] == "none"
+        assert cloth.simulation.obstacles.poses()[1, 2] == pytest.approx(0.1)
+        refused = change(cloth, contact__thickness=1e-300)
+        assert "contact.thickness out of range Min: 1e-06" in refused.reason
