@@ -268,12 +268,11 @@ class Plan:
             raise ValueError(f"runs of {list(steps)} steps; they must be whole numbers") from error
         self._asked = tuple(steps)
 
-    def evaluation_cost(self, t: float, duration: float, state: State) -> float:
-        """Return the estimated time of one force evaluation [ns], of runs from a state at time t over a duration [s]:
-        what contact may meet by then counts, by how much of it there is.
+    def contact_cost(self, t: float, duration: float, state: State) -> float:
+        """Return the estimated time [ns] that contact adds to a force evaluation, of runs from a state at time t over a
+        duration [s]: what may meet by then counts, by how much of it there is.
         """
-        cost = self.step_cost * self.model.particle_count
-        return cost if self.contact is None else cost + CONSTANTS.operation * self.contact.work(t, duration, state)
+        return 0.0 if self.contact is None else CONSTANTS.operation * self.contact.work(t, duration, state)
 
     def _threads(self, wanted: int | None) -> int:
         """Threads of a run: a second one where a step is long enough to be worth meeting it."""

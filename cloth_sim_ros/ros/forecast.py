@@ -146,8 +146,8 @@ class Forecaster:
     def _cost(self) -> float:
         """Of a step for one particle by the model of costs, contact as it is now included [s]."""
         simulation, state = self._simulation, self._simulation.state
-        evaluation = simulation.plan.evaluation_cost(simulation.time, simulation.scene.period, state)
-        return 1e-9 * evaluation / state.particle_count
+        met = simulation.plan.contact_cost(simulation.time, simulation.scene.period, state)
+        return 1e-9 * (simulation.plan.step_cost + met / state.particle_count)
 
     def _remedy(self, factor: float) -> str:
         scene = self._simulation.scene

@@ -140,7 +140,8 @@ def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> floa
     known = Stability.of(state)
     rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
     steps = max(1.0, duration / (CONSTANTS.safety * leapfrog_limit(*rates)))
-    return steps * plan.evaluation_cost(t, duration, state)
+    cost = steps * plan.step_cost * plan.model.particle_count
+    return cost + steps * plan.contact_cost(t, duration, state)
 
 
 def _first(plan: Plan) -> float:

@@ -64,7 +64,7 @@ class ExplicitAdvance:
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), duration))
         self._fallen = Fallback.of(state).fallen
-        evaluation = plan.evaluation_cost(t, duration, state)
+        met = plan.contact_cost(t, duration, state)
         self._effort = Effort(
             options=options,
             plan=plan,
@@ -75,8 +75,8 @@ class ExplicitAdvance:
             precision=PrecisionRule(plan, precision, duration, budget),
             touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
             duration=duration,
-            cap=work_cap(plan, options.work, duration, memory.longest, self._fallen, evaluation),
-            part_cost=part_cost(evaluation),
+            cap=work_cap(plan, options.work, duration, memory.longest, self._fallen, met),
+            part_cost=part_cost(plan, met),
         )
         rule = ErrorRule(error, stability, budget, options.columns, state)
         # A judged attempt has to fit.

@@ -30,7 +30,7 @@ def within_reach(plan: Plan) -> bool:
     return plan.model.particle_count <= CONSTANTS.implicit
 
 
-def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float, evaluation: float) -> float:
+def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float, met: float = 0.0) -> float:
     """Return the most force evaluations of an advance by explicit steps; a count, never a clock.
 
     What could not be followed in the frames before is tried with half the effort in each further one.
@@ -41,20 +41,21 @@ def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: f
         duration: of the advance [s].
         longest: longest stable step since the last restart [s].
         fallen: frames in a row that had to be finished by implicit steps.
-        evaluation: estimated time of a force evaluation [ns].
+        met: estimated time that contact adds to a force evaluation [ns].
     """
     if work == 0.0:
         return math.inf
-    most = math.ldexp(work, -int(fallen)) * duration / (1e-9 * evaluation)
+    evaluation = 1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met
+    most = math.ldexp(work, -int(fallen)) * duration / evaluation
     # Where implicit steps are out of reach, explicit ones are all that there is.
     return max(most - FINISHED, 0.5 * most) if within_reach(plan) else max(most, CONSTANTS.work * duration / longest)
 
 
-def part_cost(evaluation: float) -> float:
-    """Return what the calls of one part of a frame cost, in force evaluations of an estimated time [ns]: a run and what
-    is asked of its result, four calls.
+def part_cost(plan: Plan, met: float = 0.0) -> float:
+    """Return what the calls of one part of a frame cost, in force evaluations, to which contact adds so much
+    [ns]: a run and what is asked of its result, four calls.
     """
-    return 4e3 * CONSTANTS.call / evaluation
+    return 4e3 * CONSTANTS.call / (plan.step_cost * plan.model.particle_count + met)
 
 
 def finish(plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str) -> Advance:
