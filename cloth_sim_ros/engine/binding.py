@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 10
+ABI = 11
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE = 4

@@ -34,7 +34,7 @@ int guarded(F&& work) {
 }  // namespace
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 10; }
+CLOTH_API int cloth_engine_abi() { return 11; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)

@@ -197,9 +197,7 @@ class Stretch:
             limit = effort.touch.limit(reached, own) or 0.5 * self.finest
             finer, self.limit = 2.0 if self.finest <= limit else 1.0, min(self.limit, limit)
             return self._instead(finer, "not finite")
-        if not accepted:
-            return False
-        if not self._within(columns):
+        if not (accepted and self._within(columns)):
             return False
         choice, told = self.choice, columns.told(self.choice.columns)
         x, v = columns.combine(choice.columns)
