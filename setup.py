@@ -148,6 +148,7 @@ setup(
             "cloth_verify = cloth_sim_ros.verify.main:main",
             "cloth_batch = cloth_sim_ros.batch.main:main",
             "cloth_session = cloth_sim_ros.session.main:main",
+            "cloth_fit = cloth_sim_ros.batch.fit_main:main",
             "cloth_bench = cloth_sim_ros.bench.main:main",
         ],
     },

@@ -1,0 +1,283 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An MCAP that this package did not record: clouds of a real cloth, and the poses of the grippers that held it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.batch.fit_recording import Recording, visible
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+
+_CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
+#: Fields of a cloud that may carry a particle's number, and numpy's kinds of PointField's whole-number types.
+_NUMBERS, _KINDS = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
+#: Longest recording that is taken for one motion [s].
+LONGEST = 3600.0
+
+
+@attrs.define(kw_only=True)
+class _Track:
+    """Poses of a gripper in the order of their stamps."""
+
+    stamps: list[int] = attrs.field(factory=list)
+    poses: list[list[float]] = attrs.field(factory=list)
+    #: Stamps and values of its grasps.
+    grasps: list[tuple[int, bool]] = attrs.field(factory=list)
+
+    def at(self, stamp: float) -> tuple[list[float], list[float]]:
+        """Position [m] and quaternion at a stamp [ns]: linear between poses, the nearest one outside of them."""
+        order = np.argsort(np.array(self.stamps), kind="stable")
+        times, poses = np.array(self.stamps, dtype=np.float64)[order], np.array(self.poses)[order]
+        k = int(np.clip(np.searchsorted(times, stamp, side="right") - 1, 0, max(len(times) - 2, 0)))
+        after = min(k + 1, len(times) - 1)
+        span = times[after] - times[k]
+        share = float(np.clip((stamp - times[k]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+        one, two = poses[k], poses[after].copy()
+        if float(one[3:] @ two[3:]) < 0.0:
+            two[3:] *= -1.0
+        pose = (1.0 - share) * one + share * two
+        pose[3:] /= np.sqrt(float(pose[3:] @ pose[3:]))
+        return pose[:3].tolist(), pose[3:].tolist()
+
+
+def is_session(path: Path) -> bool:
+    """Return whether a file is a session of this package, whole or damaged; an MCAP of others is none.
+
+    Raises:
+        SessionError: if it can't be read at all.
+    """
+    from cloth_sim_ros.session.errors import NotASessionError
+    from cloth_sim_ros.session.part import SessionPart
+
+    try:
+        SessionPart(path).close()
+    except NotASessionError as error:
+        if "without the metadata record" in str(error) or "profile" in str(error):
+            return False
+        raise
+    return True
+
+
+def read_bag(
+    paths: Sequence[Path],
+    scene: Scene,
+    *,
+    topic: str | None = None,
+    poses: Mapping[str, str] | None = None,
+    settle: float = 4.0,
+    matched: bool = True,
+) -> Recording:
+    """Read clouds and gripper poses; the cloth is taken to hang at rest in its grippers at the first cloud.
+
+    Args:
+        paths: MCAP files with messages in CDR.
+        scene: the cloth and its grippers.
+        topic: of the clouds, where there are several.
+        poses: topics of PoseStamped by gripper; default: the one whose name ends in /GRIPPER/target or /GRIPPER/pose.
+        settle: how long the simulated cloth may come to rest before the first cloud [s].
+        matched: whether points are particles, in order or by their numbers; else they are bare points of the surface.
+
+    Raises:
+        FitError: naming what is missing, and the remedy.
+    """
+    if not (np.isfinite(settle) and 0.0 <= settle <= LONGEST):
+        raise FitError(f"--settle is {settle:g} s; it must be from 0 to {LONGEST:g}")
+    heard = _heard(paths)
+    cloud_topic = _one(
+        [name for name, (kind, _) in heard.items() if kind == _CLOUD], topic, "clouds (PointCloud2)", "--topic NAME"
+    )
+    tracks = {name: _track(heard, name, dict(poses or {}).get(name)) for name in scene.gripper_names}
+    unknown = [name for name in poses or {} if name not in tracks]
+    if unknown:
+        raise FitError(f"--pose names '{unknown[0]}'; the scene's grippers are {', '.join(tracks) or 'none'}")
+    count = len(scene.initial_positions())
+    seen = sorted(
+        (_cloud(data, time, scene, count, matched) for time, data in heard[cloud_topic][1]), key=lambda one: one[0]
+    )
+    stamps = np.array([stamp for stamp, _ in seen], dtype=np.int64)
+    if not stamps.size:
+        raise FitError(f"{paths[0]} holds no cloud on {cloud_topic}")
+    first = np.concatenate([[True], np.diff(stamps) > 0])
+    seconds = (stamps[first] - stamps[0]) * 1e-9
+    clouds = [cloud for (_, cloud), new in zip(seen, first, strict=True) if new]
+    if seconds[-1] > LONGEST:
+        raise FitError(
+            f"clouds span {seconds[-1]:.0f} s, at most {LONGEST:g} are one motion; are the header stamps of one clock?"
+        )
+    for name, track in tracks.items():
+        if min(track.stamps) > stamps[-1] or max(track.stamps) < stamps[0] - 60 * 10**9:
+            raise FitError(
+                f"poses of gripper '{name}' and clouds have no time in common: stamps of "
+                f"{min(track.stamps) * 1e-9:.3f} to {max(track.stamps) * 1e-9:.3f} s and {stamps[0] * 1e-9:.3f} to "
+                f"{stamps[-1] * 1e-9:.3f} s; stamp both by one clock"
+            )
+    lead = max(round(settle * scene.rate), 1)
+    frames = lead + seconds * scene.rate
+    return Recording(
+        name=", ".join(Path(path).name for path in paths),
+        scene=scene,
+        state=_start(scene, clouds[0] if matched else None, tracks, int(stamps[0])),
+        events=tuple(_events(scene, tracks, int(stamps[0]), lead, int(np.ceil(frames[-1] - 1e-9)))),
+        frames=frames,
+        seconds=seconds,
+        clouds=tuple(clouds),
+        matched=matched,
+        lead=lead,
+    )
+
+
+def _heard(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
+    """Messages of the types that count by topic: the type, and log times [ns] and bytes."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    heard: dict[str, tuple[str, list[tuple[int, bytes]]]] = {}
+    for path in paths:
+        try:
+            with path.open("rb") as stream:
+                for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+                    if (
+                        schema is not None
+                        and schema.name in (_CLOUD, _POSE, _BOOL)
+                        and channel.message_encoding == "cdr"
+                    ):
+                        heard.setdefault(channel.topic, (schema.name, []))[1].append((message.log_time, message.data))
+        except (McapError, ValueError, EOFError) as error:
+            raise FitError(f"{path} can't be read as MCAP: {error or type(error).__name__}; mend it first") from error
+    return heard
+
+
+def _one(found: Sequence[str], asked: str | None, what: str, remedy: str) -> str:
+    if asked is not None:
+        if asked not in found:
+            raise FitError(f"there is no topic '{asked}' of {what}; there are {', '.join(found) or 'none'}")
+        return asked
+    if len(found) != 1:
+        raise FitError(f"{len(found)} topics hold {what}: {', '.join(found) or 'none'}; one is needed: {remedy}")
+    return found[0]
+
+
+def _track(heard: Mapping[str, tuple[str, list[tuple[int, bytes]]]], gripper: str, asked: str | None) -> _Track:
+    from cloth_sim_ros.session.cdr import decode
+
+    found = [name for name, (kind, _) in heard.items() if kind == _POSE]
+    if asked is None:
+        ending = [name for name in found if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
+        found = ending or found
+    topic = _one(found, asked, f"poses of gripper '{gripper}' (PoseStamped)", f"--pose {gripper}=TOPIC")
+    track = _Track()
+    for time, data in heard[topic][1]:
+        message = decode(data, _POSE)
+        p, q = message.pose.position, message.pose.orientation
+        pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+        if not np.isfinite(pose).all() or not any(pose[3:]):
+            raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
+        track.stamps.append(_stamp(message.header) or time)
+        track.poses.append(pose)
+    for name, (kind, messages) in heard.items():
+        if kind == _BOOL and name.endswith(f"/{gripper}/grasp"):
+            track.grasps = [(time, bool(decode(data, _BOOL).data)) for time, data in messages]
+    return track
+
+
+def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> tuple[int, NDArray[np.float64]]:
+    """Stamp [ns] and points [m] of a cloud: matched, of every particle, NaN where it was not seen."""
+    from cloth_sim_ros.session.cdr import decode, decode_cloud
+
+    cloud = decode_cloud(data)
+    if cloud.frame_id not in ("", scene.frame_id):
+        raise FitError(
+            f"a cloud is given in frame '{cloud.frame_id}', the scene in '{scene.frame_id}'; transform it, or set "
+            "frame_id"
+        )
+    points = np.array(cloud.xyz, dtype=np.float64)
+    if not matched:
+        return cloud.stamp or time, points[visible(points)]
+    message = decode(data, _CLOUD)
+    fields = [field for field in message.fields if field.name in _NUMBERS and field.datatype in _KINDS]
+    if not fields:
+        return cloud.stamp or time, points
+    order = ">" if message.is_bigendian else "<"
+    numbers = np.ndarray(
+        (message.height, message.width),
+        dtype=order + _KINDS[fields[0].datatype],
+        buffer=np.ascontiguousarray(message.data),
+        offset=fields[0].offset,
+        strides=(message.row_step, message.point_step),
+    ).ravel()
+    wrong = np.flatnonzero((numbers < 0) | (numbers >= count))
+    if wrong.size:
+        raise FitError(
+            f"a cloud's field '{fields[0].name}' names particle {numbers[wrong[0]]}; there are {count}, counted from 0"
+        )
+    whole = np.full((count, 3), np.nan)
+    whole[numbers.astype(np.int64)] = points
+    return cloud.stamp or time, whole
+
+
+def _start(scene: Scene, cloud: Array | None, tracks: Mapping[str, _Track], stamp: int) -> State | None:
+    """The first cloud as a start: gaps filled, anchors where the scene has them, a particle in each gripper."""
+    if cloud is None or len(cloud) != len(scene.initial_positions()) or not visible(cloud).any():
+        return None
+    rest = scene.initial_positions()
+    x = _filled(cloud, scene.sheet.triangles())
+    anchors = scene.anchored_particles()
+    x[anchors] = rest[anchors]
+    for track in tracks.values():
+        position, _ = track.at(stamp)
+        x[int(np.argmin(np.square(x - position).sum(axis=1)))] = position
+    return State(x, cloth=scene.starting_state().cloth)
+
+
+def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
+    """A cloud whose gaps are the means of their neighbours."""
+    x, seen = cloud.copy(), visible(cloud)
+    x[~seen] = cloud[seen].mean(axis=0)
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    degree = np.bincount(pairs.ravel(), minlength=len(x)).clip(1)[:, None]
+    for _ in range(2000 if not seen.all() else 0):
+        sums = np.zeros_like(x)
+        np.add.at(sums, pairs[:, 0], x[pairs[:, 1]])
+        np.add.at(sums, pairs[:, 1], x[pairs[:, 0]])
+        moved = sums / degree
+        change = float(np.abs(moved[~seen] - x[~seen]).max())
+        x[~seen] = moved[~seen]
+        if change < 1e-5:
+            break
+    return x
+
+
+def _events(scene: Scene, tracks: Mapping[str, _Track], begin: int, lead: int, frames: int) -> list[tuple[Event, ...]]:
+    """Grippers close where they are at the first cloud, wait, and then follow their poses."""
+    period = scene.period * 1e9
+    events: list[tuple[Event, ...]] = []
+    for k in range(frames):
+        stamp = begin + max(k + 1 - lead, 0) * period
+        now: list[Event] = []
+        for name, track in tracks.items():
+            if not k or k >= lead:
+                now.append(Target(name, *track.at(stamp)))
+            before = [closed for time, closed in track.grasps if time <= begin]
+            if not k and (not before or before[-1]):
+                now.append(Grasp(name, True))
+            now += [
+                Grasp(name, closed) for time, closed in track.grasps if k >= lead and stamp - period < time <= stamp
+            ]
+        events.append(tuple(now))
+    return events
+
+
+def _stamp(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)

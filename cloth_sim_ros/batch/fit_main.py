@@ -1,0 +1,211 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command `cloth_fit`: parameters of a cloth from recorded clouds of it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.batch.fit import Fit
+    from cloth_sim_ros.batch.fit_recording import Recording
+
+#: Exit statuses. Every parameter is known as well as was asked for.
+TOLD = 0
+#: One is not: the clouds don't tell it, or not apart from others.
+NOT_TOLD = 1
+#: It could not be done.
+REFUSED = 2
+
+_DESCRIPTION = (
+    "Find parameters of a cloth by least squares between recorded clouds and simulations of the same motion. Exit "
+    "status 0: every parameter is known as well as was asked for; 1: the clouds don't tell one of them; 2: it could "
+    "not be done."
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; its exit status."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.plot is not None and importlib.util.find_spec("matplotlib") is None:
+        parser.error("--plot needs matplotlib: pip install 'cloth_sim_ros[batch]'")
+    from cloth_sim_ros.batch.fit_parameters import FitError
+    from cloth_sim_ros.scene.parameters import ParameterError
+    from cloth_sim_ros.session.errors import SessionError
+
+    try:
+        fit = _fit(options)
+        _tell(fit, options)
+    except (SessionError, FitError, ParameterError) as error:
+        print(f"cloth_fit: {error}", file=sys.stderr)
+        return REFUSED
+    except OSError as error:
+        print(f"cloth_fit: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        return REFUSED
+    except KeyboardInterrupt:
+        print("cloth_fit: interrupted", file=sys.stderr)
+        return 130
+    return TOLD if fit.all_told else NOT_TOLD
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="cloth_fit", description=_DESCRIPTION)
+    parser.add_argument(
+        "session", nargs="+", type=Path, help="session.mcap, or the files of one in order; or an MCAP of a real cloth"
+    )
+    parser.add_argument(
+        "--parameters",
+        required=True,
+        metavar="NAME,NAME",
+        help="stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, friction, or "
+        "full names such as material.stretch_modulus or table.friction",
+    )
+    parser.add_argument(
+        "--scene", type=Path, metavar="scene.yaml", help="the cloth; a session has its own, whose values this replaces"
+    )
+    parser.add_argument(
+        "--start", action="append", default=[], metavar="NAME=VALUE", help="where the search begins, not at the scene's"
+    )
+    parser.add_argument(
+        "--sigma", type=float, metavar="M", help="deviation of a measured coordinate [m]; else from the residuals"
+    )
+    parser.add_argument(
+        "--within",
+        type=float,
+        default=0.025,
+        metavar="PART",
+        help="a parameter counts as told if its relative standard deviation is at most this (default 0.025)",
+    )
+    parser.add_argument("--until", type=float, metavar="S", help="use clouds up to this time from the beginning [s]")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th cloud")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    _add_real(parser)
+    output = parser.add_argument_group("what is written beside the table")
+    output.add_argument("--write", type=Path, metavar="OUT.yaml", help="the scene with what was found, for the node")
+    output.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
+    output.add_argument("--plot", type=Path, metavar="OUT.png", help="residuals over time; needs matplotlib")
+    return parser
+
+
+def _add_real(parser: argparse.ArgumentParser) -> None:
+    real = parser.add_argument_group("an MCAP that cloth_sim did not record")
+    real.add_argument("--topic", metavar="NAME", help="the topic of the clouds, where there are several")
+    real.add_argument(
+        "--pose",
+        action="append",
+        default=[],
+        metavar="GRIPPER=TOPIC",
+        help="the topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose",
+    )
+    real.add_argument(
+        "--settle",
+        type=float,
+        metavar="S",
+        help="the cloth hung at rest at the first cloud; so long the simulated one comes to rest before it (default 4)",
+    )
+    real.add_argument(
+        "--unordered",
+        action="store_true",
+        help="points carry no particle's number: fit their distances from the surface; also for sessions",
+    )
+
+
+def _fit(options: argparse.Namespace) -> Fit:
+    from tqdm import tqdm
+
+    from cloth_sim_ros.batch.fit import fit
+    from cloth_sim_ros.batch.fit_parameters import FitError
+
+    if options.every < 1:
+        raise FitError(f"--every is {options.every}; every first cloud or fewer can be taken: give 1 or more")
+    if options.until is not None and not options.until > 0.0:
+        raise FitError(f"--until is {options.until:g} s; it must be above 0")
+    for path in (options.write, options.json, options.plot):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise FitError(f"{path}: there is no folder {path.absolute().parent}")
+    names = [name.strip() for name in options.parameters.split(",") if name.strip()]
+    start = {name: _number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
+    recording = _recording(options).part(until=options.until, every=options.every)
+    with tqdm(unit=" simulations", desc="fit", delay=1.0, disable=None, leave=False) as bar:
+        return fit(
+            recording,
+            names,
+            start=start,
+            sigma=options.sigma,
+            within=options.within,
+            workers=options.workers,
+            tick=bar.update,
+        )
+
+
+def _recording(options: argparse.Namespace) -> Recording:
+    from cloth_sim_ros.batch.fit_bag import is_session, read_bag
+    from cloth_sim_ros.batch.fit_parameters import FitError
+    from cloth_sim_ros.batch.fit_recording import read_session
+    from cloth_sim_ros.scene.scene import Scene
+
+    scene = None if options.scene is None else Scene.from_file(options.scene)
+    poses = _pairs(options.pose, "--pose")
+    if is_session(options.session[0]):
+        given = [name for name, value in (("--topic", options.topic), ("--pose", poses)) if value]
+        given += ["--settle"] if options.settle is not None else []
+        if given:
+            raise FitError(f"{given[0]} is for an MCAP that cloth_sim did not record; a session holds its state")
+        return read_session(options.session, scene=scene, matched=not options.unordered)
+    if scene is None:
+        raise FitError(
+            f"{options.session[0]} was not recorded by cloth_sim, so it holds no scene; describe the cloth by --scene"
+        )
+    return read_bag(
+        options.session,
+        scene,
+        topic=options.topic,
+        poses=poses,
+        settle=4.0 if options.settle is None else options.settle,
+        matched=not options.unordered,
+    )
+
+
+def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
+    from cloth_sim_ros.batch.fit_parameters import FitError
+
+    pairs = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise FitError(f"{option} is '{text}'; write NAME=VALUE")
+        pairs[name] = value
+    return pairs
+
+
+def _number(text: str, what: str) -> float:
+    from cloth_sim_ros.batch.fit_parameters import FitError
+
+    try:
+        return float(text)
+    except ValueError:
+        raise FitError(f"{what} is '{text}'; it must be a number") from None
+
+
+def _tell(fit: Fit, options: argparse.Namespace) -> None:
+    from cloth_sim_ros.batch.fit_files import write_json, write_parameters, write_plot
+    from cloth_sim_ros.batch.fit_text import describe
+
+    print(describe(fit), flush=True)
+    if options.json is not None:
+        write_json(fit, options.json)
+    if options.write is not None:
+        told = write_parameters(fit, options.write)
+        print(f"\n{options.write}: the scene with {', '.join(told) or 'nothing new'}")
+    if options.plot is not None:
+        write_plot(fit, options.plot)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

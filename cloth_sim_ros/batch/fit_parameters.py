@@ -1,0 +1,152 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What can be fitted: names that users give, the parameters they stand for, and the scene with other values."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import attrs
+
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.without_effect import without_effect
+
+#: Short names; `bending` depends on the scene's model.
+_SHORT = {
+    "stretch": "material.stretch_modulus",
+    "shear": "material.shear_modulus",
+    "damping": "material.damping",
+    "viscosity": "material.viscosity",
+    "density": "material.density",
+    "drag": "air.drag",
+    "normal_drag": "wind.normal_drag",
+    "tangential_drag": "wind.tangential_drag",
+    "friction": "contact.friction",
+}
+_BENDING = "bending"
+#: Full names beside those above; of every obstacle that is there also `<obstacle>.friction`.
+_FURTHER = (
+    "material.bending_modulus",
+    "bending.stiffness",
+    "contact.damping",
+    "gripper.stiffness",
+    "gripper.damping",
+    "gripper.friction",
+)
+#: A value is sought between the start's and so many times more or less.
+RANGE = 100.0
+
+
+class FitError(ValueError):
+    """What can't be fitted, with the reason and the remedy in one sentence."""
+
+
+@attrs.frozen(kw_only=True)
+class Fitted:
+    """A parameter that is sought.
+
+    Of an array (friction at rest and in motion) the first entry is meant; the others keep their ratio to it.
+    """
+
+    #: Full name, e.g. ``material.stretch_modulus``.
+    name: str
+    unit: str
+    #: Where the search begins, above 0.
+    start: float
+    #: Least and most that it may become.
+    least: float
+    most: float
+
+    @property
+    def short(self) -> str:
+        """The last part of its name, and of friction whose it is."""
+        group, _, last = self.name.rpartition(".")
+        return self.name if last in ("friction", "stiffness") or group in ("gripper", "contact") else last
+
+
+def choose(scene: Scene, names: Sequence[str], start: Mapping[str, float] | None = None) -> list[Fitted]:
+    """Return the parameters that some names mean in a scene.
+
+    Args:
+        scene: whose values the search begins with.
+        names: short or full ones.
+        start: other values to begin with, by short or full name.
+
+    Raises:
+        FitError: for a name that is unknown or given twice, has no effect in the scene, or begins at 0.
+    """
+    begin = {_full(scene, name): float(value) for name, value in (start or {}).items()}
+    full = [_full(scene, name) for name in names]
+    if not full:
+        raise FitError("no parameter is given; e.g. --parameters stretch,shear,bending,damping")
+    for name in full:
+        if full.count(name) > 1:
+            raise FitError(f"parameter '{name}' is given twice")
+    stray = [name for name in begin if name not in full]
+    if stray:
+        raise FitError(f"a start of '{stray[0]}' is given, which is not among the parameters: {', '.join(full)}")
+    return [_fitted(scene, name, begin.get(name)) for name in full]
+
+
+def scene_with(scene: Scene, fitted: Sequence[Fitted], values: Sequence[float], **further: Any) -> Scene:
+    """Return a scene with other values of the parameters that are sought, and of further ones.
+
+    Raises:
+        ParameterError: where the values make no scene.
+    """
+    now = scene.parameters()
+    changed = dict(further)
+    for parameter, value in zip(fitted, values, strict=True):
+        before = now[parameter.name]
+        if isinstance(before, tuple):
+            ratio = float(value) / before[0] if before[0] else 0.0
+            changed[parameter.name] = tuple(entry * ratio if ratio else float(value) for entry in before)
+        else:
+            changed[parameter.name] = float(value)
+    return Scene.from_parameters({**now, **changed}, files=scene.files)
+
+
+def _full(scene: Scene, name: str) -> str:
+    if name == _BENDING:
+        return "bending.stiffness" if scene.bending.model in ("axial", "opposite") else "material.bending_modulus"
+    frictions = [f"{obstacle}.friction" for obstacle in scene.obstacle_names]
+    known = {**_SHORT, **{full: full for full in (*_SHORT.values(), *_FURTHER, *frictions)}}
+    if name in known:
+        return known[name]
+    close = difflib.get_close_matches(name, [*known, _BENDING], n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    if name in scene.parameters():
+        raise FitError(f"'{name}' is no parameter of the sheet that clouds tell; {_offer(frictions)}")
+    raise FitError(f"unknown parameter '{name}'{hint or '; ' + _offer(frictions)}")
+
+
+def _offer(frictions: Sequence[str]) -> str:
+    return "known are " + ", ".join([*_SHORT, _BENDING, *_FURTHER, *frictions])
+
+
+def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
+    (entry,) = (entry for entry in scene.entries if entry.name == name)
+    now = scene.parameters()[name]
+    value = (now[0] if isinstance(now, tuple) else now) if start is None else start
+    if not (math.isfinite(value) and value > 0.0):
+        raise FitError(
+            f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of ten or so: "
+            f"--start {name}=VALUE"
+        )
+    least = max(value / RANGE, entry.least or 0.0)
+    most = value * RANGE if entry.most is None else min(value * RANGE, entry.most)
+    if not least <= value <= most:
+        raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.least:g} to {entry.most:g}")
+    fitted = Fitted(name=name, unit=entry.unit, start=value, least=least, most=most)
+    try:
+        # A value beside the default's: only what was set is judged.
+        tried = scene_with(scene, [fitted], [value * 1.0009765625 if value < most else value * 0.9990234375])
+    except ParameterError as error:
+        raise FitError(str(error)) from error
+    for sentence in without_effect(tried, [name]):
+        raise FitError(sentence.replace(" is set and has", " has", 1) + "; leave it out")
+    return fitted

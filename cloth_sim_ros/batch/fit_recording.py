@@ -1,0 +1,193 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a fit compares with: how the cloth was led, frame by frame, and the clouds that were seen of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.remembered import restart
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import parameter_file, relaxation
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Relax, SetParameters, from_dict
+from cloth_sim_ros.simulation.sleep import wake
+
+#: Fewer clouds with points tell nothing of a motion.
+LEAST_CLOUDS = 3
+#: Most that residuals, their derivatives and those of the next window may take together [bytes].
+MOST_BYTES = 4 << 30
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Recording:
+    """Commands and clouds of one cloth.
+
+    Clouds are matched (row k is particle k, NaN where it was not seen) or bare points of its surface.
+    """
+
+    name: str
+    scene: Scene
+    #: Where the motion starts; None: at the scene's own start.
+    state: State | None
+    #: What happens at the beginning of each frame.
+    events: tuple[tuple[Event, ...], ...]
+    #: How many frames have passed when each cloud is taken, fractions between two frames' ends; ascending.
+    frames: NDArray[np.float64]
+    #: When each was taken, from the recording's beginning [s].
+    seconds: NDArray[np.float64]
+    #: Points [m], shape (points, 3).
+    clouds: tuple[NDArray[np.float64], ...]
+    matched: bool = True
+    #: In so many frames at the beginning the cloth comes to rest in thick air; 0 where the state at the start is known.
+    lead: int = 0
+
+    def part(self, *, until: float | None = None, every: int = 1) -> Recording:
+        """Return the recording up to a time [s], with every so many-th cloud."""
+        last = len(self.seconds) if until is None else int(np.searchsorted(self.seconds, until + 1e-9, side="right"))
+        frames = self.frames[:last:every]
+        used = self.events if until is None or not frames.size else self.events[: int(np.ceil(frames[-1]))]
+        return attrs.evolve(
+            self,
+            events=used,
+            frames=frames,
+            seconds=self.seconds[:last:every],
+            clouds=self.clouds[:last:every],
+        )
+
+
+def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: bool = True) -> Recording:
+    """Read a recorded session of this package: its scene, state, events and clouds.
+
+    Args:
+        paths: its files, in order.
+        scene: takes the place of the recorded one: another start of the search.
+        matched: whether row k of a cloud is particle k; else its points are taken as bare ones.
+
+    Raises:
+        SessionError: if a file can't be read.
+        FitError: if scene and state don't fit.
+    """
+    from cloth_sim_ros.session.cdr import decode_cloud
+    from cloth_sim_ros.session.reader import SessionReader, read_frame
+
+    events: list[tuple[Event, ...]] = []
+    frames, seconds, clouds = list[float](), list[float](), list[NDArray[np.float64]]()
+    with SessionReader(list(paths)) as reader:
+        node = reader.node
+        try:
+            recorded = Scene.from_parameters(
+                parameter_file.parse(reader.scene_yaml, node=node, source="scene.yaml"), files=reader.files
+            )
+            state = State.from_bytes(reader.state)
+        except ValueError as error:
+            raise FitError(f"{paths[0]} holds no scene that can be run here: {error}") from error
+        scene = scene or recorded
+        if scene.rate != recorded.rate:
+            raise FitError(
+                f"the scene has a rate of {scene.rate:g} Hz, the session {recorded.rate:g} Hz; give it the session's"
+            )
+        begin, stamp = state.frame, -1
+        for message in reader.messages([f"{node}/frame", f"{node}/points"]):
+            if message.topic == f"{node}/frame":
+                record = read_frame(message)
+                if record.frame > begin + 1:
+                    break
+                begin, stamp = record.frame, message.publish_time
+                events.append(_events(record.events, record.time))
+            elif message.publish_time == stamp:
+                frames.append(len(events))
+                seconds.append((begin - state.frame) * scene.period)
+                clouds.append(np.array(decode_cloud(message.data).xyz, dtype=np.float64))
+    return Recording(
+        name=", ".join(Path(path).name for path in paths),
+        scene=scene,
+        state=prepared(state),
+        events=tuple(events),
+        frames=np.array(frames),
+        seconds=np.array(seconds),
+        clouds=tuple(clouds),
+        matched=matched,
+    )
+
+
+def prepared(state: State) -> State:
+    """Return a state that goes on under other parameters: awake, no step and no relaxed tolerance remembered."""
+    copy = state.copy()
+    wake(copy)
+    restart(copy, entirely=True)
+    relaxation.set_factor(copy, 1.0)
+    return copy
+
+
+def check(recording: Recording, fitted_names: Sequence[str]) -> None:
+    """Refuse a recording that can't be compared with the scene's cloth.
+
+    Raises:
+        FitError: naming what is missing, and the remedy.
+    """
+    scene, clouds = recording.scene, recording.clouds
+    if not clouds:
+        raise FitError(f"{recording.name} holds no cloud of the cloth in the time asked for: there is nothing to fit")
+    count = len(scene.initial_positions())
+    if recording.matched:
+        for k, cloud in enumerate(clouds):
+            if len(cloud) != count:
+                raise FitError(
+                    f"the cloud at {recording.seconds[k]:.3f} s has {len(cloud)} points, the scene's cloth {count} "
+                    "particles: each point must be a particle, NaN where it was not seen, or carry its number in a "
+                    "field 'index'; for points without numbers give --unordered"
+                )
+    seen = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
+    if sum(seen) < LEAST_CLOUDS:
+        raise FitError(
+            f"{sum(seen)} of {len(clouds)} clouds hold a point that is a number; a motion needs {LEAST_CLOUDS} or more"
+        )
+    numbers = sum(cloud.size for cloud in clouds)
+    needed = 8 * numbers * (4 * len(fitted_names) + 4)
+    if needed > MOST_BYTES:
+        raise FitError(
+            f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of memory; at "
+            f"most {MOST_BYTES / 2**30:.0f}: take fewer by --until SECONDS or --every N"
+        )
+    for number, events in enumerate(recording.events):
+        for event in events:
+            for name in fitted_names:
+                if isinstance(event, SetParameters) and name in event.values:
+                    raise FitError(
+                        f"{name} was changed amid the recording, at frame {number}; end before it by --until "
+                        f"{number * scene.period:.3f}, or leave the parameter out"
+                    )
+
+
+def cloud_offsets(recording: Recording) -> NDArray[np.int64]:
+    """Return where each cloud's residuals begin, and where the last one's end, shape (clouds + 1,)."""
+    each = 3 if recording.matched else 1
+    counts = [each * int(np.isfinite(cloud).all(axis=1).sum()) for cloud in recording.clouds]
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def visible(cloud: Array) -> NDArray[np.bool_]:
+    """Return which points of a cloud (n, 3) were seen."""
+    return np.asarray(np.isfinite(cloud).all(axis=1))
+
+
+def _events(told: Sequence[Mapping[str, Any]], time: float) -> tuple[Event, ...]:
+    try:
+        events = [from_dict(dict(event)) for event in told]
+    except ValueError as error:
+        raise FitError(f"the record of the frame at {time:.3f} s can't be run here: {error}") from error
+    # The fit has a tolerance of its own.
+    return tuple(event for event in events if not isinstance(event, Relax) and not _sets_steps(event))
+
+
+def _sets_steps(event: Event) -> bool:
+    return isinstance(event, SetParameters) and set(event.values) <= {"tolerance", "step", "integrator", "work_limit"}

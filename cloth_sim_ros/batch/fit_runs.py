@@ -1,0 +1,169 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of a recording's motion with other parameters, many at a time in processes of their own.
+
+A run's residuals depend on its parameters, the window and the tolerance alone, never on which process made it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from types import TracebackType
+from typing import Self
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, scene_with
+from cloth_sim_ros.batch.fit_recording import Recording, visible
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: Drag of the air in which a cloth comes to rest [1/s]: the slowest swing of a sheet of half a metre dies away fastest.
+THICK = 6.0
+
+
+@attrs.frozen(kw_only=True)
+class Run:
+    """One run that is asked for."""
+
+    #: Values of the parameters.
+    values: tuple[float, ...]
+    #: Clouds that are compared: the first so many.
+    clouds: int
+    #: Of the simulation [m].
+    tolerance: float
+
+
+def simulate(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
+    """Return the particles' positions when each cloud was taken [m], shape (clouds, particles, 3).
+
+    Between the ends of two frames they follow the cubic through positions and velocities there.
+
+    Raises:
+        ValueError: where the values make no scene, or an event can't take effect.
+        UnstableError: where the motion does not stay finite.
+    """
+    scene = scene_with(recording.scene, fitted, run.values, tolerance=run.tolerance, step=0.0, work_limit=0.0)
+    simulation = Simulation(scene, recording.state)
+    frames, period = recording.frames[: run.clouds], scene.period
+    found = np.empty((len(frames), simulation.state.particle_count, 3))
+    x0, v0 = simulation.state.x, simulation.state.v
+    done = 0
+    for k, moment in enumerate(frames):
+        while done < moment:
+            x0, v0 = simulation.state.x, simulation.state.v
+            simulation.advance([*recording.events[done], *_air(scene, done, recording.lead)])
+            done += 1
+        x1, v1 = simulation.state.x, simulation.state.v
+        s = moment - (done - 1)
+        found[k] = (x1 if done == moment else _between(x0, v0, x1, v1, s, period)).T
+    return found
+
+
+def residuals(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
+    """Return the points that were seen less the simulated ones [m], cloud after cloud.
+
+    Of matched clouds all three coordinates of each particle, of bare points the distance from the surface.
+    """
+    found = simulate(recording, fitted, run)
+    parts = []
+    if not recording.matched:
+        from cloth_sim_ros.batch.fit_surface import distances
+
+        triangles = recording.scene.sheet.triangles()
+        for cloud, x in zip(recording.clouds, found, strict=False):
+            parts.append(distances(cloud[visible(cloud)], x, triangles))
+    else:
+        for cloud, x in zip(recording.clouds, found, strict=False):
+            seen = visible(cloud)
+            parts.append((cloud[seen] - x[seen]).ravel())
+    return np.concatenate(parts)
+
+
+class Runs:
+    """Runs of one recording, as many at a time as there are workers.
+
+    Args:
+        recording: what is compared with.
+        fitted: the parameters, in the order of each run's values.
+        workers: processes; 1 runs in this one, None takes one a core.
+    """
+
+    def __init__(self, recording: Recording, fitted: Sequence[Fitted], *, workers: int | None = None) -> None:
+        self.recording, self.fitted = recording, list(fitted)
+        self.workers = workers or len(os.sched_getaffinity(0))
+        #: Runs made so far.
+        self.made = 0
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=kind is None, cancel_futures=True)
+
+    def make(self, runs: Sequence[Run]) -> list[Array | str]:
+        """Return each run's residuals [m], or why it could not be made.
+
+        Raises:
+            FitError: if a worker process was ended from outside.
+        """
+        self.made += len(runs)
+        if self.workers == 1 or len(runs) == 1:
+            return [_made(self.recording, self.fitted, run) for run in runs]
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(
+                self.workers,
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=_begin,
+                initargs=(self.recording, self.fitted),
+            )
+        try:
+            return list(self._pool.map(_work, runs))
+        except BrokenProcessPool as error:
+            raise FitError("a worker process was ended, perhaps for want of memory; take --workers 1") from error
+
+
+def _air(scene: Scene, frame: int, lead: int) -> list[SetParameters]:
+    """Thick air until the lead has passed, then the scene's own."""
+    if not lead or frame not in (0, lead):
+        return []
+    return [SetParameters({"air.drag": scene.air.drag if frame else max(THICK, scene.air.drag)})]
+
+
+def _between(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
+    """The cubic through positions [m] and velocities [m/s] at the ends of a frame, at its part s."""
+    a, b = s * s * (3.0 - 2.0 * s), s * (1.0 - s)
+    return np.asarray(x0 + a * (x1 - x0) + period * b * ((1.0 - s) * v0 - s * v1))
+
+
+def _made(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array | str:
+    try:
+        return residuals(recording, fitted, run)
+    except (ValueError, UnstableError) as error:
+        return str(error)
+
+
+#: Of a worker process.
+_task: tuple[Recording, Sequence[Fitted]] | None = None
+
+
+def _begin(recording: Recording, fitted: Sequence[Fitted]) -> None:
+    global _task
+    _task = recording, fitted
+
+
+def _work(run: Run) -> Array | str:
+    assert _task is not None
+    return _made(*_task, run)

@@ -1,0 +1,138 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A fit in words: the table, what can't be told apart, and remedies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from cloth_sim_ros.batch.fit import LEAST_CORRELATION, Estimate, Fit
+from cloth_sim_ros.batch.fit_information import Tie
+from cloth_sim_ros.session.words import counted
+
+
+def describe(fit: Fit) -> str:
+    """Return what a fit tells, a table first."""
+    return "\n".join([*_head(fit), "", *_table(fit), *_explained(fit)])
+
+
+def _head(fit: Fit) -> Iterator[str]:
+    lost = "" if fit.missing is None else f", {100 * fit.missing:.0f} % of the particles not seen"
+    used = f"{fit.clouds} of {counted(fit.all_clouds, 'cloud')}" if fit.reason else counted(fit.clouds, "cloud")
+    yield f"{fit.name}: {used} up to {fit.until:.2f} s{lost}; {fit.runs} simulations."
+    said = "given" if fit.sigma_given else "from the residuals"
+    yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({said}); residuals: {1e3 * fit.rms:.3g} mm."
+
+
+def _table(fit: Fit) -> Iterator[str]:
+    rows = [("parameter", "value", "95 % interval", "unit", "bound", "")]
+    for estimate in fit.estimates:
+        low, high = estimate.interval
+        rows.append(
+            (
+                estimate.parameter.name,
+                f"{estimate.value:.4g}",
+                f"{_number(low)} to {_number(high)}" if math.isfinite(estimate.bound) else "any",
+                estimate.parameter.unit or "1",
+                _percent(estimate.bound),
+                verdict(estimate, fit.within),
+            )
+        )
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for row in rows:
+        cells = [
+            cell.ljust(width) if k in (0, 3) else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row[:-1], widths[:-1], strict=True))
+        ]
+        yield "  ".join([*cells, row[-1]]).rstrip()
+
+
+def verdict(estimate: Estimate, within: float) -> str:
+    """Return whether a parameter is told, in a word or a few."""
+    if estimate.at_end:
+        return "NOT TOLD: at the end of the range that was searched"
+    return "told" if estimate.told else f"NOT TOLD: bound above {100 * within:.3g} %"
+
+
+def _explained(fit: Fit) -> Iterator[str]:
+    for tie in fit.ties:
+        yield ""
+        yield _tied(tie)
+        yield _remedy(tie, fit)
+    for estimate in fit.estimates:
+        if estimate.at_end:
+            yield ""
+            yield (
+                f"{estimate.parameter.name} ran to {estimate.value:.3g}, the end of its range: begin elsewhere by "
+                f"--start {estimate.parameter.name}=VALUE, or leave it out."
+            )
+    if fit.reason:
+        yield ""
+        yield fit.reason[0].upper() + fit.reason[1:] + "."
+    if fit.correlation > LEAST_CORRELATION:
+        yield ""
+        yield (
+            f"Residuals of successive clouds are correlated ({fit.correlation:.2f}), as noise alone would not be: "
+            "something in the motion is not in the model (the start, the grip, the air, the weave). Intervals are "
+            "widened for it, and may still be too narrow."
+        )
+    if fit.sigma_given and fit.rms > 1.5 * fit.sigma:
+        yield ""
+        yield (
+            f"The residuals are {fit.rms / fit.sigma:.1f} times the deviation that was given: the model does not "
+            "explain these clouds, and the intervals are too narrow."
+        )
+
+
+def _tied(tie: Tie) -> str:
+    names = [parameter.name for parameter in tie.parameters]
+    if tie.single:
+        hardly = "these clouds hardly depend on it: " if tie.bound > 0.5 else "these clouds tell it "
+        return f"{names[0]}: {hardly}to {_percent(tie.bound)} at best (one standard deviation)."
+    changes = " and ".join(
+        f"{name} by {'+' if part > 0 else '-'}{abs(10 * part):.2g} %"
+        for name, part in zip(names, tie.parts, strict=True)
+    )
+    known = ""
+    if len(names) == 2 and abs(abs(tie.parts[1]) - 1.0) < 0.15:
+        known = f": only their {'ratio' if tie.parts[1] > 0 else 'product'} is"
+    return (
+        f"{' and '.join(names)} can't be told apart{known}. Changing {changes} together leaves these clouds as they "
+        f"are, within the noise (known to {_percent(tie.bound)})."
+    )
+
+
+def _remedy(tie: Tie, fit: Fit) -> str:
+    names = {parameter.name for parameter in tie.parameters}
+    if not tie.single and "material.density" in names:
+        return (
+            "  Remedy: positions tell moduli over density alone, as no force was measured. Weigh the cloth, give "
+            "material.density in the scene and leave it out here."
+        )
+    if not tie.bound < 2.0:
+        return "  Remedy: leave it out, or record a motion on which it acts."
+    factor = tie.bound / fit.within
+    ways = [
+        f"noise {factor:.1f} times lower ({1e3 * fit.sigma / factor:.2g} mm)",
+        f"{factor**2:.1f} times as many clouds",
+    ]
+    if names & {"material.stretch_modulus", "material.shear_modulus"}:
+        ways.append("a stiffer shake in the sheet's plane (larger accelerations, a weight at the free edge)")
+    elif names & {"material.damping", "material.viscosity", "air.drag"}:
+        ways.append("a quicker shake, and its dying away after it stops")
+    elif names & {"material.bending_modulus", "bending.stiffness"}:
+        ways.append("folds: hands closer together, waves across the sheet")
+    else:
+        ways.append("more motion")
+    if not tie.single:
+        ways.append("one of them known otherwise and left out")
+    return "  Remedy: " + ", or ".join(ways) + "."
+
+
+def _percent(part: float) -> str:
+    return "nothing" if not math.isfinite(part) else f"{100 * part:.2g} %" if part < 10.0 else "> 1000 %"
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"

@@ -1,0 +1,137 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Synthetic cloths for fits: hung by two hands, swung, and seen with noise by a camera that misses some particles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.cdr import decode_cloud
+from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from support.session_maker import SessionMaker, cloud_bytes
+
+#: Clouds in a second.
+RATE = 30.0
+#: Edge of the sheet [m], and how much nearer than its width the hands are.
+SIZE, NEARER = 0.4, 0.1
+#: Both hands swing together along x, y, z, and against each other along y: amplitudes [m] and frequencies [Hz].
+AMPLITUDES, FREQUENCIES = (0.008, 0.024, 0.016, 0.012), (1.3, 1.7, 3.1, 2.3)
+#: Ranges of the true parameters, uniform in their logarithms, and where every fit begins.
+RANGES = {
+    "material.stretch_modulus": (100.0, 1000.0),
+    "material.shear_modulus": (10.0, 100.0),
+    "material.bending_modulus": (5e-5, 1e-3),
+    "material.damping": (0.05, 0.3),
+}
+START = {name: float(np.sqrt(low * high)) for name, (low, high) in RANGES.items()}
+
+
+def cloth(values: dict[str, Any], *, resolution: int = 10, files: dict[str, bytes] | None = None) -> Scene:
+    """A square of cloth with two hands at its upper corners; `values` by full name."""
+    return Scene.from_parameters(
+        {
+            "rate": RATE,
+            "cloth.size": [SIZE, SIZE],
+            "cloth.resolution": [resolution, resolution],
+            "cloth.anchors": [""],
+            "grippers": ["left", "right"],
+            "gripper.radius": 0.03,
+            "bending.model": "crossed",
+            "tolerance": 1e-6,
+            "work_limit": 0.0,
+            **values,
+        },
+        files=files,
+    )
+
+
+def hung(scene: Scene, seconds: float = 3.0) -> State:
+    """The state of a cloth that two hands have brought nearer and that hangs still, or nearly so.
+
+    A breath of wind decides to which side it bulges; thick air stops it.
+    """
+    simulation = Simulation(scene)
+    left, right = hands(0.0)
+    simulation.advance([SetParameters({"air.drag": 6.0, "wind.velocity": [0.0, 3.0, 0.0]})])
+    frames = round(seconds * scene.rate)
+    for k in range(frames):
+        share = 1.0 - NEARER + NEARER * max(0.0, 1.0 - k / (0.3 * frames))
+        shape = np.array([share / (1.0 - NEARER), 1.0, 1.0])
+        events: list[Event] = [Target("left", left * shape), Target("right", right * shape)]
+        if not k:
+            events += [Grasp("left", True), Grasp("right", True)]
+        if k == frames // 2:
+            events.append(SetParameters({"wind.velocity": [0.0, 0.0, 0.0]}))
+        simulation.advance(events)
+    simulation.advance([SetParameters({"air.drag": scene.air.drag})])
+    return simulation.state
+
+
+def hands(t: float, *, strength: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Where the left and the right hand are at a time [s], 3 numbers [m] each; the swing sets in over 0.3 s."""
+    way = min(1.0, t / 0.3)
+    way *= strength * way * (3.0 - 2.0 * way)
+    x, y, z, turn = (way * a * np.sin(2.0 * np.pi * f * t) for a, f in zip(AMPLITUDES, FREQUENCIES, strict=True))
+    both, corner = np.array([x, y, z]), np.array([0.5 * SIZE * (1.0 - NEARER), 0.0, 1.0 + 0.5 * SIZE])
+    against = np.array([0.0, turn, 0.0])
+    return corner * [-1.0, 1.0, 1.0] + both + against, corner + both - against
+
+
+def record_swing(
+    folder: Path,
+    values: dict[str, Any],
+    *,
+    seed: int = 0,
+    seconds: float = 2.0,
+    noise: float = 0.002,
+    missing: float = 1.0 / 3.0,
+    resolution: int = 10,
+    strength: float = 1.0,
+    stem: str = "swing",
+) -> Path:
+    """A session of a swing with noisy clouds.
+
+    Args:
+        folder: where it goes.
+        values: true parameters by full name.
+        seed: of the noise.
+        seconds: its length.
+        noise: deviation of each coordinate [m].
+        missing: share of the particles that each cloud lacks (NaN).
+        resolution: particles along an edge.
+        strength: the swing's, 1 is that of `AMPLITUDES`.
+        stem: beginning of the file's name.
+    """
+    state = hung(cloth(values, resolution=resolution))
+    state.frame = 0
+    start = {"hung.npz": state.to_bytes()}
+    scene = cloth({**values, "initial_state": "hung.npz"}, resolution=resolution, files=start)
+    random = np.random.default_rng(seed)
+
+    def see(topic: str, data: bytes) -> bytes:
+        if not topic.endswith("/points"):
+            return data
+        xyz = np.array(decode_cloud(data).xyz, dtype=np.float64)
+        xyz += random.normal(scale=noise, size=xyz.shape) if noise else 0.0
+        xyz[random.random(len(xyz)) < missing] = np.nan
+        return cloud_bytes(xyz, maker.log_time, scene.shape)
+
+    maker = SessionMaker(folder, scene, stem=stem)
+    for k in range(round(seconds * RATE)):
+        left, right = hands((k + 1) / RATE, strength=strength)
+        maker.add(
+            [Target("left", left, (0.0, 0.0, 0.0, 1.0)), Target("right", right, (0.0, 0.0, 0.0, 1.0))], change=see
+        )
+    return maker.finish()
+
+
+def random_truth(seed: int) -> dict[str, float]:
+    """True parameters drawn from `RANGES`."""
+    random = np.random.default_rng([seed, 16])
+    return {name: float(low * (high / low) ** random.random()) for name, (low, high) in RANGES.items()}
