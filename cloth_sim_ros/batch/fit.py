@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.batch.fit_information import Tie, correlation, ties
 from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, choose
 from cloth_sim_ros.batch.fit_recording import Recording, check, cloud_offsets, visible
-from cloth_sim_ros.batch.fit_runs import Run, Runs, simulate
+from cloth_sim_ros.batch.fit_runs import Run, Runs, residuals, shift, simulate
 from cloth_sim_ros.batch.fit_solver import Problem, deviations, information
 from cloth_sim_ros.batch.fit_windows import TOLD, Windows, solve
 
@@ -66,6 +66,8 @@ class Fit:
     until: float
     #: Share of particles of those clouds that were not seen; None where clouds are bare points.
     missing: float | None
+    #: By what the clouds lie off the fitted cloth on the whole [m], 3 numbers, where that was sought too; else None.
+    shift: tuple[float, ...] | None
     #: Why later clouds were not used; empty where all were.
     reason: str
     #: Simulations that were run.
@@ -148,6 +150,11 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
         estimates.append(Estimate(parameter=parameter, value=value, bound=bound, told=told, at_end=at_end))
     seen = [int(visible(cloud).sum()) for cloud in recording.clouds[: last.clouds]]
     every = sum(len(cloud) for cloud in recording.clouds[: last.clouds])
+    moved = None
+    if recording.shifted:
+        run = Run(values=tuple(np.exp(last.linear.theta).tolist()), clouds=last.clouds, tolerance=last.tolerance)
+        bare = residuals(attrs.evolve(recording, shifted=False), fitted, run)
+        moved = tuple(shift(bare).tolist())
     return Fit(
         name=recording.name,
         estimates=tuple(estimates),
@@ -160,6 +167,7 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
         all_clouds=len(recording.clouds),
         until=float(recording.seconds[last.clouds - 1]),
         missing=1.0 - sum(seen) / every if recording.matched else None,
+        shift=moved,
         reason=windows.reason,
         runs=problem.runs.made,
         tolerance=last.tolerance,

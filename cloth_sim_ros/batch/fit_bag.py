@@ -127,13 +127,14 @@ def read_bag(
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
-        state=_start(scene, clouds[0] if matched else None, tracks, int(stamps[0])),
+        state=_start(scene, clouds[0], matched, tracks, int(stamps[0])),
         events=tuple(_events(scene, tracks, int(stamps[0]), lead, int(np.ceil(frames[-1] - 1e-9)))),
         frames=frames,
         seconds=seconds,
         clouds=tuple(clouds),
         matched=matched,
         lead=lead,
+        shifted=matched,
     )
 
 
@@ -226,18 +227,43 @@ def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> t
     return cloud.stamp or time, whole
 
 
-def _start(scene: Scene, cloud: Array | None, tracks: Mapping[str, _Track], stamp: int) -> State | None:
-    """The first cloud as a start: gaps filled, anchors where the scene has them, a particle in each gripper."""
-    if cloud is None or len(cloud) != len(scene.initial_positions()) or not visible(cloud).any():
+def _start(scene: Scene, cloud: Array, matched: bool, tracks: Mapping[str, _Track], stamp: int) -> State | None:
+    """A start near the first cloud, from which the cloth comes to rest; None where the cloud tells nothing.
+
+    Of a matched cloud gaps are filled; bare points bend the scene's sheet across its plane. The particle nearest to
+    each gripper lies in its origin, anchors where the scene has them.
+    """
+    rest, seen = scene.initial_positions(), cloud[visible(cloud)]
+    if not len(seen) or (matched and len(cloud) != len(rest)):
         return None
-    rest = scene.initial_positions()
-    x = _filled(cloud, scene.sheet.triangles())
+    positions = [np.array(track.at(stamp)[0]) for track in tracks.values()]
+    x = _filled(cloud, scene.sheet.triangles()) if matched else _bent(rest, seen, positions)
+    for position in positions:
+        x[_nearest(x, position)] = position
     anchors = scene.anchored_particles()
     x[anchors] = rest[anchors]
-    for track in tracks.values():
-        position, _ = track.at(stamp)
-        x[int(np.argmin(np.square(x - position).sum(axis=1)))] = position
     return State(x, cloth=scene.starting_state().cloth)
+
+
+def _nearest(x: Array, position: Array) -> int:
+    return int(np.argmin(np.square(x - position).sum(axis=1)))
+
+
+def _bent(rest: Array, points: Array, positions: Sequence[Array]) -> Array:
+    """A flat sheet, drawn to where grippers hold it and bent across its plane to the points about each particle."""
+    from scipy.spatial import cKDTree
+
+    x = rest.copy()
+    held = [_nearest(rest, position) for position in positions]
+    if held:
+        away = np.sqrt(np.square(rest[:, None] - rest[held]).sum(axis=2))
+        shares = 1.0 / np.square(np.maximum(away, 1e-6))
+        shares /= shares.sum(axis=1, keepdims=True)
+        x += shares @ (np.array(positions) - rest[held])
+    across = np.linalg.svd(rest - rest.mean(axis=0), full_matrices=False)[2][2]
+    _, near = cKDTree(points).query(x, k=min(8, len(points)))
+    about = points[np.asarray(near).reshape(len(x), -1)].mean(axis=1)
+    return np.asarray(x + ((about - x) @ across)[:, None] * across)
 
 
 def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:

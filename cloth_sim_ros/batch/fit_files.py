@@ -48,6 +48,7 @@ def write_json(fit: Fit, path: Path) -> None:
         "all_clouds": fit.all_clouds,
         "until": fit.until,
         "missing": fit.missing,
+        "shift": fit.shift,
         "reason": fit.reason,
         "runs": fit.runs,
         "tolerance": fit.tolerance,
@@ -99,7 +100,7 @@ def write_plot(fit: Fit, path: Path) -> None:
     above.legend(fontsize=8)
     above.grid(which="both", alpha=0.2)
     if fit.recording.matched:
-        found = path_of(fit)
+        found = path_of(fit) + (0.0 if fit.shift is None else np.array(fit.shift))
         parts = [
             cloud[visible(cloud)] - x[visible(cloud)] for cloud, x in zip(fit.recording.clouds, found, strict=False)
         ]

@@ -15,7 +15,7 @@ from cloth_sim_ros.batch.fit_recording import Recording, visible
 from cloth_sim_ros.physics.forces.force import Array
 
 #: A parameter belongs to a combination where its part is at least this of the largest.
-PART = 0.2
+PART = 0.3
 
 
 @attrs.frozen(kw_only=True)

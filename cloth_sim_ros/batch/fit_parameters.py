@@ -132,6 +132,7 @@ def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
     (entry,) = (entry for entry in scene.entries if entry.name == name)
     now = scene.parameters()[name]
     value = (now[0] if isinstance(now, tuple) else now) if start is None else start
+    _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.most or 1.0, 1.0))
     if not (math.isfinite(value) and value > 0.0):
         raise FitError(
             f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of ten or so: "
@@ -141,12 +142,16 @@ def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
     most = value * RANGE if entry.most is None else min(value * RANGE, entry.most)
     if not least <= value <= most:
         raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.least:g} to {entry.most:g}")
-    fitted = Fitted(name=name, unit=entry.unit, start=value, least=least, most=most)
+    return Fitted(name=name, unit=entry.unit, start=value, least=least, most=most)
+
+
+def _check_effect(scene: Scene, name: str, value: float) -> None:
+    """Refuse a parameter that other parameters switch off."""
+    probe = Fitted(name=name, unit="", start=value, least=value, most=value)
     try:
         # A value beside the default's: only what was set is judged.
-        tried = scene_with(scene, [fitted], [value * 1.0009765625 if value < most else value * 0.9990234375])
+        tried = scene_with(scene, [probe], [value * 0.9990234375])
     except ParameterError as error:
         raise FitError(str(error)) from error
     for sentence in without_effect(tried, [name]):
         raise FitError(sentence.replace(" is set and has", " has", 1) + "; leave it out")
-    return fitted

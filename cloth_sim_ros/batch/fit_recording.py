@@ -49,6 +49,9 @@ class Recording:
     matched: bool = True
     #: In so many frames at the beginning the cloth comes to rest in thick air; 0 where the state at the start is known.
     lead: int = 0
+    #: Whether matched clouds may lie off by one vector, the same for all: how a camera was calibrated, and where in the
+    #: gripper the cloth was held, is known to millimetres at best.
+    shifted: bool = False
 
     def part(self, *, until: float | None = None, every: int = 1) -> Recording:
         """Return the recording up to a time [s], with every so many-th cloud."""

@@ -28,6 +28,9 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Drag of the air in which a cloth comes to rest [1/s]: the slowest swing of a sheet of half a metre dies away fastest.
 THICK = 6.0
+#: Most work of a frame, in real time by its estimated cost: a cloth that values far off crumple is not followed for
+#: hours.
+MOST_WORK = 30.0
 
 
 @attrs.frozen(kw_only=True)
@@ -51,7 +54,7 @@ def simulate(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
         ValueError: where the values make no scene, or an event can't take effect.
         UnstableError: where the motion does not stay finite.
     """
-    scene = scene_with(recording.scene, fitted, run.values, tolerance=run.tolerance, step=0.0, work_limit=0.0)
+    scene = scene_with(recording.scene, fitted, run.values, tolerance=run.tolerance, step=0.0, work_limit=MOST_WORK)
     simulation = Simulation(scene, recording.state)
     frames, period = recording.frames[: run.clouds], scene.period
     found = np.empty((len(frames), simulation.state.particle_count, 3))
@@ -85,7 +88,16 @@ def residuals(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array
         for cloud, x in zip(recording.clouds, found, strict=False):
             seen = visible(cloud)
             parts.append((cloud[seen] - x[seen]).ravel())
-    return np.concatenate(parts)
+    r = np.concatenate(parts)
+    return r - np.tile(shift(r), r.size // 3) if recording.shifted else r
+
+
+def shift(r: Array) -> Array:
+    """Return by what residuals of matched clouds lie off on the whole [m], shape (3,).
+
+    With it taken away, residuals and derivatives are those of a fit that seeks this vector too.
+    """
+    return np.asarray(r.reshape(-1, 3).mean(axis=0)) if r.size else np.zeros(3)
 
 
 class Runs:

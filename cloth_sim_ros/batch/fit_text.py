@@ -23,6 +23,9 @@ def _head(fit: Fit) -> Iterator[str]:
     yield f"{fit.name}: {used} up to {fit.until:.2f} s{lost}; {fit.runs} simulations."
     said = "given" if fit.sigma_given else "from the residuals"
     yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({said}); residuals: {1e3 * fit.rms:.3g} mm."
+    if fit.shift is not None:
+        x, y, z = (1e3 * value for value in fit.shift)
+        yield f"On the whole the clouds lie off by ({x:.2g}, {y:.2g}, {z:.2g}) mm; that was fitted too."
 
 
 def _table(fit: Fit) -> Iterator[str]:
@@ -58,7 +61,7 @@ def verdict(estimate: Estimate, within: float) -> str:
 def _explained(fit: Fit) -> Iterator[str]:
     for tie in fit.ties:
         yield ""
-        yield _tied(tie)
+        yield _tied(tie, fit.within)
         yield _remedy(tie, fit)
     for estimate in fit.estimates:
         if estimate.at_end:
@@ -85,7 +88,7 @@ def _explained(fit: Fit) -> Iterator[str]:
         )
 
 
-def _tied(tie: Tie) -> str:
+def _tied(tie: Tie, within: float) -> str:
     names = [parameter.name for parameter in tie.parameters]
     if tie.single:
         hardly = "these clouds hardly depend on it: " if tie.bound > 0.5 else "these clouds tell it "
@@ -94,12 +97,14 @@ def _tied(tie: Tie) -> str:
         f"{name} by {'+' if part > 0 else '-'}{abs(10 * part):.2g} %"
         for name, part in zip(names, tie.parts, strict=True)
     )
+    if tie.bound < 4.0 * within:
+        return f"Least known is a combination: {changes}, together (known to {_percent(tie.bound)})."
     known = ""
     if len(names) == 2 and abs(abs(tie.parts[1]) - 1.0) < 0.15:
         known = f": only their {'ratio' if tie.parts[1] > 0 else 'product'} is"
     return (
-        f"{' and '.join(names)} can't be told apart{known}. Changing {changes} together leaves these clouds as they "
-        f"are, within the noise (known to {_percent(tie.bound)})."
+        f"{' and '.join(names)} can't be told apart{known}. Changing {changes}, together, leaves these clouds as they "
+        f"are within the noise (it is told to {_percent(tie.bound)} at best)."
     )
 
 

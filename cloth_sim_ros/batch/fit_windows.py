@@ -26,7 +26,7 @@ LEAST_CLOUDS = 3
 #: Starts that the first window is searched from, for each parameter, and how far from the user's [factor].
 STARTS, AROUND = 4, 5.0
 #: Simulations of the search, and of the first window, have this tolerance [m]; that of the rest is found.
-COARSE, TOLERANCES = 1e-4, (1e-6, 1e-7, 1e-8, 1e-9)
+COARSE, TOLERANCES = 1e-4, (1e-5, 1e-6, 1e-7, 1e-8)
 #: What the simulation may be off by, of what a difference step moves the particles by.
 OFF = 0.05
 #: A parameter is told where its relative deviation is at most this.

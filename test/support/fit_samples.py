@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from support.session_maker import SessionMaker, cloud_bytes
+from support.session_maker import START as EPOCH
+from support.session_maker import SessionMaker, cloud_bytes, target_bytes
 
 #: Clouds in a second.
 RATE = 30.0
@@ -58,7 +60,6 @@ def hung(scene: Scene, seconds: float = 3.0) -> State:
     """
     simulation = Simulation(scene)
     left, right = hands(0.0)
-    simulation.advance([SetParameters({"air.drag": 6.0, "wind.velocity": [0.0, 3.0, 0.0]})])
     frames = round(seconds * scene.rate)
     for k in range(frames):
         share = 1.0 - NEARER + NEARER * max(0.0, 1.0 - k / (0.3 * frames))
@@ -66,6 +67,7 @@ def hung(scene: Scene, seconds: float = 3.0) -> State:
         events: list[Event] = [Target("left", left * shape), Target("right", right * shape)]
         if not k:
             events += [Grasp("left", True), Grasp("right", True)]
+            events.append(SetParameters({"air.drag": 6.0, "wind.velocity": [0.0, 3.0, 0.0]}))
         if k == frames // 2:
             events.append(SetParameters({"wind.velocity": [0.0, 0.0, 0.0]}))
         simulation.advance(events)
@@ -135,3 +137,56 @@ def random_truth(seed: int) -> dict[str, float]:
     """True parameters drawn from `RANGES`."""
     random = np.random.default_rng([seed, 16])
     return {name: float(low * (high / low) ** random.random()) for name, (low, high) in RANGES.items()}
+
+
+def write_bag(
+    path: Path,
+    values: dict[str, Any],
+    *,
+    seconds: float = 0.5,
+    noise: float = 0.0,
+    off: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    resolution: int = 6,
+    see: Callable[[np.ndarray, int], bytes] | None = None,
+    poses: tuple[str, str] = ("/robot/left/pose", "/robot/right/pose"),
+) -> Path:
+    """An MCAP as of a real cloth: clouds between frames, poses at 100 Hz, no scene, no state.
+
+    Args:
+        path: the file.
+        values: true parameters by full name.
+        seconds: length.
+        noise: deviation of each coordinate [m].
+        off: by what every cloud lies off [m].
+        resolution: particles along an edge.
+        see: bytes of a cloud of the particles' positions (n, 3) [m] at a stamp [ns].
+        poses: topics of the hands' poses.
+    """
+    from mcap.writer import Writer
+
+    scene = cloth({**values, "rate": 60.0}, resolution=resolution)
+    state = hung(scene, 8.0)
+    state.frame = 0
+    simulation, random = Simulation(scene, state), np.random.default_rng(5)
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        cloud = writer.register_schema("sensor_msgs/msg/PointCloud2", "ros2msg", b"")
+        pose = writer.register_schema("geometry_msgs/msg/PoseStamped", "ros2msg", b"")
+        clouds = writer.register_channel("/camera/points", "cdr", cloud)
+        hand = [writer.register_channel(topic, "cdr", pose) for topic in poses]
+        for k in range(-20, round(100 * seconds) + 5):
+            now = EPOCH + k * 10_000_000
+            for channel, place in zip(hand, hands(max(0.01 * k, 0.0)), strict=True):
+                writer.add_message(channel, now, target_bytes(Target("hand", place, (0.0, 0.0, 0.0, 1.0)), now), now)
+        for k in range(round(60 * seconds) + 1):
+            if k:
+                left, right = hands(k / 60.0)
+                simulation.advance([Target("left", left), Target("right", right)])
+            if k % 2 == 0:
+                now = EPOCH + round(k / 60.0 * 1e9)
+                x = simulation.positions + off + random.normal(scale=noise, size=(scene.shape[0] * scene.shape[1], 3))
+                data = cloud_bytes(x, now, (1, len(x))) if see is None else see(x, now)
+                writer.add_message(clouds, now, data, now)
+        writer.finish()
+    return path

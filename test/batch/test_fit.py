@@ -1,0 +1,233 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fits of cloths whose parameters are known; `soak_fit.py` has larger ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mcap")
+
+from support.fit_samples import START, cloth, random_truth, record_swing, write_bag
+from support.session_maker import cloud_bytes
+
+from cloth_sim_ros.batch import fit_main
+from cloth_sim_ros.batch.fit import Fit, fit
+from cloth_sim_ros.batch.fit_bag import read_bag
+from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.batch.fit_recording import read_session
+from cloth_sim_ros.batch.fit_text import describe
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.scene import Scene
+
+TRUTH = random_truth(3)
+NAMES = list(TRUTH)
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """6 x 6 particles swung for half a second, 2 mm of noise, a third missing."""
+    return record_swing(tmp_path_factory.mktemp("noisy"), TRUTH, seed=1, seconds=0.5, resolution=6)
+
+
+@pytest.fixture(scope="module")
+def fitted(noisy: Path) -> Fit:
+    return fit(read_session([noisy]), NAMES, start=START, workers=1)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bag") / "real.mcap", TRUTH, noise=0.0005, off=(0.003, -0.004, 0.002))
+
+
+def scene_of(**values: float) -> Scene:
+    return cloth({**START, "rate": 60.0, **values}, resolution=6)
+
+
+def test_a_noisy_swing_is_fitted_within_what_it_states(fitted: Fit) -> None:
+    for estimate in fitted.estimates:
+        true = TRUTH[estimate.parameter.name]
+        # Four standard deviations: a right program exceeds them once in 4,000 seeds, and the seed is fixed.
+        assert abs(np.log(estimate.value / true)) < 4.0 * estimate.bound
+        assert not estimate.told or abs(estimate.value / true - 1.0) < 0.05
+        assert estimate.told == (estimate.bound <= 0.025)
+    # 15 clouds of 24 particles: 1080 coordinates know their deviation to 2 %, four times that is allowed.
+    assert fitted.sigma == pytest.approx(0.002, rel=0.1)
+    assert fitted.missing == pytest.approx(1 / 3, abs=0.1)
+    assert fitted.correlation < 0.15
+    assert (fitted.clouds, fitted.reason) == (15, "")
+
+
+def test_bounds_are_those_of_the_noise(noisy: Path, fitted: Fit) -> None:
+    other = fit(read_session([noisy]), NAMES, start=fitted.values, sigma=0.004, workers=1)
+    for one, two in zip(fitted.estimates, other.estimates, strict=True):
+        # Twice the noise, twice the bound; the derivatives are taken elsewhere and with other steps.
+        assert two.bound == pytest.approx(2.0 * one.bound * 0.002 / fitted.sigma, rel=0.05)
+    assert other.sigma_given
+
+
+def test_without_noise_the_truth_is_found(tmp_path: Path) -> None:
+    path = record_swing(tmp_path, TRUTH, seconds=0.5, resolution=6, noise=0.0, missing=0.0)
+    found = fit(read_session([path]), NAMES, start=START, workers=1)
+    for name, true in TRUTH.items():
+        # Clouds are float32, and the simulations have a tolerance of 1e-5 m or less.
+        assert found.values[name] == pytest.approx(true, rel=1e-3)
+    assert found.rms < 1e-6
+    assert found.all_told
+
+
+def test_the_number_of_workers_changes_no_bit(noisy: Path, fitted: Fit) -> None:
+    two = fit(read_session([noisy]), NAMES, start=START, workers=2)
+    assert two.values == fitted.values
+    assert [estimate.bound for estimate in two.estimates] == [estimate.bound for estimate in fitted.estimates]
+
+
+def test_where_small_differences_explode_clouds_are_left_out(tmp_path: Path) -> None:
+    # Eight times the swing: the sheet collapses between the hands.
+    path = record_swing(tmp_path, TRUTH, seed=2, seconds=1.5, resolution=6, strength=8.0)
+    found = fit(read_session([path]), NAMES, start=START, workers=1)
+    assert "clouds" in found.reason
+    assert 0.25 <= found.until < 1.5
+    for estimate in found.estimates:
+        assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound + 0.01
+
+
+def test_a_real_cloths_recording(bag: Path) -> None:
+    recording = read_bag([bag], scene_of())
+    assert recording.frames[0] == recording.lead == 240
+    found = fit(recording, NAMES, workers=1)
+    # The start was fitted through a cloth that comes to rest: none of it was recorded.
+    assert found.shift == pytest.approx((0.003, -0.004, 0.002), abs=3e-4)
+    for estimate in found.estimates:
+        assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound
+    assert "lie off by (3, -4, 2) mm" in describe(found)
+
+
+def test_points_may_carry_their_particles_numbers(tmp_path: Path) -> None:
+    from cloth_sim_ros.session.cdr import decode, encode, message_class
+
+    kind = "sensor_msgs/msg/PointCloud2"
+    order = np.random.default_rng(0).permutation(36)[:20]
+
+    def numbered(x: np.ndarray, stamp: int) -> bytes:
+        message = decode(cloud_bytes(x[order], stamp, (1, 20)), kind)
+        field = message_class("sensor_msgs/msg/PointField")(name="index", offset=12, datatype=6, count=1)
+        table = np.concatenate(
+            [message.data.reshape(20, 12), order.astype("<u4").view(np.uint8).reshape(20, 4)], axis=1
+        )
+        message.fields.append(field)
+        message.point_step, message.row_step, message.data = 16, 320, np.ascontiguousarray(table).ravel()
+        return encode(message, kind)
+
+    path = write_bag(tmp_path / "numbered.mcap", TRUTH, seconds=0.1, see=numbered)
+    (cloud, *_) = read_bag([path], scene_of()).clouds
+    whole = read_bag([write_bag(tmp_path / "whole.mcap", TRUTH, seconds=0.1)], scene_of()).clouds[0]
+    assert np.array_equal(cloud[order], whole[order])
+    assert np.isnan(np.delete(cloud, order, axis=0)).all()
+    small = cloth({"rate": 60.0}, resolution=5)
+    with pytest.raises(FitError, match=r"names particle .*there are 25"):
+        read_bag([path], small)
+
+
+def test_bare_points_tell_by_their_distance_from_the_surface(noisy: Path) -> None:
+    found = fit(read_session([noisy], matched=False), ["bending"], start={"bending": 2e-4}, workers=1)
+    (estimate,) = found.estimates
+    assert abs(np.log(estimate.value / TRUTH["material.bending_modulus"])) < 4.0 * estimate.bound
+    assert found.missing is None
+
+
+def test_the_command(noisy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = {name: tmp_path / f"fit.{name}" for name in ("json", "yaml", "png")}
+    status = fit_main.main(
+        [
+            *(
+                str(noisy),
+                "--parameters",
+                "bending, shear",
+                "--start",
+                "shear=20",
+                "--workers",
+                "1",
+                "--within",
+                "0.04",
+            ),
+            *("--json", str(out["json"]), "--write", str(out["yaml"]), "--plot", str(out["png"])),
+        ]
+    )
+    told = json.loads(out["json"].read_text())
+    assert status == (fit_main.TOLD if told["all_told"] else fit_main.NOT_TOLD)
+    assert "material.bending_modulus" in capsys.readouterr().out
+    written = parameter_file.read(out["yaml"])
+    for entry in told["parameters"]:
+        if entry["told"]:
+            assert written[entry["name"]] == pytest.approx(entry["value"], rel=1e-5)
+    assert out["png"].read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_not_told_gives_a_status_and_keeps_the_scenes_value(noisy: Path, tmp_path: Path) -> None:
+    out = tmp_path / "fit.yaml"
+    options = ["--parameters", "damping", "--start", "damping=0.2", "--workers", "1", "--within", "1e-5"]
+    assert fit_main.main([str(noisy), *options, "--write", str(out)]) == fit_main.NOT_TOLD
+    assert parameter_file.read(out)["material.damping"] == TRUTH["material.damping"]
+    assert "not told" in out.read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--parameters", "strech"], "did you mean 'stretch'"),
+        (["--parameters", "stretch,material.stretch_modulus"], "given twice"),
+        (["--parameters", ","], "no parameter is given"),
+        (["--parameters", "friction"], "contact.self is false"),
+        (["--parameters", "bending.stiffness"], "only axial and opposite bending use it"),
+        (["--parameters", "viscosity"], "begins at 0"),
+        (["--parameters", "rate"], "no parameter of the sheet"),
+        (["--parameters", "stretch", "--start", "shear=3"], "not among the parameters"),
+        (["--parameters", "stretch", "--start", "stretch=soft"], "must be a number"),
+        (["--parameters", "stretch", "--start", "stretch"], "write NAME=VALUE"),
+        (["--parameters", "stretch", "--start", "stretch=nan"], "begins at nan"),
+        (["--parameters", "stretch", "--until", "0.01"], "holds no cloud"),
+        (["--parameters", "stretch", "--until", "0.04"], "a motion needs 3"),
+        (["--parameters", "stretch", "--until", "0"], "above 0"),
+        (["--parameters", "stretch", "--every", "0"], "give 1 or more"),
+        (["--parameters", "stretch", "--sigma", "0"], "must be above 0"),
+        (["--parameters", "stretch", "--within", "2"], "between 0 and 1"),
+        (["--parameters", "stretch", "--workers", "0"], "at least 1"),
+        (["--parameters", "stretch", "--settle", "1"], "--settle is for an MCAP"),
+        (["--parameters", "stretch", "--json", "/nowhere/out.json"], "there is no folder"),
+    ],
+)
+def test_bad_input_is_told(noisy: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fit_main.main([str(noisy), *options]) == fit_main.REFUSED
+    assert words in capsys.readouterr().err
+
+
+def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, noisy: Path, bag: Path) -> None:
+    blind = record_swing(tmp_path, TRUTH, seconds=0.2, resolution=6, missing=1.0)
+    with pytest.raises(FitError, match="0 of 6 clouds hold a point"):
+        fit(read_session([blind]), ["stretch"])
+    with pytest.raises(FitError, match="a rate of 60 Hz"):
+        read_session([noisy], scene=scene_of())
+    with pytest.raises(FitError, match="36 points, the scene's cloth 25"):
+        fit(read_bag([bag], cloth({"rate": 60.0}, resolution=5)), ["stretch"])
+    with pytest.raises(FitError, match="in frame 'world', the scene in 'map'"):
+        read_bag([bag], cloth({"frame_id": "map"}, resolution=6))
+    with pytest.raises(FitError, match="--pose names 'middle'"):
+        read_bag([bag], scene_of(), poses={"middle": "/robot/left/pose"})
+    with pytest.raises(FitError, match="there is no topic '/lost'"):
+        read_bag([bag], scene_of(), topic="/lost")
+    other = write_bag(tmp_path / "other.mcap", TRUTH, seconds=0.1, poses=("/arm/a", "/arm/b"))
+    with pytest.raises(FitError, match=r"2 topics hold poses of gripper 'left'.*--pose left=TOPIC"):
+        read_bag([other], scene_of())
+    named = {"left": "/arm/a", "right": "/arm/b"}
+    assert len(read_bag([other], scene_of(), poses=named).clouds) == 4
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(bag.read_bytes()[:200])
+    with pytest.raises(FitError, match="can't be read as MCAP"):
+        read_bag([cut], scene_of())
+    assert fit_main.main([str(bag), "--parameters", "stretch"]) == fit_main.REFUSED
+    assert fit_main.main([str(tmp_path / "lost.mcap"), "--parameters", "stretch"]) == fit_main.REFUSED
