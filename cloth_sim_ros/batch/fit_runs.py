@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -174,6 +175,8 @@ _task: tuple[Recording, Sequence[Fitted]] | None = None
 def _begin(recording: Recording, fitted: Sequence[Fitted]) -> None:
     global _task
     _task = recording, fitted
+    # An interruption from the keyboard reaches all processes; the one that asked for the runs ends the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _work(run: Run) -> Array | str:

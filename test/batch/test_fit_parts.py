@@ -1,0 +1,188 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parts of a fit, each against what is known of it: least squares, bounds, ties, distances from a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+
+from cloth_sim_ros.batch.fit_information import correlation, ties
+from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, choose, scene_with
+from cloth_sim_ros.batch.fit_recording import Recording
+from cloth_sim_ros.batch.fit_runs import Run, _between, shift
+from cloth_sim_ros.batch.fit_solver import Problem, descend, deviations, information
+from cloth_sim_ros.batch.fit_surface import distances
+from cloth_sim_ros.batch.fit_text import _tied
+from cloth_sim_ros.batch.fit_windows import solve
+from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.scene.scene import Scene
+
+
+def sought(*names: str) -> list[Fitted]:
+    return [Fitted(name=name, unit="", start=1.0, least=0.01, most=100.0) for name in names]
+
+
+class Decay:
+    """Runs of y = a exp(-b t), in place of a cloth's: two parameters, a cloud for each time."""
+
+    def __init__(self, measured: np.ndarray, times: np.ndarray) -> None:
+        self.measured, self.times, self.fitted, self.made = measured, times, sought("a", "b"), 0
+
+    def residuals(self, a: float, b: float, count: int) -> np.ndarray:
+        return self.measured[:count] - a * np.exp(-b * self.times[:count])
+
+    def make(self, runs: Sequence[Run]) -> list[Any]:
+        self.made += len(runs)
+        return [self.residuals(*run.values, run.clouds) for run in runs]
+
+
+@pytest.fixture
+def decay() -> Decay:
+    times = np.linspace(0.0, 2.0, 200)
+    noise = np.random.default_rng(1).normal(scale=0.02, size=200)
+    return Decay(3.0 * np.exp(-0.7 * times) + noise, times)
+
+
+def problem_of(runs: Any, **further: Any) -> Problem:
+    return Problem(runs=runs, offsets=np.arange(201), tick=lambda _: None, **{"sigma": None, **further})
+
+
+def test_least_squares_agrees_with_scipys(decay: Decay) -> None:
+    from scipy.optimize import least_squares
+
+    problem = problem_of(decay)
+    start = problem.linear(problem.start, np.full(2, 0.01), 200, 1e-5)
+    found = descend(problem, start, 200, 1e-5)
+    theirs = least_squares(lambda x: decay.residuals(*x, 200), [1.0, 1.0], xtol=1e-12, ftol=1e-12)
+    bounds = deviations(information(found, problem.deviation(found.r)))
+    # A step below a tenth of the bound is none; the expectation pulls by far less.
+    assert np.all(np.abs(found.theta - np.log(theirs.x)) < 0.1 * bounds)
+    covariance = np.linalg.inv(theirs.jac.T @ theirs.jac) * 2.0 * theirs.cost / 198
+    assert bounds == pytest.approx(np.sqrt(np.diag(covariance)) / theirs.x, rel=1e-2)
+
+
+def test_windows_reach_the_end_where_nothing_bends(decay: Decay) -> None:
+    windows = solve(problem_of(decay), decay.times)
+    assert [window.clouds for window in windows.done] == sorted({window.clouds for window in windows.done})
+    assert windows.done[-1].clouds == 200
+    assert not windows.reason
+    assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.02)
+
+
+def test_a_later_part_that_the_model_does_not_explain_is_left_out(decay: Decay) -> None:
+    decay.measured[130:] += 0.5
+    windows = solve(problem_of(decay), decay.times)
+    assert windows.done[-1].clouds < 130
+    assert "the model does not explain" in windows.reason
+    assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.1)
+
+
+def test_a_run_that_fails_is_told(decay: Decay) -> None:
+    decay.make = lambda runs: ["it burst"] * len(runs)  # type: ignore[method-assign]
+    with pytest.raises(FitError, match="starting values: it burst"):
+        solve(problem_of(decay), decay.times)
+
+
+def test_bounds_are_infinite_only_where_nothing_is_told() -> None:
+    told = np.array([[4e4, 1e3], [1e3, 1e4]])
+    assert deviations(told) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(told))))
+    assert deviations(np.diag([1e4, 0.0])).tolist() == [0.01, np.inf]
+    assert np.isinf(deviations(1e6 * np.array([[1.0, -1.0], [-1.0, 1.0]]))).all()
+
+
+@pytest.mark.parametrize(("sign", "word"), [(-1.0, "ratio"), (1.0, "product")])
+def test_what_is_tied_is_named(sign: float, word: str) -> None:
+    # Clouds that depend on x / y alone tell their ratio: raising both leaves them as they are.
+    fisher = np.zeros((3, 3))
+    fisher[:2, :2] = 1e6 * np.array([[1.0, sign], [sign, 1.0]])
+    fisher[2, 2] = 1e6
+    (tie,) = ties(sought("x", "y", "z"), fisher, 0.025)
+    assert {parameter.name for parameter in tie.parameters} == {"x", "y"}
+    assert f"only their {word} is" in _tied(tie, 0.025)
+    assert not list(ties(sought("x", "y", "z"), fisher + 1e5 * np.eye(3), 0.025))
+
+
+def test_one_parameter_that_nothing_tells_stands_alone() -> None:
+    (tie,) = ties(sought("x", "y"), np.diag([1e6, 1.0]), 0.025)
+    assert tie.single
+    assert "hardly depend" in _tied(tie, 0.025)
+
+
+def test_distance_from_a_surface() -> None:
+    rows, columns = 4, 5
+    x, y = np.meshgrid(np.arange(columns) * 0.1, np.arange(rows) * 0.1)
+    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(rows * columns)], axis=1)
+    triangles = grid_triangles(rows, columns, "alternating")
+    random = np.random.default_rng(0)
+    points = random.uniform([-0.05, -0.05, -0.1], [0.45, 0.35, 0.1], size=(200, 3))
+    found = distances(points, sheet, triangles)
+    up = np.sign(np.cross(*(sheet[triangles[0, 1:]] - sheet[triangles[0, 0]]))[2])
+    assert found == pytest.approx(up * points[:, 2], abs=1e-12)
+    # Of a sphere it is the distance from the centre less the radius, but for the triangles' own sag.
+    turn, rise = np.meshgrid(np.linspace(-0.6, 0.6, 25), np.linspace(-0.6, 0.6, 25))
+    ball = np.stack([np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)], axis=-1).reshape(-1, 3)
+    out = ball.reshape(25, 25, 3)[5:20, 5:20].reshape(-1, 3) * random.uniform(0.9, 1.1, size=(225, 1))
+    signed = distances(out, ball, grid_triangles(25, 25, "alternating"))
+    # The sag of a cell of 0.05 on a radius of 1 is 0.05^2 / 4.
+    assert np.abs(signed) == pytest.approx(np.abs(np.linalg.norm(out, axis=1) - 1.0), abs=1e-3)
+    assert distances(np.empty((0, 3)), sheet, triangles).shape == (0,)
+
+
+def test_between_frames_a_cubic_is_exact() -> None:
+    period, s = 0.02, 0.3
+    cubic = np.polynomial.Polynomial([1.0, -2.0, 30.0, 400.0])
+    ends = [np.full((3, 1), value) for t in (0.0, period) for value in (cubic(t), cubic.deriv()(t))]
+    assert _between(*ends, s, period)[0, 0] == pytest.approx(cubic(s * period), rel=1e-12)
+
+
+def test_a_common_vector_is_the_mean_of_the_residuals() -> None:
+    r = np.random.default_rng(0).normal(size=(40, 3)) + np.array([1.0, 2.0, 3.0])
+    assert shift(r.ravel()) == pytest.approx(r.mean(axis=0))
+
+
+def test_correlation_of_successive_residuals() -> None:
+    random = np.random.default_rng(0)
+    clouds = tuple(np.zeros((50, 3)) for _ in range(40))
+    recording: Any = SimpleNamespace(matched=True, clouds=clouds)
+    white = random.normal(size=(40, 150))
+    assert correlation(recording, white.ravel(), 40) < 0.05
+    same = np.repeat(random.normal(size=(1, 150)), 40, axis=0)
+    # Half of each residual stays: a correlation of one half.
+    assert correlation(recording, (white + same).ravel(), 40) == pytest.approx(0.5, abs=0.1)
+
+
+def test_friction_keeps_its_ratio_and_other_parameters_their_values() -> None:
+    scene = Scene.from_parameters({"contact.self": True, "contact.friction": [0.4, 0.3]})
+    (friction,) = choose(scene, ["friction"])
+    assert (friction.name, friction.start) == ("contact.friction", 0.4)
+    changed = scene_with(scene, [friction], [0.8])
+    assert changed.contact.friction == pytest.approx((0.8, 0.6))
+    assert attrs.evolve(changed, contact=scene.contact) == scene
+
+
+def test_bending_is_what_the_scenes_model_uses() -> None:
+    crossed = Scene.from_parameters({"bending.model": "crossed", "material.bending_modulus": 1e-4})
+    assert choose(Scene.from_parameters({}), ["bending"])[0].name == "bending.stiffness"
+    assert choose(crossed, ["bending"])[0].name == "material.bending_modulus"
+
+
+def test_a_part_of_a_recording() -> None:
+    recording = Recording(
+        name="",
+        scene=Scene.from_parameters({}),
+        state=None,
+        events=((),) * 10,
+        frames=np.arange(1.0, 11.0),
+        seconds=np.arange(1.0, 11.0) / 10.0,
+        clouds=tuple(np.full((1, 3), float(k)) for k in range(10)),
+    )
+    part = recording.part(until=0.5, every=2)
+    assert part.seconds.tolist() == [0.1, 0.3, 0.5]
+    assert [cloud[0, 0] for cloud in part.clouds] == [0.0, 2.0, 4.0]
+    assert len(part.events) == 5
