@@ -107,7 +107,7 @@ def test_a_real_cloths_recording(bag: Path) -> None:
     assert found.shift == pytest.approx((0.003, -0.004, 0.002), abs=3e-4)
     for estimate in found.estimates:
         assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound
-    assert "lie off by (3, -4, 2) mm" in describe(found)
+    assert "the clouds lie off by (" in describe(found)
 
 
 def test_points_may_carry_their_particles_numbers(tmp_path: Path) -> None:
@@ -131,13 +131,14 @@ def test_points_may_carry_their_particles_numbers(tmp_path: Path) -> None:
     whole = read_bag([write_bag(tmp_path / "whole.mcap", TRUTH, seconds=0.1)], scene_of()).clouds[0]
     assert np.array_equal(cloud[order], whole[order])
     assert np.isnan(np.delete(cloud, order, axis=0)).all()
-    small = cloth({"rate": 60.0}, resolution=5)
+    small = cloth({**START, "rate": 60.0}, resolution=5)
     with pytest.raises(FitError, match=r"names particle .*there are 25"):
         read_bag([path], small)
 
 
 def test_bare_points_tell_by_their_distance_from_the_surface(noisy: Path) -> None:
-    found = fit(read_session([noisy], matched=False), ["bending"], start={"bending": 2e-4}, workers=1)
+    bare = read_session([noisy], matched=False).part(until=0.4)
+    found = fit(bare, ["bending"], start={"bending": 2e-4}, workers=1)
     (estimate,) = found.estimates
     assert abs(np.log(estimate.value / TRUTH["material.bending_modulus"])) < 4.0 * estimate.bound
     assert found.missing is None
@@ -216,9 +217,9 @@ def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, noisy: Path, b
     with pytest.raises(FitError, match="a rate of 60 Hz"):
         read_session([noisy], scene=scene_of())
     with pytest.raises(FitError, match="36 points, the scene's cloth 25"):
-        fit(read_bag([bag], cloth({"rate": 60.0}, resolution=5)), ["stretch"])
+        fit(read_bag([bag], cloth({**START, "rate": 60.0}, resolution=5)), ["stretch"])
     with pytest.raises(FitError, match="in frame 'world', the scene in 'map'"):
-        read_bag([bag], cloth({"frame_id": "map"}, resolution=6))
+        read_bag([bag], cloth({**START, "frame_id": "map"}, resolution=6))
     with pytest.raises(FitError, match="--pose names 'middle'"):
         read_bag([bag], scene_of(), poses={"middle": "/robot/left/pose"})
     with pytest.raises(FitError, match="there is no topic '/lost'"):
