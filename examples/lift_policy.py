@@ -1,3 +1,5 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
 """A policy for a study: takes the cloth's lower right corner, and lifts it with the speed that the run has."""
 
 from cloth_sim_ros import Grasp, Target

@@ -29,7 +29,9 @@ SOURCES = [
     *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py") if "__pycache__" not in path.parts),
 ]
 SHELL = [ROOT / "Makefile", ROOT / ".ci" / "run", *sorted((ROOT / "scripts").glob("*.sh"))]
-COMMANDS = {"cloth_sim", "cloth_gripper", "cloth_replay", "cloth_verify", "cloth_session", "cloth_bench"}
+COMMANDS = {
+    "cloth_sim", "cloth_gripper", "cloth_replay", "cloth_verify", "cloth_session", "cloth_bench", "cloth_batch", "cloth_fit",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

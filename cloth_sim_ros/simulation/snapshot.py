@@ -18,11 +18,12 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation import energy_watch, grippers
+from cloth_sim_ros.simulation import grippers
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.surroundings import obstacles_of
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.simulation import energy_watch
     from cloth_sim_ros.simulation.simulation import Simulation
 
 

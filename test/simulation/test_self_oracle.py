@@ -104,16 +104,17 @@ def test_three_layers():
 
 
 def test_a_sheet_that_falls_on_its_edge_at_20_metres_per_second():
-    wanted = scene(8, 8, (0.3, 0.3), **TABLE)
-    flat = wanted.sheet.positions()
-    places = np.column_stack([flat[:, 0], 1e-3 * np.sin(40.0 * flat[:, 0]), flat[:, 1] - flat[:, 1].min() + 0.05])
+    wanted = scene(12, 12, (0.3, 0.3), **TABLE, rate=240.0)
+    across, up = np.repeat(np.linspace(0.0, 0.3, 12), 12), np.tile(np.linspace(0.0, 0.3, 12), 12)
+    # Ripples, so that it folds over itself, and does not only become narrower.
+    places = np.column_stack([across, 3e-3 * np.sin(80.0 * up) + 1e-3 * np.sin(40.0 * across), up + 0.05])
     velocities = np.zeros_like(places)
     velocities[:, 2] = -20.0
     simulation, oracle = start(wanted, places, velocities), Oracle(wanted)
     for _ in range(20):
         simulation.advance()
         oracle.look(simulation)
-    assert oracle.met > 0
+    assert oracle.met > 50
 
 
 @pytest.mark.parametrize("turns", [1.5, pytest.param(4.0, marks=pytest.mark.soak)])
