@@ -118,7 +118,8 @@ def ordered(events: list[Event]) -> list[Event]:
 
 def to_dict(event: Event) -> dict[str, Any]:
     """Return an event as a dict of plain values; floats keep every bit through JSON."""
-    return {"kind": _NAMES[type(event)], **attrs.asdict(event, value_serializer=_plain)}
+    fields = attrs.fields(type(event))
+    return {"kind": _NAMES[type(event)], **{field.name: _plain(getattr(event, field.name)) for field in fields}}
 
 
 def from_dict(data: dict[str, Any]) -> Event:
@@ -138,5 +139,7 @@ def from_dict(data: dict[str, Any]) -> Event:
     return event
 
 
-def _plain(_instance: Any, _field: Any, value: Any) -> Any:
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}
     return list(value) if isinstance(value, tuple) else value

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import bisect
+import functools
 import itertools
 import math
 from collections.abc import Mapping
@@ -12,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import attrs
-import numpy as np
 
-from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_vector
+from cloth_sim_ros.physics.gripper_path import normalised, rotation_vector, turned_by
 from cloth_sim_ros.scene import ros_yaml
 
 Vector = tuple[float, ...]
@@ -126,8 +126,8 @@ class GripperScript:
         u = (time - start.time) / (end.time - start.time)
         # Least jerk from rest to rest (Flash and Hogan 1985).
         s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-        position = np.asarray(start.position) + s * (np.asarray(end.position) - np.asarray(start.position))
-        return tuple(position.tolist()), _turned(start.orientation, end.orientation, s)
+        position = tuple(a + s * (b - a) for a, b in zip(start.position, end.position, strict=True))
+        return position, _turned(start.orientation, end.orientation, s)
 
 
 def _read_step(step: Any, name: str, waypoints: list[Waypoint], grasps: list[GraspAt]) -> float:
@@ -180,9 +180,9 @@ def _numbers(value: Any, count: int, name: str) -> Vector:
 
 def _turned(start: Vector, end: Vector, share: float) -> Vector:
     """Return the orientation at a share of the shortest turn from one to another."""
-    vector = share * np.array(rotation_vector(start, end))
-    angle = float(np.sqrt(vector @ vector))
-    # sin(angle / 2) / angle -> 1/2 as the turn vanishes.
-    scale = math.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    turn = [*(scale * vector).tolist(), math.cos(0.5 * angle)]
-    return tuple(normalised(product(turn, start)).tolist())
+    return start if start == end else tuple(turned_by(start, [share * angle for angle in _turn(start, end)]))
+
+
+@functools.lru_cache(maxsize=64)
+def _turn(start: Vector, end: Vector) -> list[float]:
+    return rotation_vector(start, end)

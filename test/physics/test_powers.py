@@ -22,8 +22,7 @@ FOREIGN = {
     *("einsum", "dot", "vdot", "inner", "matmul", "tensordot", "norm", "eigh", "eigvalsh", "svd", "inv"),
 }
 #: Uses of these functions that do no harm: messages about a mesh that is refused or mended, the side of a mesh that a
-#: point is on, exact fractions, integers, and squares, which numpy computes as a product; and a script's targets, which
-#: are commands from outside: a session records them as they came.
+#: point is on, exact fractions, integers, and squares, which numpy computes as a product.
 HARMLESS = {
     ("physics/sheets/meshes.py", "norm"),
     ("physics/sheets/meshes.py", "@"),
@@ -32,7 +31,6 @@ HARMLESS = {
     ("physics/sheets/hinge_shape.py", "**"),
     ("physics/sheets/mesh.py", "**"),
     ("physics/sheets/chain.py", "**"),
-    *(("simulation/gripper_script.py", used) for used in ("@", "sin", "cos")),
 }
 
 
