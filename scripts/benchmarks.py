@@ -4,6 +4,7 @@
 
 scripts/benchmarks.py            all of them, one after the other: an hour or two on an idle machine
 scripts/benchmarks.py speed skip these alone; the other sections stay as they are
+scripts/benchmarks.py --resume FOLDER promise    keeps each verdict there as it comes, and runs only those missing
 """
 
 from __future__ import annotations
@@ -35,7 +36,11 @@ SECTIONS = {
     "adds": "adds",
     "scale": "scale",
     "peers": "peers",
+    "batch": "batch",
+    "studies": "studies",
 }
+#: Sections of many cases, hours of them, that can be gone on with.
+RESUMED = ("promise", "violent", "stability")
 HEAD = """# Benchmarks
 
 Made by `make benchmarks`, which runs the commands below; nothing here is written by hand. Each section names the
@@ -48,13 +53,17 @@ def main() -> int:
     """Run the sections that are asked for and write the page; 1 if a command could not do its work."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sections", nargs="*", metavar="section", help=f"of {', '.join(SECTIONS)}; all if left out")
-    wanted = parser.parse_args().sections or list(SECTIONS)
+    kept = f"where verdicts of {', '.join(RESUMED)} are kept"
+    parser.add_argument("--resume", type=Path, metavar="FOLDER", help=kept)
+    given = parser.parse_args()
+    wanted = given.sections or list(SECTIONS)
     if unknown := [name for name in wanted if name not in SECTIONS]:
         parser.error(f"no section {', '.join(unknown)}; there are {', '.join(SECTIONS)}")
     lost = 0
     for name in wanted:
         print(f"{name}: cloth_bench {SECTIONS[name]}", flush=True)
-        text = measured(SECTIONS[name].split())
+        resume = ["--resume", f"{given.resume / name}.jsonl"] if given.resume and name in RESUMED else []
+        text = measured(SECTIONS[name].split(), resume)
         if text is None:
             lost += 1
             continue
@@ -63,12 +72,12 @@ def main() -> int:
     return 1 if lost else 0
 
 
-def measured(command: list[str]) -> str | None:
-    """Run a command; its section with its pictures, or None if it broke down."""
+def measured(command: list[str], resume: list[str]) -> str | None:
+    """Run a command, or what is left of it; its section with its pictures, or None if it broke down."""
     with tempfile.TemporaryDirectory() as folder:
         page, plots = Path(folder) / "section.md", Path(folder) / "plots"
         tool = [sys.executable, "-m", "cloth_sim_ros.bench.main", *command]
-        done = subprocess.run([*tool, "--markdown", page, "--plots", plots], cwd=ROOT, check=False)
+        done = subprocess.run([*tool, *resume, "--markdown", page, "--plots", plots], cwd=ROOT, check=False)
         if not page.exists():
             print(f"cloth_bench {' '.join(command)} ended with {done.returncode} and without figures", file=sys.stderr)
             return None
