@@ -72,6 +72,8 @@ EXTRAS = {
     "batch": [
         *SESSION,
         "distributed>=2025.1",
+        # Processes that outlive a call, and need no `if __name__ == "__main__"` in a user's program.
+        "loky>=3.4",
         "bokeh>=3.4",
         "gymnasium>=1.1",
         "zarr>=3.0",

@@ -23,7 +23,7 @@ PACKAGE = ROOT / "cloth_sim_ros"
 
 ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
 VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
-STUDIES = {"dask", "distributed", "gymnasium", "zarr", "bokeh", "av"}
+STUDIES = {"loky", "dask", "distributed", "gymnasium", "zarr", "bokeh", "av"}
 # Libraries that take long to load, or that a robot may lack: loaded only where they are first needed.
 LATE = {"matplotlib", "numba", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *STUDIES, *VIEWER}
 FILES = {"mcap", "rosbags", "yaml"}

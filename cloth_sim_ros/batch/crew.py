@@ -13,17 +13,17 @@ from typing import Self
 from cloth_sim_ros.physics import cores
 
 
-def check_threads(threads: int | None) -> int:
-    """Return a number of threads, where none is given that of the cores that this process may use.
+def check_workers(count: int | None, name: str = "threads") -> int:
+    """Return a number of threads or processes, where none is given that of the cores that this process may use.
 
     Raises:
         ValueError: for one that is no whole number of at least 1.
     """
-    if threads is None:
+    if count is None:
         return len(os.sched_getaffinity(0))
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-        raise ValueError(f"threads is {threads!r}; it must be a whole number of at least 1, or None for all cores")
-    return threads
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise ValueError(f"{name} is {count!r}; it must be a whole number of at least 1, or None")
+    return count
 
 
 class Crew:
@@ -37,7 +37,7 @@ class Crew:
     """
 
     def __init__(self, threads: int | None = None) -> None:
-        self.threads = check_threads(threads)
+        self.threads = check_workers(threads)
         # They start when they are first needed.
         self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="cloth")
 

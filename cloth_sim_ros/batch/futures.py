@@ -4,18 +4,22 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Iterable
+from typing import Any, TypeAlias
 
 import attrs
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.batch.actions import Commands
-from cloth_sim_ros.batch.crew import Crew
+from cloth_sim_ros.batch.crew import Crew, check_workers
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
+
+#: Numbers of particles, or all of them.
+Chosen: TypeAlias = NDArray[np.int64] | slice
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -39,10 +43,11 @@ def rollouts(
     particles: ArrayLike | None = None,
     velocities: bool = False,
     threads: int | None = None,
+    processes: int | None = None,
 ) -> Trajectories:
     """Let a cloth go on from a snapshot by each of several sequences of actions.
 
-    The result depends neither on the number of threads nor on what else is rolled out.
+    The result depends neither on the number of threads or processes nor on what else is rolled out.
 
     Args:
         snapshot: where all begin; it stays as it is.
@@ -52,6 +57,8 @@ def rollouts(
         particles: of which particles positions are told; all where left out.
         velocities: whether velocities are told too.
         threads: None takes the cores that this process may use.
+        processes: so many processes instead of threads. They take about a second to start, and wait for further calls.
+            Small cloths are stepped faster by them: threads share the interpreter, which has a third of their frames.
 
     Raises:
         ValueError: for actions of another shape or numbers that are not finite, or particles that are none.
@@ -60,14 +67,54 @@ def rollouts(
     given = np.shape(actions)
     if len(given) != 4:
         raise ValueError(f"actions have shape {given}; they must be (K, T, grippers, 4), or 8 with orientations")
-    commands = Commands(snapshot.scene, turned=given[-1] == 8)
-    acts = commands.checked(actions, given[:2])
-    count, frames = given[:2]
-    chosen, size = particles_of(particles, snapshot.state.particle_count)
-    told = np.empty((2 if velocities else 1, count, frames, size, 3), dtype=np.float32)
-    wrenches = np.empty((count, frames, len(commands.names), 6))
-    ends: list[Snapshot] = [snapshot] * count
+    if threads is not None and processes is not None:
+        raise ValueError(f"threads is {threads} and processes is {processes}; give one of them")
+    turned = given[-1] == 8
+    acts = Commands(snapshot.scene, turned=turned).checked(actions, given[:2])
+    chosen, _ = particles_of(particles, snapshot.state.particle_count)
+    wanted = Wanted(turned=turned, chosen=chosen, velocities=velocities)
+    done: Iterable[Future]
+    if processes is not None:
+        from cloth_sim_ros.batch.pool import in_processes
 
+        done = in_processes(snapshot, acts, wanted, check_workers(processes, "processes"))
+    else:
+        done = _in_threads(snapshot, acts, wanted, threads)
+    return _gathered(snapshot, acts, wanted, done)
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Wanted:
+    """What is commanded and told in all futures."""
+
+    #: Whether actions have orientations.
+    turned: bool
+    #: The particles that are told of, and whether their velocities are.
+    chosen: Chosen
+    velocities: bool
+
+
+#: Of one future: positions and, where wanted, velocities, shape (1 or 2, T, m, 3); wrenches, shape (T, grippers, 6);
+#: where it ends.
+Future: TypeAlias = tuple[NDArray[np.float32], Array, Snapshot]
+
+
+def future(simulation: Simulation, snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted) -> Future:
+    """Roll out one future by a simulation of the snapshot's scene; acts of shape (T, grippers, numbers)."""
+    commands = Commands(snapshot.scene, turned=wanted.turned)
+    size = len(np.arange(snapshot.state.particle_count)[wanted.chosen])
+    told = np.empty((2 if wanted.velocities else 1, len(acts), size, 3), dtype=np.float32)
+    wrenches = np.empty((len(acts), len(commands.names), 6))
+    simulation.restore(snapshot)
+    for t, action in enumerate(acts):
+        frame = simulation.advance(commands.events(action, simulation))
+        put(told[:, t], wanted.chosen, simulation.state)
+        wrenches[t] = frame.wrenches
+    return told, wrenches, simulation.snapshot()
+
+
+def _in_threads(snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted, threads: int | None) -> list[Future]:
+    done: dict[int, Future] = {}
     with Crew(threads) as crew:
         simulations: list[Simulation | None] = [None] * crew.threads
 
@@ -75,19 +122,24 @@ def rollouts(
             simulation = simulations[worker]
             if simulation is None:
                 simulation = simulations[worker] = Simulation(snapshot.scene, snapshot.state)
-            simulation.restore(snapshot)
-            for t in range(frames):
-                frame = simulation.advance(commands.events(acts[k, t], simulation))
-                put(told[:, k, t], chosen, simulation.state)
-                wrenches[k, t] = frame.wrenches
-            ends[k] = simulation.snapshot()
+            done[k] = future(simulation, snapshot, acts[k], wanted)
 
-        crew.run(count, roll)
-    return Trajectories(positions=told[0], velocities=told[1] if velocities else None, wrenches=wrenches, ends=ends)
+        crew.run(len(acts), roll)
+    return [done[k] for k in range(len(acts))]
 
 
-#: Numbers of particles, or all of them.
-Chosen: TypeAlias = NDArray[np.int64] | slice
+def _gathered(snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted, done: Iterable[Future]) -> Trajectories:
+    count, frames, grippers = acts.shape[:3]
+    size = len(np.arange(snapshot.state.particle_count)[wanted.chosen])
+    told = np.empty((2 if wanted.velocities else 1, count, frames, size, 3), dtype=np.float32)
+    wrenches = np.empty((count, frames, grippers, 6))
+    ends = []
+    for k, (moved, pulled, end) in enumerate(done):
+        told[:, k], wrenches[k] = moved, pulled
+        ends.append(end)
+    return Trajectories(
+        positions=told[0], velocities=told[1] if wanted.velocities else None, wrenches=wrenches, ends=ends
+    )
 
 
 def particles_of(particles: ArrayLike | None, count: int) -> tuple[Chosen, int]:

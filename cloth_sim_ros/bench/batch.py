@@ -135,19 +135,22 @@ def _memory(options: argparse.Namespace, report: Report) -> None:
 
 
 def _rollouts(options: argparse.Namespace, report: Report) -> None:
-    columns = ["futures", "frames", "particles", "contact with itself", "wall s", "least", "most"]
+    columns = ["futures", "frames", "particles", "contact with itself", "by", "wall s", "least", "most"]
     table = Table("Rollouts of one second, the gripper moving", columns)
-    futures = {own: batch_cloths.Futures(options.rollouts, options.rollout_resolution, own) for own in (False, True)}
-    turns = take_turns({str(own): each.roll for own, each in futures.items()}, seconds=options.seconds)
-    for own, each in futures.items():
-        seconds = turns.seconds[str(own)]
-        row = [options.rollouts, each.frames, options.rollout_resolution**2, "yes" if own else "no"]
-        table.rows.append([*row, turns.median(str(own)), min(seconds), max(seconds)])
+    ways = {}
+    for own in (False, True):
+        futures = batch_cloths.Futures(options.rollouts, options.rollout_resolution, own)
+        futures.in_processes()  # They start, and import what they need.
+        ways[own, "threads"], ways[own, "processes"] = futures.in_threads, futures.in_processes
+    turns = take_turns({f"{own} {by}": way for (own, by), way in ways.items()}, seconds=options.seconds)
+    for own, by in ways:
+        seconds = turns.seconds[f"{own} {by}"]
+        row = [options.rollouts, futures.frames, options.rollout_resolution**2, "yes" if own else "no", by]
+        table.rows.append([*row, turns.median(f"{own} {by}"), min(seconds), max(seconds)])
     report.tables.append(table)
-    if turns.median("False") > ROLLOUT_PROMISE:
-        report.failures.append(
-            f"rollouts took {turns.median('False'):.2f} s; promised {ROLLOUT_PROMISE:g} on two cores"
-        )
+    best = min(turns.median("False threads"), turns.median("False processes"))
+    if best > ROLLOUT_PROMISE:
+        report.failures.append(f"rollouts took {best:.2f} s; promised {ROLLOUT_PROMISE:g} on two cores")
 
 
 def _soak(options: argparse.Namespace, report: Report) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import os
 import time
 from multiprocessing.connection import Connection
 from typing import Any, Self
@@ -162,9 +163,13 @@ class Futures:
         # A way there, smooth at both ends.
         self._actions[:, :, 0, :3] = place + ways[:, None] * (t * t * (3.0 - 2.0 * t))[None, :, None]
 
-    def roll(self) -> None:
+    def in_threads(self) -> None:
         """Roll all out, on all cores."""
         rollouts(self._snapshot, self._actions)
+
+    def in_processes(self) -> None:
+        """The same by a process for each core."""
+        rollouts(self._snapshot, self._actions, processes=len(os.sched_getaffinity(0)))
 
 
 def resident() -> float:

@@ -31,11 +31,11 @@ def ways(simulation: Simulation) -> np.ndarray:
     return acts
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3, None])
-def test_futures_are_what_simulations_alone_do(held: Simulation, threads: int | None) -> None:
+@pytest.mark.parametrize("workers", [{"threads": 1}, {"threads": 2}, {"threads": 3}, {}, {"processes": 2}], ids=str)
+def test_futures_are_what_simulations_alone_do(held: Simulation, workers: dict[str, int]) -> None:
     taken = held.snapshot()
     digest, acts = taken.state.digest(), ways(held)
-    done = rollouts(taken, acts, velocities=True, threads=threads)
+    done = rollouts(taken, acts, velocities=True, **workers)
     assert done.positions.shape == done.velocities.shape == (FUTURES, FRAMES, 30, 3)
     for k in range(FUTURES):
         alone = Simulation(SCENE)
@@ -83,6 +83,8 @@ def test_grippers_turn_where_orientations_are_given(held: Simulation) -> None:
         ((2, 3, 2, 4), np.nan, {}, r"actions\[0, 0, 0, 0\] is nan"),
         ((2, 3, 2, 4), 2e4, {}, r"actions\[0, 0, 0, 0\] is 20000\.0 m; at most 10000 m away"),
         ((2, 3, 2, 4), 0.0, {"threads": -1}, "threads is -1"),
+        ((2, 3, 2, 4), 0.0, {"processes": 0}, "processes is 0; it must be a whole number of at least 1"),
+        ((2, 3, 2, 4), 0.0, {"threads": 2, "processes": 2}, "threads is 2 and processes is 2; give one of them"),
         ((2, 3, 2, 4), 0.0, {"particles": [-1]}, "particles name particle -1"),
         ((2, 3, 2, 4), 0.0, {"particles": [0.5]}, "give a list of numbers of particles"),
     ],
@@ -92,7 +94,16 @@ def test_bad_input_is_told(held: Simulation, shape, value, options, message: str
         rollouts(held.snapshot(), np.full(shape, value), **options)
 
 
+def test_processes_take_up_other_scenes_and_other_states(held: Simulation) -> None:
+    other = Simulation(Scene.from_parameters({"cloth.resolution": [4, 4], "grippers": ["left", "right"]}))
+    for simulation in (held, other, held):
+        acts = ways(held)[:2]
+        here, there = rollouts(simulation.snapshot(), acts), rollouts(simulation.snapshot(), acts, processes=1)
+        assert [end.state.digest() for end in here.ends] == [end.state.digest() for end in there.ends]
+
+
 def test_no_futures_and_no_frames_are_none(held: Simulation) -> None:
-    assert rollouts(held.snapshot(), np.zeros((0, 3, 2, 4))).positions.shape == (0, 3, 30, 3)
+    for workers in ({}, {"processes": 1}):
+        assert rollouts(held.snapshot(), np.zeros((0, 3, 2, 4)), **workers).positions.shape == (0, 3, 30, 3)
     still = rollouts(held.snapshot(), np.zeros((2, 0, 2, 4)))
     assert still.ends[1].state.digest() == held.state.digest()
