@@ -7,14 +7,11 @@ A run's residuals depend on its parameters, the window and the tolerance alone, 
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import attrs
 import numpy as np
@@ -26,6 +23,9 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from loky import ProcessPoolExecutor
 
 #: Drag of the air in which a cloth comes to rest [1/s]: the slowest swing of a sheet of half a metre dies away fastest.
 THICK = 6.0
@@ -124,24 +124,28 @@ class Runs:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._pool is not None:
-            self._pool.shutdown(wait=kind is None, cancel_futures=True)
+            # What still runs after an error is for nothing.
+            self._pool.shutdown(wait=kind is None, kill_workers=kind is not None)
 
     def make(self, runs: Sequence[Run]) -> list[Array | str]:
         """Return each run's residuals [m], or why it could not be made.
 
         Raises:
-            FitError: if a worker process was ended from outside.
+            FitError: if a worker process was ended from outside, or loky is not there.
         """
         self.made += len(runs)
         if self.workers == 1 or len(runs) == 1:
             return [_made(self.recording, self.fitted, run) for run in runs]
+        try:
+            from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
+        except ImportError as error:
+            raise FitError(
+                f"{self.workers} processes need loky: pip install 'cloth_sim_ros[batch]', or take --workers 1"
+            ) from error
+
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self.workers,
-                mp_context=multiprocessing.get_context("spawn"),
-                initializer=_begin,
-                initargs=(self.recording, self.fitted),
-            )
+            # Not of the standard library: those would begin by running the user's program once more.
+            self._pool = ProcessPoolExecutor(self.workers, initializer=_begin, initargs=(self.recording, self.fitted))
         try:
             return list(self._pool.map(_work, runs))
         except BrokenProcessPool as error:

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +237,16 @@ def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, noisy: Path, b
         read_bag([cut], scene_of())
     assert fit_main.main([str(bag), "--parameters", "stretch"]) == fit_main.REFUSED
     assert fit_main.main([str(tmp_path / "lost.mcap"), "--parameters", "stretch"]) == fit_main.REFUSED
+
+
+def test_a_program_of_ones_own_may_fit_by_several_processes_without_a_guard(noisy: Path, tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "from pathlib import Path\n"
+        "from cloth_sim_ros.batch.fit import fit\n"
+        "from cloth_sim_ros.batch.fit_recording import read_session\n"
+        f"found = fit(read_session([Path({str(noisy)!r})]), ['stretch'], workers=2)\n"
+        "print('fitted', found.estimates[0].value)\n"
+    )
+    done = subprocess.run([sys.executable, program], capture_output=True, text=True, check=False)
+    assert done.stdout.count("fitted") == 1, done.stderr
