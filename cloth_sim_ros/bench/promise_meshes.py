@@ -14,19 +14,31 @@ COUNTS = (40, 1500)
 
 def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:
     """A wavefront file, its vertices (n, 2) [m], and what it is."""
-    from scipy.spatial import Delaunay
-
     kind = str(rng.choice(["disc", "hole", "irregular"]))
     count = round(float(np.exp(rng.uniform(*np.log(COUNTS)))))
     size = float(rng.uniform(0.3, 1.2))
-    points = {"disc": _disc, "hole": _hole, "irregular": _irregular}[kind](rng, count)
+    if kind == "hole":
+        content, points = outline_with_a_hole(rng, count, size)
+    else:
+        content, points = _triangulated({"disc": _disc, "irregular": _irregular}[kind](rng, count), size)
+    return content, points, f"{kind} of {len(points)}"
+
+
+def outline_with_a_hole(rng: np.random.Generator, count: int, size: float) -> tuple[bytes, Array]:
+    """A wavefront file of some particles, as wide as a size [m], and its vertices (n, 2) [m]."""
+    return _triangulated(_hole(rng, count), size, hole=True)
+
+
+def _triangulated(points: Array, size: float, *, hole: bool = False) -> tuple[bytes, Array]:
+    from scipy.spatial import Delaunay
+
     triangles = Delaunay(points).simplices
     corners = points[triangles]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     double_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     kept = double_area > 0.02 * sides * sides
-    if kind == "hole":
+    if hole:
         middle = corners.mean(axis=1)
         kept &= ~((np.abs(middle[:, 0]) < 0.2) & (np.abs(middle[:, 1]) < 0.15))
     triangles = triangles[kept]
@@ -34,7 +46,7 @@ def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:
     points, triangles = size * points[used], np.searchsorted(used, triangles)
     lines = [f"v {x:.9f} {y:.9f} 0" for x, y in points.tolist()]
     lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in triangles.tolist()]
-    return "\n".join(lines).encode(), points, f"{kind} of {len(points)}"
+    return "\n".join(lines).encode(), points
 
 
 def _disc(rng: np.random.Generator, count: int) -> Array:
