@@ -91,6 +91,7 @@ soak: $(DEV) engines
 	@$(BIN)/python test/soak_session_kills.py --count 500
 	@$(BIN)/python test/soak_verify.py --sessions 200
 	@$(BIN)/python test/soak_accuracy.py --sessions 30
+	@$(BIN)/python test/soak_contact.py --steps 1000000
 	@$(BIN)/python test/soak_fit.py --count 20
 	@$(BIN)/python test/soak_sleep.py --seconds 60
 	@$(BIN)/python test/soak_studies.py --runs 1000 --kills 50
