@@ -42,14 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenes", nargs="+", choices=list(RUNS), default=list(RUNS), metavar="SCENE")
     options = parser.parse_args(arguments)
     sums = {name: Sum() for name in options.scenes}
+    number = 0
     with tqdm(total=options.steps, unit="step", disable=None) as bar:
-        for number in range(options.steps):
+        while not number or sum(each.steps for each in sums.values()) < options.steps:
             for index, name in enumerate(options.scenes):
-                if bar.n >= options.steps and number:
-                    return _told(sums)
                 _follow(name, np.random.default_rng((options.seed, number, index)), sums[name], bar)
-            if bar.n >= options.steps:
-                break
+            number += 1
     return _told(sums)
 
 
