@@ -19,6 +19,7 @@ import numpy as np
 
 from cloth_sim_ros.bench import contact_self
 from cloth_sim_ros.bench.contact_layers import layers
+from cloth_sim_ros.bench.contact_pinch import pinch
 from cloth_sim_ros.bench.contact_scenes import BORNE, FRAME, SHEET, THICKNESS, Capstan, Motion, downhill, sheet, slope
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.bench.speed_turns import take_turns
@@ -26,7 +27,7 @@ from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 
-PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "layers", "cost", "folds", "hanging")
+PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "pinch", "layers", "cost", "folds", "hanging")
 G = 9.81
 #: Angles off that of friction at which a sheet must stick or slip, and at which its acceleration is measured [degrees].
 NEAR, BEYOND = 0.1, 5.0
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to measure (all)")
     parser.add_argument(
-        "--drift", type=float, default=600.0, metavar="SECONDS", help="that a sheet lies on a slope (600)"
+        "--drift", type=float, default=600.0, metavar="SECONDS", help="that a sheet lies on a slope, and hangs (600)"
     )
     parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
     parser.add_argument("--seconds", type=float, default=20.0, help="that each comparison of costs takes (20)")
@@ -303,6 +304,7 @@ _MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "capstan": capstan,
     "impacts": impacts,
     "order": order,
+    "pinch": pinch,
     "layers": layers,
     "cost": cost,
     "folds": contact_self.folds,

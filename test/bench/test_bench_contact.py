@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_sim_ros.bench import contact, contact_self
+from cloth_sim_ros.bench import contact, contact_pinch, contact_self
 from cloth_sim_ros.bench.contact_scenes import FRAME, SHEET, Capstan
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.physics.state import State
@@ -41,6 +41,16 @@ def test_what_is_not_met_is_told(capsys, monkeypatch):
     monkeypatch.setattr(contact, "NEAR", -5.0)
     assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 1
     assert "NOT MET" in capsys.readouterr().out
+
+
+def test_a_pinch_holds_from_its_weight_on_and_what_is_not_met_is_told(capsys, monkeypatch):
+    assert main(["contact", "--parts", "pinch", "--drift", "0.5"]) == 0
+    monkeypatch.setattr(contact_pinch, "OFF", -0.01)  # What is to slide is held, and the other way round.
+    monkeypatch.setattr(contact_pinch, "GIVES", 0.0)
+    assert main(["contact", "--parts", "pinch", "--drift", "0.1"]) == 1
+    told = capsys.readouterr().out
+    assert "NOT MET: mu 0.5, grid of 28: it slides" in told
+    assert "NOT MET: carried up, grid 4: gives by" in told
 
 
 def test_the_fold_is_that_of_the_configuration():
