@@ -12,12 +12,13 @@ from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.tolerance_sweep import measure
 from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, Choice, make_integrator
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.integrators.base import MissedError, UnstableError
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
@@ -225,7 +226,8 @@ def test_a_motion_that_calms_down_goes_back_to_fewer_runs() -> None:
 
 def test_auto_tells_where_implicit_steps_found_no_way():
     class Stuck:
-        def advance(self, *_: object) -> None:
+        def advance(self, *_: object, strict: bool) -> None:
+            assert strict
             raise UnstableError("no way")
 
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [4, 4]}))
@@ -236,3 +238,45 @@ def test_auto_tells_where_implicit_steps_found_no_way():
     done = automatic.advance(simulation.plan, state, 0.0, 1 / 60)
     assert "found no way" in done.reason
     assert "affordable" not in done.reason
+
+
+_TABLE = {"obstacles": ["table"], "table.shape": "plane"}
+
+
+def _loose(**more: object) -> Simulation:
+    """A small sheet without anchors."""
+    values = {"cloth.resolution": [4, 4], "cloth.position": [0.0, 0.0, 0.55], "cloth.anchors": []}
+    return Simulation(Scene.from_parameters({**values, **more}))
+
+
+def test_strict_implicit_steps_end_where_they_would_be_flagged() -> None:
+    """A sheet that hits a table edge-on at 10 m/s."""
+    implicit, simulation = Implicit(tolerance=1e-3), _loose(**_TABLE)
+    simulation.state.v[2] = -10.0
+    lenient = implicit.advance(simulation.plan, simulation.state.share(), 0.0, PERIOD)
+    assert lenient.flagged
+    with pytest.raises(MissedError) as missed:
+        implicit.advance(simulation.plan, simulation.state, 0.0, PERIOD, strict=True)
+    assert 0 < missed.value.evaluations < lenient.evaluations / 2
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_with_contact_auto_remembers_what_a_missed_frame_cost_and_halves_it(*, table: bool) -> None:
+    class Missed:
+        def advance(self, *_: object, strict: bool) -> None:
+            assert strict
+            error = MissedError("by far")
+            error.evaluations = 1000
+            raise error
+
+    simulation, automatic = _loose(**_TABLE if table else {}), Automatic(tolerance=1e-3)
+    vars(automatic)["_implicit"] = Missed()
+    state = simulation.state
+    Choice(implicit=1.0, wait=1.0, explicit=1.0).store(state)
+    costs = []
+    for frame in range(2 * int(CONSTANTS.wait + 1.0)):
+        automatic.advance(simulation.plan, state, frame * PERIOD, PERIOD)
+        costs.append(Choice.of(state).cost)
+    first, second = costs[0], costs[-1]
+    assert second == first / 4 if table else first == second == 0.0
+    assert (first > 0.0) == table

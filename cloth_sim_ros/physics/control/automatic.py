@@ -6,18 +6,23 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.fallback import within_reach
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, UnstableError
+from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, MissedError, UnstableError
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Choice, Stability, restart
 from cloth_sim_ros.physics.state import State
 
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.integrators.implicit import Implicit
+
+_MISSED = "implicit steps missed the tolerance"
 #: Integrators by the name that a scene gives.
 INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
 
@@ -70,9 +75,11 @@ class Automatic(Integrator):
         self._explicit = Leapfrog(work=work) if tolerance is None else Extrapolated(tolerance=tolerance, work=work)
 
     @cached_property
-    def _implicit(self) -> Integrator:
+    def _implicit(self) -> Implicit:
         """The implicit method, which most scenes never come to."""
-        return make_integrator("implicit", tolerance=self.tolerance, work=self.work)
+        from cloth_sim_ros.physics.integrators.implicit import Implicit
+
+        return Implicit(tolerance=self.tolerance, work=self.work)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
@@ -84,14 +91,19 @@ class Automatic(Integrator):
         done, missed = None, ""
         if memory.implicit:
             start = state.share()
+            strict = not memory.vain and self._within_work(memory.explicit, duration)
             try:
-                done = self._implicit.advance(plan, state, t, duration, book)
-            except UnstableError:
-                missed = "implicit steps found no way through this fold"
-            else:
-                if done.flagged and not memory.vain and self._within_work(memory.explicit, duration):
-                    done, missed = None, "implicit steps missed the tolerance"
+                done = self._implicit.advance(plan, state, t, duration, book, strict=strict)
+                spent = done.evaluations
+                if done.flagged and strict:
+                    done, missed = None, _MISSED
+            except UnstableError as error:
+                missed = _MISSED if isinstance(error, MissedError) else "implicit steps found no way through this fold"
+                spent = error.evaluations
             if done is None:
+                if plan.contact is not None:
+                    # A fold stays hard for a while: what the attempt took tells when the next one is worth it.
+                    memory.cost = max(memory.cost, spent * _iteration(plan))
                 # Explicit steps only need to be short enough.
                 state.restore(start)
                 memory.implicit, memory.wait = 0.0, CONSTANTS.wait
@@ -122,6 +134,9 @@ class Automatic(Integrator):
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > CONSTANTS.trust * memory.explicit):
             return
         memory.explicit, memory.vain = _explicit_frame(plan, state, t, duration), 0.0
+        if plan.contact is not None and not memory.implicit:
+            # What made implicit steps dear there may be over.
+            memory.cost *= 0.5
         better = memory.explicit > CONSTANTS.affordable * duration * 1e9 and within_reach(plan)
         if better:
             implicit = memory.cost or _first(plan)

@@ -16,6 +16,13 @@ from cloth_sim_ros.physics.state import State
 class UnstableError(RuntimeError):
     """The motion became non-finite, or no step was small enough for it."""
 
+    #: Force evaluations that were spent on finding out, where they are told.
+    evaluations = 0
+
+
+class MissedError(UnstableError):
+    """The tolerance can't be held, and a result that misses it is not wanted."""
+
 
 #: What may bind a step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (a frame is one step
 #: already), `step` (the user's fixed step), `work` (the cap of a frame's work), `rest` (the sheet sleeps: there is

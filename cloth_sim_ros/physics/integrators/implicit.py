@@ -59,7 +59,14 @@ class Implicit(Integrator):
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
 
-    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None, *, strict: bool = False
+    ) -> Advance:
+        """Advance a state; where it is `strict`, no further than a step that would be flagged.
+
+        Raises:
+            MissedError: where it is strict, with contact, and a step has no solution that can be found.
+        """
         from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
 
-        return ImplicitAdvance(self, plan, state, t, duration, book).run()
+        return ImplicitAdvance(self, plan, state, t, duration, book, strict=strict).run()

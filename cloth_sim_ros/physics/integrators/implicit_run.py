@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import carried
-from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.physics.integrators.base import Advance, MissedError, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.plan import Plan
@@ -86,6 +86,8 @@ class ImplicitAdvance:
         t: float,
         duration: float,
         book: Book | None,
+        *,
+        strict: bool = False,
     ) -> None:
         self._integrator, self._plan, self._state, self._book = integrator, plan, state, book
         self._t, self._duration = t, duration
@@ -93,7 +95,7 @@ class ImplicitAdvance:
         self._budget = math.inf if tolerance is None else CONSTANTS.share * duration * tolerance
         self._memory = Memory.of(state)
         self._matrix = stage_matrix(plan.model)
-        self._evaluations = 0
+        self._evaluations, self._strict = 0, strict
         self._most = math.inf
         if integrator.work and integrator.step is None:
             self._most = integrator.work * duration * 1e9 / iteration_cost(plan.model)
@@ -125,7 +127,7 @@ class ImplicitAdvance:
             if rejected > _ATTEMPTS or (error is None and (self._divides or steps >= _MOST_STEPS)):
                 why = "; do obstacles leave the cloth room?" if self._plan.contact is not None else ""
                 h = self._duration / (_MOST_STEPS if self._divides else steps)
-                raise UnstableError(f"implicit: steps of {h:.3g} s did not stay finite{why}")
+                raise self._given_up(UnstableError(f"implicit: steps of {h:.3g} s did not stay finite{why}"))
             steps = max(steps, round(CONSTANTS.last_steps)) if self._spent else finer
         flagged = int(error > self._budget) + self._unsolved
         memory.step = self._duration / self._steps_next(steps, least, error)
@@ -142,6 +144,10 @@ class ImplicitAdvance:
             flagged=flagged,
             reason=self._reason(self._finest, steps),
         )
+
+    def _given_up(self, error: UnstableError) -> UnstableError:
+        error.evaluations = self._evaluations
+        return error
 
     @property
     def _divides(self) -> bool:
@@ -198,6 +204,9 @@ class ImplicitAdvance:
             contact.take(state)
         done, unsolved = self._step(t, h, guess), 0
         if self._safe and (done is None or self._makes_energy(t, h, done)):
+            if self._strict and self._divides:
+                # Such a step flags the frame, or has no result and is halved: explicit steps do instead.
+                raise self._given_up(MissedError(f"implicit: a step of {h:.3g} s has no solution that can be found"))
             # Better unsolved than unstable.
             unsolved = 1
             done = self._safe_step(t, h, guess)
