@@ -29,10 +29,13 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 
 #: Longest wait for a first cloud [s].
 _PATIENCE = 60.0
+#: A question without an answer is asked again after so long [s].
+_AGAIN = 1.0
 #: What is asked of a start whose libraries are in memory [s].
 GOAL = 2.0
 
@@ -72,23 +75,28 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
     )
     command = [sys.executable, "-m", "cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments]
     question = node.create_client(GetParameters, "cloth_sim/get_parameters")
-    seen = answered = asked = None
-    begun = time.monotonic()
+    asked: list[Future] = []
+    seen = answered = None
+    begun = again = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         while not arrivals or answered is None:
             executor.spin_once(timeout_sec=0.02)
             if seen is None and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
                 seen = time.monotonic()
-            if asked is None and question.service_is_ready():
-                asked = question.call_async(GetParameters.Request(names=["rate"]))
-            if answered is None and asked is not None and asked.done():
-                answered = time.monotonic()
+            now = time.monotonic()
+            # An answer that is sent before the node has met who asked is lost: then it is asked again.
+            if answered is None and now > again and question.service_is_ready():
+                asked.append(question.call_async(GetParameters.Request(names=["rate"])))
+                again = now + _AGAIN
+            if answered is None and any(future.done() for future in asked):
+                answered = now
             if process.poll() is not None:
                 _, said = process.communicate()
                 raise RuntimeError(f"the cloth ended with status {process.returncode}: {said[-2000:]}")
             if time.monotonic() - begun > _PATIENCE:
-                raise RuntimeError(f"no cloud came in {_PATIENCE:g} s")
+                missing = "answer" if arrivals else "cloud"
+                raise RuntimeError(f"no {missing} came in {_PATIENCE:g} s")
         busy = _processor_time(process.pid)
     finally:
         process.send_signal(signal.SIGINT)

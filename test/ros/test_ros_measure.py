@@ -20,7 +20,7 @@ def ask(module, *arguments):
     """Run a measurement; return what it prints. Its figures are the machine's, and so is its status."""
     command = [sys.executable, "-m", f"cloth_sim_ros.ros.{module}", *arguments]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=300)
-    assert done.returncode in (0, 1), done.stderr
+    assert done.returncode in (0, 1) and done.stdout, done.stderr
     return json.loads(done.stdout)
 
 

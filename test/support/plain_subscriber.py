@@ -24,6 +24,8 @@ def main() -> None:
         def receive(data: bytes) -> None:
             message = deserialize_message(data, PointCloud2)
             assert message.height * message.row_step == len(message.data)
+            if not file.tell():
+                print("receives", flush=True)
             file.write(len(data).to_bytes(8, "little") + data)
 
         node.create_subscription(PointCloud2, topic, receive, QoSProfile(depth=1000), raw=True)

@@ -41,20 +41,20 @@ class EnergyRule:
         self._plan, self.memory = plan, memory
         self._begins = memory.softest < 0.0
 
-    def looks(self, before: float, after: float, *, combined: bool) -> bool:
+    def looks(self, before: float, after: float, *, varied: bool) -> bool:
         """Whether the energy of a run whose error is unknown is looked at: a single run's only where stiffness changed
         or may have.
 
         Args:
             before: bound of the squared frequency at its start [1/s^2].
             after: the same at its end.
-            combined: whether it is a combination of runs.
+            varied: whether it is a combination of runs, or other stretches of the advance take other steps.
         """
         memory = self.memory
         least, most = min(before, after), max(before, after)
         memory.softest = least if memory.softest < 0.0 else min(memory.softest, least)
         stiffened = most > CONSTANTS.stiffened * memory.softest
-        return combined or self._begins or stiffened
+        return varied or self._begins or stiffened
 
     def exceeds(self, start: Moment, end: Moment, step: float, work: float) -> bool:
         """Book a run with steps of a length [s]; return whether it made more energy than it may.

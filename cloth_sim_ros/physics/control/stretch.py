@@ -204,10 +204,11 @@ class Stretch:
         after = math.inf if effort.touch.acts(columns, choice.columns) else told.omega2
         # Where the error vouches for nothing, energy might come from nowhere.
         unknown = options.tolerance is None or self._sums.error > self.rule.budget
-        if unknown and effort.energy.looks(memory.omega2, after, combined=choice.columns > 1):
+        varied = choice.columns > 1 or self._halvings > 0
+        if unknown and effort.energy.looks(memory.omega2, after, varied=varied):
             ends = (t, state.x, state.v, state.memory.get(PINCHED)), (t + length, x, v, columns.pads(choice.columns))
-            # A combination's energy does not swing.
-            step = self.finest if choice.columns == 1 else 0.0
+            # A combination's energy does not swing, and from steps of one length to another the swing stays behind.
+            step = 0.0 if varied else self.finest
             work, evaluations = put_in(effort.plan, state, columns, t, choice.columns)
             effort.evaluations += evaluations
             if effort.energy.exceeds(*ends, step, work):
