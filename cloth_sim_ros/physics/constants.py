@@ -28,12 +28,15 @@ class Constants:
 
     # Error.
     share: float = _number(0.6, "part of the tolerance that the frames of a second may lose")
-    aim: float = _number(0.5, "part of its budget that a frame aims at")
+    aim: float = _number(0.5, "part of what it may take that a frame aims at: of its budget, of real time explicitly")
     wait: float = _number(16.0, "most frames between two judgements; four times as many where the error is far below")
     far: float = _number(0.05, "part of the budget below which an error is far below")
     trust: float = _number(2.0, "factor by which an estimate may be off before it is made anew or acted upon")
     finer: float = _number(4.0, "most by which one rejection makes steps finer")
     work: float = _number(8.0, "least cap of a large sheet's frame, in runs by the longest stable steps")
+
+    # Contact.
+    brief: float = _number(200.0, "least steps of a stretch that is halved because contact makes them short")
 
     # Single precision.
     rounding: float = _number(0.02, "part of the budget that single precision may change")
@@ -47,7 +50,6 @@ class Constants:
 
     # Implicit steps and the choice of integrator.
     last_steps: float = _number(8.0, "steps of a frame that is finished by implicit steps")
-    affordable: float = _number(0.5, "part of real time that explicit steps may cost before implicit ones come in")
     implicit: float = _number(5e4, "most particles of a sheet that implicit steps are tried for")
 
     # Estimated cost, so that no clock is read.

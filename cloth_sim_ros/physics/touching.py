@@ -24,6 +24,7 @@ from cloth_sim_ros.engine.binding import (
 )
 from cloth_sim_ros.physics import touching_layers
 from cloth_sim_ros.physics.arrays import combine
+from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.owner import Owner
@@ -32,8 +33,6 @@ from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshes
 
-#: A part is stepped for so many times the energy that contact is expected to take up: neighbours may push, too.
-_EXPECTED = 1.5
 #: Operations of a force evaluation: of a particle in reach of an obstacle, what friction adds to it, and of a pair of
 #: a particle or point and a triangle, or of two edges, that may come near.
 NEAR, RUBBED, PAIR = 60, 150, 150
@@ -248,7 +247,8 @@ class Touching:
                         f"the cloth is {-gap:.4g} m deep inside obstacle '{obstacle.name}' at {t:.6g} s, and contact "
                         "has no force there; move the one or the other"
                     )
-        omega2, damping = self.limits(_EXPECTED * energy)
+        # Neighbours may push, too.
+        omega2, damping = self.limits(CONSTANTS.trust * energy)
         own = self._own_ahead(t, duration, x, v)
         if not math.isfinite(own[0]):
             self.check_clear(t, x)
@@ -270,7 +270,7 @@ class Touching:
         """Return the same as `own_ahead`, and how many pairs come into question."""
         self.sync()
         # What contact holds already is known.
-        expected = _EXPECTED if duration > 0.0 else 1.0
+        expected = CONSTANTS.trust if duration > 0.0 else 1.0
         out = np.zeros(3)
         if self.force.surface is not None:
             addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)

@@ -29,7 +29,7 @@ def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
         raise AssertionError("a matrix was asked for")
 
     monkeypatch.setattr(stage_matrix, "stage_matrix", refuse)
-    monkeypatch.setattr(CONSTANTS, "affordable", 1e-9)
+    monkeypatch.setattr(CONSTANTS, "operation", 1e3)
     with pytest.raises(AssertionError, match="a matrix was asked for"):
         Simulation(scene).advance()
     monkeypatch.setattr(CONSTANTS, "implicit", 100.0)

@@ -183,7 +183,7 @@ def test_straight_ways_through_the_cloth_are_found():
     assert plan.contact.passes(0.0, 0.0, np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
 
 
-@pytest.mark.parametrize(("speed", "ahead"), [(1.0, False), (6.9, False), (7.3, True)])
+@pytest.mark.parametrize(("speed", "ahead"), [(1.0, False), (6.0, False), (6.3, True)])
 def test_edges_are_looked_at_ahead_where_particles_may_not_stop_layers_before_them(speed, ahead):
     # Two edges that cross far from any particle, 0.1 m apart; they keep 25 mm.
     rods = np.array([[0, 1, 2], [3, 4, 5]])

@@ -137,7 +137,7 @@ class Automatic(Integrator):
         if plan.contact is not None and not memory.implicit:
             # What made implicit steps dear there may be over.
             memory.cost *= 0.5
-        better = memory.explicit > CONSTANTS.affordable * duration * 1e9 and within_reach(plan)
+        better = memory.explicit > CONSTANTS.aim * duration * 1e9 and within_reach(plan)
         if better:
             implicit = memory.cost or _first(plan)
             better = implicit <= (CONSTANTS.trust if memory.implicit else 1.0) * memory.explicit

@@ -279,19 +279,20 @@ class Stretch:
             if sums.error <= rule.budget:
                 return True
             # All parts are judged then: one choice holds for the whole of a stretch.
-            self.choice = Choice(choice.columns, choice.refine, True)
+            self.choice = effort.fitted(Choice(choice.columns, choice.refine, True), self.work, self._ahead)
             return False
         errors = [self._difference(columns, k) for k in range(1, choice.columns + 1)]
         accepted = sums.error + errors[-1] <= rule.budget or effort.spent
         if not accepted or choice.refine > 1.0:
             aim = CONSTANTS.aim * rule.budget * passed
+            ahead = self._ahead + (1.0 - passed) * self.work(choice.columns, choice.refine)
             while len(errors) < effort.options.columns and sums.error + errors[-1] > aim:
-                if not effort.affords(self._ahead + columns.counts[len(errors) + 1]):
+                if not effort.affords(ahead + columns.counts[len(errors) + 1]):
                     break
                 errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
-            # A combination of more runs that are there already may do. Where the motion is not smooth one estimate may
-            # be small by chance: there all further ones have to vouch for it.
+            # A combination of more runs that are there may do. Of a motion that is not smooth all further ones have to
+            # vouch for it: one estimate may be small by chance.
             fits = [sums.error + error <= rule.budget for error in errors]
             beyond = len(errors) if self._halvings else 0
             enough = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : beyond])]
@@ -299,9 +300,7 @@ class Stretch:
                 self.choice = choice = Choice(enough[0], choice.refine, True)
                 accepted = True
         sums.add(errors, choice.columns, predicted, activity)
-        if accepted:
-            return True
-        if sums.error <= rule.floor(choice.columns):  # no step gets below rounding
+        if accepted or sums.error <= rule.floor(choice.columns):  # no step gets below rounding
             return True
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         if wanted == choice.columns:
@@ -324,8 +323,8 @@ class Stretch:
         return None if self._seek(self.choice.columns, refine, smooth=False) else error
 
     def _seek(self, columns: int, refine: float, *, smooth: bool) -> bool:
-        """Choose runs and refinement to try in place of what was not fine enough, those wanted if they can be afforded;
-        return whether anything is. `smooth`: combinations gained on one another, as they do where the motion is smooth.
+        """Choose runs and refinement to try next, those wanted if they can be afforded; return whether any is.
+        `smooth`: combinations gained on one another, as they do where the motion is smooth.
         """
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
         affordable = self.affords(columns, finer)

@@ -11,9 +11,6 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import PINCHED, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
-#: A stretch whose first run takes fewer steps is not halved because contact makes them short.
-_FEWEST = 200
-
 
 class TouchRule:
     """Of one advance; scenes without obstacles are told that nothing touches.
@@ -88,7 +85,7 @@ class TouchRule:
         if self._plan.contact is None or self._options.tolerance is None:
             return False
         bare = min(CONSTANTS.safety * self.bare, duration)
-        return bare > CONSTANTS.trust * longest and duration > _FEWEST * longest
+        return bare > CONSTANTS.trust * longest and duration > CONSTANTS.brief * longest
 
     def is_harder(self, held: float) -> bool:
         """Whether contact held more energy than in the frame that was judged last: nothing is known of it."""
