@@ -28,6 +28,7 @@ SECTIONS = {
     "constants": "constants",
     "promise": "promise --seed 1 --count 500",
     "violent": "promise --violent --seed 1 --count 200",
+    "promise-contact": "promise --contact --seed 1 --count 24 --windows 2",
     "stability": "stability",
     "contact": "contact",
     "speed": "speed",
@@ -40,7 +41,7 @@ SECTIONS = {
     "studies": "studies",
 }
 #: Sections of many cases, hours of them, that can be gone on with.
-RESUMED = ("promise", "violent", "stability")
+RESUMED = ("promise", "violent", "promise-contact", "stability")
 HEAD = """# Benchmarks
 
 Made by `make benchmarks`, which runs the commands below; nothing here is written by hand. Each section names the

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--regimes", action="store_true", help="judge springs, chains and pendulums of fixed regimes")
     what.add_argument("--violent", action="store_true", help="scenes whose grippers leap each frame: do they stay sane")
+    what.add_argument("--contact", action="store_true", help="sheets that come down on obstacles and on themselves")
     what.add_argument("--only", type=int, metavar="INDEX", help="judge this scene of the seed alone, window by window")
     parser.add_argument("--seed", type=int, default=1, help="of the scenes (1)")
     parser.add_argument(
@@ -65,6 +67,8 @@ def run(options: argparse.Namespace) -> Report:
         from cloth_sim_ros.bench.promise_violent import violent
 
         return violent(options)
+    if options.contact:
+        return _contact(options)
     if options.only is not None:
         return _one(options)
     return _many(options)
@@ -82,20 +86,35 @@ def _one(options: argparse.Namespace) -> Report:
     return report
 
 
+def _contact(options: argparse.Namespace) -> Report:
+    command = f"cloth_bench promise --contact --seed {options.seed} --count {options.count}"
+    cases = [(options.seed, index, options.windows) for index in range(options.count)]
+    report = Report("Promise where cloth touches", command)
+    _judge_all(_judge_contact, cases, options, report)
+    return report
+
+
 def _many(options: argparse.Namespace) -> Report:
     cases, beyond = drawn(options)
     report = Report("Promise", f"cloth_bench promise --seed {options.seed} --count {options.count}")
+    report.notes.append(f"{len(beyond)} draws beyond the cap: {_listed(beyond)}")
+    _judge_all(_judge, cases, options, report)
+    return report
+
+
+def _judge_all(
+    judged_by: Callable[[_Case], Judgement], cases: list[_Case], options: argparse.Namespace, report: Report
+) -> None:
     judged: list[Judgement] = []
-    for done in progress(cases, options):
+    for done in progress(cases, options, judged_by):
         if done.result is None:
             report.failures.append(f"scene {done.case[1]}: {done.trouble}")
             continue
         judged.append(done.result)
     judged.sort(key=lambda judgement: judgement.index)
     report.tables += [_scenes(judged), _windows(f"Windows from {_LISTED} of the promise on", judged, least=_LISTED)]
-    report.notes.append(f"{len(judged)} scenes judged; {len(beyond)} draws beyond the cap: {_listed(beyond)}")
+    report.notes.append(f"{len(judged)} scenes judged")
     _count(judged, report)
-    return report
 
 
 def drawn(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
@@ -114,12 +133,12 @@ def drawn(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
     return cases, beyond
 
 
-def progress(cases: list[_Case], options: argparse.Namespace) -> Any:
+def progress(cases: list[_Case], options: argparse.Namespace, judged_by: Callable[[_Case], Judgement]) -> Any:
     """Yield what became of each scene as it ends; say so, and what is left."""
     from tqdm import tqdm
 
     limits = {"workers": options.jobs, "limit": options.limit}
-    found = run_missing(_judge, cases, **limits, file=options.resume, read=_read)
+    found = run_missing(judged_by, cases, **limits, file=options.resume, read=_read)
     for done in tqdm(found, total=len(cases), unit="scene", smoothing=0.02, mininterval=1.0):
         tqdm.write(_line(done))
         yield done
@@ -137,6 +156,12 @@ def _read(entry: dict[str, Any]) -> Done[_Case, Judgement]:
 
 def _judge(case: _Case) -> Judgement:
     return judge(*case)
+
+
+def _judge_contact(case: _Case) -> Judgement:
+    from cloth_sim_ros.bench.promise_contact import judge_contact
+
+    return judge_contact(*case)
 
 
 def _line(done: Done[_Case, Judgement]) -> str:

@@ -23,7 +23,15 @@ def frame_by_dop853(equations: Equations, frame: RunFrame, state: State) -> Arra
     return dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.now).x
 
 
-def dop853(plan: Plan, t: float, duration: float, start: Moving) -> Moving:
+def dop853(
+    plan: Plan,
+    t: float,
+    duration: float,
+    start: Moving,
+    *,
+    relative: float = RELATIVE,
+    absolute: float = ABSOLUTE,
+) -> Moving:
     """Move from time t [s] through a duration [s]. Anchors of friction are dragged after each of its steps; pads are
     moved with the particles.
 
@@ -49,7 +57,7 @@ def dop853(plan: Plan, t: float, duration: float, start: Moving) -> Moving:
         return out
 
     y = np.concatenate([start.x.ravel(), start.v.ravel(), pads.ravel()])
-    solver = DOP853(right, t, y, t + duration, rtol=RELATIVE, atol=ABSOLUTE)
+    solver = DOP853(right, t, y, t + duration, rtol=relative, atol=absolute)
     while solver.status == "running":
         trouble = solver.step()
         if contact is not None and anchors is not None:
