@@ -94,9 +94,13 @@ class ExplicitAdvance:
         effort.lost = self._duration / self._bare > effort.cap and within_reach(self._plan)
         fits = whole.affords(whole.choice.columns, whole.choice.refine)
         if options.tolerance is not None and not fits:
-            # What the last frame would have needed is beyond the cap: no more is tried than leaves room for a retry.
-            most = effort.cap / whole.work(whole.choice.columns, 1.0) / CONSTANTS.finer
-            whole.choice = Choice(whole.choice.columns, max(1.0, min(whole.choice.refine, most)), True)
+            # What the last frame would have needed is beyond the cap: it is tried with as many runs as fit, and with
+            # steps that leave room for a retry.
+            columns = whole.choice.columns
+            while columns > 1 and not whole.affords(columns, 1.0):
+                columns -= 1
+            most = effort.cap / whole.work(columns, 1.0) / CONSTANTS.finer
+            whole.choice = Choice(columns, max(1.0, min(whole.choice.refine, most)), True)
         if whole.choice.judge and not effort.lost:
             step = CONSTANTS.safety * self._limit
             effort.evaluations += effort.precision.measure(self._t, state, step, whole.choice)

@@ -303,8 +303,6 @@ class Stretch:
         if accepted or sums.error <= rule.floor(choice.columns):  # no step gets below rounding
             return True
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
-        if wanted == choice.columns:
-            refine = max(refine, 1.1 * choice.refine)
         # A single estimate tells nothing of that.
         smooth = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
         return not self._seek(wanted, refine, smooth=smooth)
@@ -318,8 +316,7 @@ class Stretch:
         error += missed
         if error <= self.rule.budget or effort.spent or error <= self.rule.floor(self.choice.columns):
             return error
-        refine = self.choice.refine * root(missed / (CONSTANTS.aim * self.rule.budget), 3)
-        refine = max(refine, 1.1 * self.choice.refine)
+        refine = self.choice.refine * root(error / (CONSTANTS.aim * self.rule.budget), 3)
         return None if self._seek(self.choice.columns, refine, smooth=False) else error
 
     def _seek(self, columns: int, refine: float, *, smooth: bool) -> bool:
