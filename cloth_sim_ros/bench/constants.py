@@ -36,7 +36,7 @@ HELD = (
     ("chain", (1e-3,), "implicit"),
 )
 #: Scenes through the simulation's door that bring in what those don't: single precision, the automatic choice of
-#: implicit steps, frames that reach their work limit. Frames, few enough that a change of rounding does not grow to the
+#: implicit steps, frames that reach their work limit, an impact. Frames, few enough that a change of rounding does not grow to the
 #: tolerance; and by how much the target jumps in each [m].
 DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
     "carried30": ({"tolerance": 1e-3, "cloth.resolution": [30, 30]}, 20, 0.005),
@@ -54,6 +54,22 @@ DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
         {"tolerance": 1e-5, "cloth.resolution": [12, 12], "material.stretch_modulus": 2e4, "work_limit": 0.2},
         30,
         0.3,
+    ),
+    "falls": (
+        {
+            "tolerance": 1e-4,
+            "cloth.resolution": [12, 12],
+            "cloth.size": [0.3, 0.3],
+            "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+            "cloth.position": [0.0, 0.0, 0.4],
+            "cloth.anchors": [""],
+            "contact.thickness": 1e-3,
+            "obstacles": ["table"],
+            "table.shape": "plane",
+            "table.friction": [0.0],
+        },
+        18,
+        0.0,
     ),
 }
 #: Numbers that a change of direction or size makes no sense of: parts of a limit can't be doubled beyond it.
