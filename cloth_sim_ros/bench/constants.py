@@ -36,8 +36,8 @@ HELD = (
     ("chain", (1e-3,), "implicit"),
 )
 #: Scenes through the simulation's door that bring in what those don't: single precision, the automatic choice of
-#: implicit steps, frames that reach their work limit, an impact. Frames, few enough that a change of rounding does not grow to the
-#: tolerance; and by how much the target jumps in each [m].
+#: implicit steps, frames that reach their work limit, an impact. Frames, few enough that a change of rounding does not
+#: grow to the tolerance; and by how much the target jumps in each [m].
 DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
     "carried30": ({"tolerance": 1e-3, "cloth.resolution": [30, 30]}, 20, 0.005),
     "stiff": (
