@@ -57,12 +57,18 @@ struct Beside {
     void touch_rows(int threads, std::int64_t pitch) {
         const std::int64_t columns = plan.grid->columns;
         const auto place_of = [&](std::int64_t i) { return i / columns * pitch + i % columns; };
-        if (near()) contact.emplace(plan, run, origin, threads, plan.grid->rows, pitch, place_of);
+        touch(threads, plan.grid->rows, pitch, place_of);
     }
     void touch_ranks(int threads) {
         const std::int64_t blocks = (plan.count + contact_block - 1) / contact_block;
         const auto place_of = [&](std::int64_t i) { return plan.rank[i]; };
-        if (near()) contact.emplace(plan, run, origin, threads, blocks, contact_block, place_of);
+        touch(threads, blocks, contact_block, place_of);
+    }
+    template <class F>
+    void touch(int threads, std::int64_t blocks, std::int64_t pitch, F&& place_of) {
+        if (!near()) return;
+        contact.emplace(plan, run, origin, threads, blocks, pitch, place_of);
+        if (features) features->pinch(contact->pinches());
     }
     void make(const std::vector<std::int64_t>& borders) {
         shares = &plan.shares<T>(borders);

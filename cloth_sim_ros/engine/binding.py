@@ -124,6 +124,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_features_rest": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_features_ahead": (_INT, _P, _D, _D, _D, _P, _P, _P),
     "cloth_features_cross": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_pads_cross": (_INT, _P, _D, _P, _P, _P),
     "cloth_features_pierce": (_INT, _P, _D, _P, _P),
     "cloth_plan_self": (_INT, _P, _I, _P, _D),
     "cloth_self_friction": (_INT, _P, _D, _D),

@@ -71,6 +71,20 @@ struct Contacts {
         const double* const state = pinched.data() + obstacles[obstacle].pinch * pinch_numbers;
         return shifted(at, obstacle, state[0], state[1]);
     }
+    /// The same, pads moving as fast as they may within a duration [s] from then on, towards where they are driven: at the
+    /// speed without load, or at their own where that is larger.
+    Pose driven(std::int64_t obstacle, double t, double duration) const {
+        const Pinch* const pinch = pinch_of(obstacle);
+        if (!pinch || duration == 0.0) return pose(obstacle, t);
+        const double* const state = pinched.data() + obstacles[obstacle].pinch * pinch_numbers;
+        const double rate = pinch->closed ? smaller(state[1], -pinch->speed) : larger(state[1], pinch->speed);
+        return shifted(pose_at(path(obstacle), t), obstacle, state[0], rate);
+    }
+    /// The larger of both speeds of a pad [m/s].
+    double pad_speed(std::int64_t obstacle) const {
+        const double now = pinched[obstacles[obstacle].pinch * pinch_numbers + 1];
+        return larger(pinch_of(obstacle)->speed, absolute(now));
+    }
     /// Numbers of anchors on obstacles; behind them are those on layers of the cloth, if any.
     std::int64_t obstacle_anchors(std::int64_t particles) const { return count() * anchor_numbers * particles; }
     bool rough() const {

@@ -77,6 +77,13 @@ CLOTH_API int cloth_features_cross(cloth::Plan* plan, double t, double duration,
                                    std::int64_t* out) {
     return guarded([&] { *out = plan->features && cloth::features_cross(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
+/// Of each pinch, whether its pads do, see pads_cross.
+CLOTH_API int cloth_pads_cross(cloth::Plan* plan, double t, const double* x, const double* ways, std::int64_t* out) {
+    return guarded([&] {
+        std::fill(out, out + plan->contacts.pinches.size(), std::int64_t{0});
+        if (plan->features) cloth::pads_cross(*plan, t, x, ways, out);
+    });
+}
 /// What passes through the cloth, see features_pierce: three numbers.
 CLOTH_API int cloth_features_pierce(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
     return guarded([&] {

@@ -22,10 +22,10 @@ inline void for_each_feature_meeting(Plan& plan, double t, const double* const (
     FeatureMeeting<V> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         NearFeatures& near = contact.obstacles[k];
-        if (near.features.points.empty()) continue;
+        if (!contact.has(contacts, k)) continue;
         if (room[0].empty())
             for (int a = 0; a < 4; ++a) room[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
-        const Pose pose = pose_at(contacts.path(k), t);
+        const Pose pose = contacts.pose(k, t);
         if (!near.find(contact.surface, room[0].data(), pose, law.thickness(), 0.0)) continue;
         const auto of = [&](int a) {
             return [value = Quads{room[a].data()}, slope = Quads{room[a + 1].data()}](Index c) {
@@ -35,7 +35,7 @@ inline void for_each_feature_meeting(Plan& plan, double t, const double* const (
                     return with_slope(value(c), slope(c));
             };
         };
-        const FeaturesAt from{near.features, pose};
+        const FeaturesAt from{near.features, pose, pose.place - pose_at(contacts.path(k), t).place};
         for_each_feature_meeting<V>(contact, near, pose, law, of(0), of(2), m,
                                     [&](const FeatureMeeting<V>& one) { what(law, k, from, one); });
     }
@@ -55,6 +55,17 @@ inline void feature_rates(Plan& plan, double t, const double* x, const double* v
             law.forces(m, [](Index, Vec3<double>) {},
                        [&](Index point, Vec3<double> force) { FeatureRun::book(to, from, point, force, weight); });
             to[booked_numbers - 1] += weight * law.lost(m);
+        });
+}
+/// Add what moves pads outward [N], by the pinch.
+inline void feature_openings(Plan& plan, double t, const double* x, const double* v, std::vector<double>& felt) {
+    const Contacts& contacts = plan.contacts;
+    for_each_feature_meeting<double>(
+        plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
+            if (!contacts.pinch_of(k)) return;
+            law.forces(m, [](Index, Vec3<double>) {}, [&](Index, Vec3<double> force) {
+                felt[contacts.obstacles[k].pinch] += contacts.obstacles[k].side * dot(from.pose.rotation[1], force);
+            });
         });
 }
 /// Add blocks that bound stiffness and damping: of a gap k |w_c| n n' at corner c. What counts with the other sign, and
@@ -114,8 +125,9 @@ inline SelfRates feature_ahead(Plan& plan, double t, double duration, double exp
     FeatureMeeting<double> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         NearFeatures& near = contact.obstacles[k];
-        if (near.features.points.empty()) continue;
-        const Pose pose = pose_at(contacts.path(k), t);
+        if (!contact.has(contacts, k)) continue;
+        const Pose pose = contacts.driven(k, t, duration);
+        demand.meet(contacts, k);
         Spread spread;
         for (std::int64_t i = 0; i < plan.count; ++i) spread.take(load4(speeds.data() + 4 * i));
         spread.take(quad<double>{pose.speed.x, pose.speed.y, pose.speed.z, 0.0});
@@ -125,69 +137,87 @@ inline SelfRates feature_ahead(Plan& plan, double t, double duration, double exp
         if (!near.find(contact.surface, places.data(), pose, law.thickness(), beyond)) return {endless, endless};
         for_each_feature_meeting<double>(contact, near, pose, law, at, moving, m,
                                          [&](const auto& one) { demand.take(contact.surface, one); }, &demand, duration);
-        demand.close();
     }
+    demand.close();
     if (demand.gap <= 0.0) return {endless, endless};
     return demand.rates(law, expected);
 }
 
-/// Whether features pass through the cloth, or it through them, on straight ways from x0 at time t to x1, `duration` [s]
-/// later: each pair is followed by its gap, which no way is shorter than.
+/// Whether features of an obstacle that moves from a pose to another one pass through the cloth, or it through them, on
+/// straight ways of its particles meanwhile, quads: each pair is followed by its gap, which no way is shorter than.
+inline bool feature_crosses(FeatureContact& contact, std::int64_t k, double thickness, const Pose& first, const Pose& last,
+                            const double* from, const double* to) {
+    const Surface& s = contact.surface;
+    const Quads start{from}, end{to};
+    NearFeatures& near = contact.obstacles[k];
+    const Features& features = near.features;
+    const FeaturesAt begin{features, first}, finish{features, last};
+    Spread spread;
+    for (std::int64_t i = 0; i < s.count; ++i) spread.take(load4(to + 4 * i) - load4(from + 4 * i));
+    const Vec3<double> way = last.place - first.place;
+    spread.take(quad<double>{way.x, way.y, way.z, 0.0});
+    const double most = spread.most() + turned(first, last, features.reach);
+    if (!near.find(s, from, first, thickness, most)) return true;
+    // Positions along the way, and by how much the sides approach at most from its start to its end.
+    const auto meets = [&](int corners, const Index* own, Index a, Index b, auto&& square) {
+        Vec3<double> ways[3];
+        for (int c = 0; c < corners; ++c) ways[c] = end(own[c]) - start(own[c]);
+        const Vec3<double> pa = begin.place(a), pb = begin.place(b), wa = finish.place(a) - pa, wb = finish.place(b) - pb;
+        double length = 0.0;
+        for (int c = 0; c < corners; ++c) length = larger(root(norm2(ways[c] - wa)), length);
+        length += root(norm2(wb - wa));
+        double part = 0.0;
+        for (int tries = 0; part < 1.0; ++tries) {
+            Vec3<double> at[3];
+            for (int c = 0; c < corners; ++c) at[c] = start(own[c]) + part * ways[c];
+            const double gap = root(square(at, pa + part * wa, pb + part * wb)) - features.radius;
+            if (!(gap > 1e-3 * thickness) || tries > 1000) return true;
+            if (!(length > 0.0)) return false;
+            part += gap / length;
+        }
+        return false;
+    };
+    for (std::size_t pair = 0; pair < near.triangles.size(); ++pair) {
+        const Index point = near.triangles.first[pair];
+        const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double>) {
+            return near_triangle(p, at[0], at[1], at[2]).square;
+        };
+        if (meets(3, s.triangles[near.triangles.second[pair]].data(), point, point, square)) return true;
+    }
+    for (std::size_t pair = 0; pair < near.edges.size(); ++pair) {
+        const auto& side = features.edges[near.edges.first[pair]];
+        const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double> q) {
+            return near_segments(at[0], at[1], p, q).square;
+        };
+        if (meets(2, s.edges[near.edges.second[pair]].data(), side[0], side[1], square)) return true;
+    }
+    return false;
+}
+/// Whether any does on the way from x0 at time t to x1, `duration` [s] later.
 inline bool features_cross(Plan& plan, double t, double duration, const double* x0, const double* x1) {
     FeatureContact& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
-    const Surface& s = contact.surface;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
-    const Quads start{from.data()}, end{to.data()};
+    const double thickness = contact.law(contacts).thickness();
+    for (std::int64_t k = 0; k < contacts.count(); ++k)
+        if (contact.has(contacts, k) && feature_crosses(contact, k, thickness, contacts.pose(k, t),
+                                                        contacts.pose(k, t + duration), from.data(), to.data()))
+            return true;
+    return false;
+}
+/// Of each pinch, whether a pad does that moves at time t from half a way between the faces [m] to where it is, the cloth
+/// being at x.
+inline void pads_cross(Plan& plan, double t, const double* x, const double* ways, std::int64_t* out) {
+    FeatureContact& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Array<double> at = quads_of(plan, x);
     const double thickness = contact.law(contacts).thickness();
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        NearFeatures& near = contact.obstacles[k];
-        const Features& features = near.features;
-        if (features.points.empty()) continue;
-        const Pose first = pose_at(contacts.path(k), t), last = pose_at(contacts.path(k), t + duration);
-        const FeaturesAt begin{features, first}, finish{features, last};
-        Spread spread;
-        for (std::int64_t i = 0; i < plan.count; ++i)
-            spread.take(load4(to.data() + 4 * i) - load4(from.data() + 4 * i));
-        const Vec3<double> way = last.place - first.place;
-        spread.take(quad<double>{way.x, way.y, way.z, 0.0});
-        const double most = spread.most() + turned(first, last, features.reach);
-        if (!near.find(s, from.data(), first, thickness, most)) return true;
-        // Positions along the way, and by how much the sides approach at most from its start to its end.
-        const auto meets = [&](int corners, const Index* own, Index a, Index b, auto&& square) {
-            Vec3<double> ways[3];
-            for (int c = 0; c < corners; ++c) ways[c] = end(own[c]) - start(own[c]);
-            const Vec3<double> pa = begin.place(a), pb = begin.place(b), wa = finish.place(a) - pa, wb = finish.place(b) - pb;
-            double length = 0.0;
-            for (int c = 0; c < corners; ++c) length = larger(root(norm2(ways[c] - wa)), length);
-            length += root(norm2(wb - wa));
-            double part = 0.0;
-            for (int tries = 0; part < 1.0; ++tries) {
-                Vec3<double> at[3];
-                for (int c = 0; c < corners; ++c) at[c] = start(own[c]) + part * ways[c];
-                const double gap = root(square(at, pa + part * wa, pb + part * wb)) - features.radius;
-                if (!(gap > 1e-3 * thickness) || tries > 1000) return true;
-                if (!(length > 0.0)) return false;
-                part += gap / length;
-            }
-            return false;
-        };
-        for (std::size_t pair = 0; pair < near.triangles.size(); ++pair) {
-            const Index point = near.triangles.first[pair];
-            const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double>) {
-                return near_triangle(p, at[0], at[1], at[2]).square;
-            };
-            if (meets(3, s.triangles[near.triangles.second[pair]].data(), point, point, square)) return true;
-        }
-        for (std::size_t pair = 0; pair < near.edges.size(); ++pair) {
-            const auto& side = features.edges[near.edges.first[pair]];
-            const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double> q) {
-                return near_segments(at[0], at[1], p, q).square;
-            };
-            if (meets(2, s.edges[near.edges.second[pair]].data(), side[0], side[1], square)) return true;
-        }
+        const std::int64_t pinch = contacts.obstacles[k].pinch;
+        if (pinch < 0 || !contact.has(contacts, k)) continue;
+        const Pose before = contacts.shifted(pose_at(contacts.path(k), t), k, ways[pinch], 0.0);
+        if (feature_crosses(contact, k, thickness, before, contacts.pose(k, t), at.data(), at.data())) out[pinch] = 1;
     }
-    return false;
 }
 
 /// Leaves the features of obstacles that don't get near the cloth out of a frame. If a run ends with a larger speed than was
@@ -207,7 +237,7 @@ public:
         for (std::int64_t k = 0; k < contacts.count(); ++k) {
             NearFeatures& near = contact.obstacles[k];
             const Features& features = near.features;
-            if (features.points.empty()) continue;
+            if (!contact.has(contacts, k)) continue;
             const double* const path = contacts.path(k);
             double way = 0.0, turn = 0.0, power = 1.0;
             for (int order = 0; order < 3; ++order) {
@@ -216,8 +246,11 @@ public:
                 way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
                 turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
             }
-            const Pose pose = pose_at(path, t);
-            const double beyond = speed_ * duration + way + turn * features.reach;
+            const Pose pose = contacts.pose(k, t);
+            // Pads turn about their gripper. The cloth may push them back faster than they are driven.
+            const double lever = root(norm2(pose.place - pose_at(path, t).place));
+            if (contacts.pinch_of(k)) way += 2.0 * contacts.pad_speed(k) * duration;
+            const double beyond = speed_ * duration + way + turn * (lever + features.reach);
             if (places.empty()) {
                 places = quads_of(plan, x0);
                 measure(s, places.data());
@@ -229,13 +262,13 @@ public:
             contact.acts[k] = !found || near.triangles.size() || near.edges.size();
         }
         for (std::int64_t k = 0; k < contacts.count(); ++k)
-            whole_ = whole_ && (contact.acts[k] || contact.obstacles[k].features.points.empty());
+            whole_ = whole_ && (contact.acts[k] || !contact.has(contacts, k));
     }
     /// Whether a run that ended with velocities v has to be made again.
     bool missed(const double* v) const { return plan_.features && !whole_ && !(fastest(v) <= speed_); }
     void wake() {
         if (!plan_.features) return;
-        plan_.features->wake();
+        plan_.features->wake(plan_.contacts);
         whole_ = true;
     }
 
@@ -284,8 +317,8 @@ inline void features_pierce(Plan& plan, double t, const double* x, std::int64_t*
     const double origin[3] = {}, least = 1e-3 * contacts.thickness;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         const Features& features = contact.obstacles[k].features;
-        if (features.points.empty()) continue;
-        const Pose pose = pose_at(contacts.path(k), t);
+        if (!contact.has(contacts, k)) continue;
+        const Pose pose = contacts.pose(k, t);
         const FeaturesAt from{features, pose};
         const auto tell = [&](Index a, Index b) { out[0] = k, out[1] = own[a], out[2] = own[b]; };
         // An edge of the cloth that enters the obstacle, by steps as long as the gap is.

@@ -183,14 +183,24 @@ public:
     /// Find the pairs that are nearer than thickness + beyond [m], the radius aside. False where a position is not
     /// finite, or where that is at least four times the cloth's shortest edge.
     bool find(const Surface& s, const double* x, const Pose& pose, double thickness, double beyond) {
+        return follow(s, x, pose, thickness, beyond, std::numeric_limits<double>::infinity());
+    }
+    /// The same for a run, in every step. `moved` is how far cloth and obstacle have moved relative to each other since the
+    /// last call [m], at most; after anything else than that it is infinite.
+    bool follow(const Surface& s, const double* x, const Pose& pose, double thickness, double beyond, double moved) {
         const double wanted = thickness + beyond;
-        if (!(since(s, x, pose, Place{}) < 1e30) || !(wanted < 4.0 * s.shortest)) return false;
-        const FeaturesAt from{features, pose};
-        if (thickness != thickness_ || !(beyond + since(s, x, pose, near_.place) <= near_.beyond)) {
-            thickness_ = thickness;
-            take_near(s, x, pose, beyond + 0.6 * thickness);
+        if (!(wanted < 4.0 * s.shortest)) return false;
+        way_ += moved;
+        if (thickness != thickness_ || !(beyond + way_ <= near_.beyond)) {
+            if (!(since(s, x, pose, Place{}) < 1e30)) return false;
+            way_ = since(s, x, pose, near_.place);
+            if (thickness != thickness_ || !(beyond + way_ <= near_.beyond)) {
+                thickness_ = thickness;
+                take_near(s, x, pose, beyond + 0.6 * thickness);
+                way_ = 0.0;
+            }
         }
-        choose(s, from, x, near_.pairs, features.radius + wanted, triangles, edges);
+        choose(s, {features, pose}, x, near_.pairs, features.radius + wanted, triangles, edges);
         return true;
     }
     /// Squared distances of a pair's two sides [m^2].
@@ -256,7 +266,7 @@ private:
         }
     }
     Found far_, near_;
-    double thickness_ = 0.0;
+    double thickness_ = 0.0, way_ = 0.0;  ///< since the near ones were found, at most
 };
 
 /// The cloth's surface and what obstacles have that may come through it. `acts[k]`: whether runs look at obstacle k's.
@@ -267,8 +277,11 @@ struct FeatureContact {
     std::vector<char> acts;
 
     bool any() const { return std::find(acts.begin(), acts.end(), 1) != acts.end(); }
-    void wake() {
-        for (std::size_t k = 0; k < obstacles.size(); ++k) acts[k] = !obstacles[k].features.points.empty();
+    bool has(const Contacts& contacts, std::int64_t k) const {
+        return !obstacles[k].features.points.empty() && contacts.present(k);
+    }
+    void wake(const Contacts& contacts) {
+        for (std::int64_t k = 0; k < contacts.count(); ++k) acts[k] = has(contacts, k);
     }
     FeatureLaw<double> law(const Contacts& contacts) const { return {contacts.thickness, contacts.damping, mass}; }
 };

@@ -4,18 +4,27 @@
 // What points and edges of obstacles do to the cloth's triangles and edges over a run.
 #pragma once
 
-#include "plan.hpp"
+#include "contact_pinch_run.hpp"
 
 namespace cloth {
 
 /// What contact with features has taken up and will have to, energy per mass in units of U^2/2; and by how much stiffness
 /// over mass exceeds that of a single gap at a particle, at that which most acts on (Gershgorin: a gap's stiffness k g g'
 /// is at most k |w_c| at a corner of weight w_c, for the weights add up to one and an obstacle gives way to nothing).
+/// Pads give way: there it is at most 2 k |w_c|, and 2 k at the pads.
 class FeatureDemand {
 public:
     explicit FeatureDemand(double mass) : mass_(mass) {}
     double reached = 0.0, gap = 1e30;
 
+    /// What is taken in next is of an obstacle.
+    void meet(const Contacts& contacts, std::int64_t obstacle) {
+        const Pinch* const pinch = contacts.pinch_of(obstacle);
+        pinch_ = pinch ? contacts.obstacles[obstacle].pinch : -1;
+        yields_ = pinch ? 1.0 / pinch->mass : 0.0;
+        times_ = pinch ? 2.0 : 1.0;
+        if (pads_.size() < contacts.pinches.size()) pads_.resize(contacts.pinches.size(), 0.0);
+    }
     template <class V>
     void take(const Surface& s, const FeatureMeeting<V>& m) {
         gap = smaller(m.least(), gap);
@@ -27,18 +36,20 @@ public:
                 const Index c = g.corner[k];
                 if (load_.empty()) load_.assign(s.count, 0.0);
                 if (load_[c] == 0.0) touched_.push_back(c);
-                load_[c] += g.sign * mass_ * weight[k] / s.masses[c];
+                load_[c] += times_ * g.sign * mass_ * weight[k] / s.masses[c];
             }
+            if (pinch_ >= 0) pads_[pinch_] += times_ * g.sign * mass_ * yields_;
         }
     }
     /// A gap that closes at a speed and holds an energy already: all of its corners' m_e w^2/2 goes into M U^2/2 b, where
-    /// 1/m_e = sum of w_c^2 / m_c.
+    /// 1/m_e = sum of w_c^2 / m_c, and the inverse of the mass of pads.
     void enter(const Surface& s, int corners, const Index* corner, const double* weight, double closing, double shape) {
         const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
-        double inverse = 0.0;
+        double inverse = yields_;
+        crowd_ = larger(times_ * mass_ * yields_, crowd_);
         for (int k = 0; k < corners; ++k) {
             inverse += weight[k] * weight[k] / s.masses[corner[k]];
-            crowd_ = larger(mass_ * weight[k] / s.masses[corner[k]], crowd_);
+            crowd_ = larger(times_ * mass_ * weight[k] / s.masses[corner[k]], crowd_);
         }
         reached = larger(shape + speed * speed / (mass_ * inverse), reached);
     }
@@ -55,6 +66,10 @@ public:
             load_[c] = 0.0;
         }
         touched_.clear();
+        for (double& load : pads_) {
+            crowd_ = larger(load, crowd_);
+            load = 0.0;
+        }
     }
     SelfRates rates(const FeatureLaw<double>& law, double expected = 1.0) const {
         if (!(reached > 0.0)) return {};
@@ -63,8 +78,9 @@ public:
     }
 
 private:
-    double mass_, crowd_ = 1.0;
-    std::vector<double> load_;
+    double mass_, crowd_ = 1.0, yields_ = 0.0, times_ = 1.0;
+    std::int64_t pinch_ = -1;  ///< of the obstacle whose gaps are taken in, if it is a pad
+    std::vector<double> load_, pads_;
     std::vector<Index> touched_;
 };
 
@@ -128,18 +144,23 @@ public:
     FeatureRun(FeatureContact& contact, const Contacts& contacts, const Run& run)
         : contact_(contact), contacts_(contacts), run_(run), law_(contact.law(contacts)), demand_(contact.mass),
           sums_(run.books ? contacts.count() * booked_numbers : 0, 0.0) {
-        before_.resize(contact.obstacles.size());
+        poses_.resize(contact.obstacles.size());
     }
 
+    /// Where pads are, which move with the run.
+    void pinch(PinchRun& pads) { pads_ = &pads; }
     /// Add the forces at a step, positions x and velocities v, to f, all quads.
     void add(std::int64_t step, const double* x, const double* v, double* f) {
         const double t = middle_of(run_, step);
         const Quads at{x}, moving{v};
+        watch(x);
         for (std::int64_t k = 0; k < contacts_.count(); ++k) {
             if (!contact_.acts[k]) continue;
-            const Pose pose = pose_at(contacts_.path(k), t);
+            const Pose own = pose_at(contacts_.path(k), t), pose = placed(k, own);
             if (!look(k, x, pose)) return;
-            const FeaturesAt from{contact_.obstacles[k].features, pose};
+            const FeaturesAt from{contact_.obstacles[k].features, pose, pose.place - own.place};
+            demand_.meet(contacts_, k);
+            PinchRun::Felt felt;
             double* const sums = run_.books && step >= 0 ? sums_.data() + k * booked_numbers : nullptr;
             for_each_feature_meeting<double>(
                 contact_, contact_.obstacles[k], pose, law_, at, moving, meeting_,
@@ -151,18 +172,23 @@ public:
                             f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
                         },
                         [&](Index point, Vec3<double> force) {
+                            felt.force += contacts_.obstacles[k].side * dot(pose.rotation[1], force);
                             if (sums) book(sums, from, point, force, 1.0);
                         });
                     if (sums) sums[booked_numbers - 1] += law_.lost(m);
                 },
                 &demand_, 2.0 * run_.step);
-            demand_.close();
+            if (contacts_.pinch_of(k)) pads_->feel_between(k, step, felt);
         }
+        demand_.close();
+        places_.assign(x, x + 4 * contact_.surface.count);
     }
     /// The end of the run: whether nothing can have passed through anything on the way there.
     bool finish(const double* x) {
+        watch(x);
         for (std::int64_t k = 0; k < contacts_.count() && !passed_; ++k)
-            if (contact_.acts[k]) look(k, x, pose_at(contacts_.path(k), run_.t + run_.step * static_cast<double>(run_.steps)));
+            if (contact_.acts[k])
+                look(k, x, placed(k, pose_at(contacts_.path(k), run_.t + run_.step * static_cast<double>(run_.steps))));
         if (run_.books)
             for (std::size_t k = 0; k < sums_.size(); ++k) run_.touched[k] += run_.step * sums_[k];
         return !passed_;
@@ -173,43 +199,43 @@ public:
 
     /// Add what a force on a point of an obstacle makes of the booked numbers, losses aside.
     static void book(double* sums, const FeaturesAt& from, Index point, Vec3<double> force, double weight) {
-        const Vec3<double> arm = from.arm(point), torque = cross(arm, force);
+        const Vec3<double> arm = from.arm(point), torque = cross(from.lever + arm, force);
         const double now[booked_numbers] = {force.x,  force.y,  force.z, torque.x, torque.y, torque.z,
                                             -dot(force, from.speed(point)), 0.0};
         for (int k = 0; k < booked_numbers; ++k) sums[k] += weight * now[k];
     }
 
 private:
-    struct Before {
-        Array<double> places;
-        Pose pose{};
-    };
-    /// Find what is near, and look at the ways since the last time.
+    /// Pose of an obstacle, from that of its path.
+    Pose placed(std::int64_t k, const Pose& own) const { return contacts_.pinch_of(k) ? pads_->pose(0, k, own) : own; }
+    /// How far the cloth has moved since the last time, and where it is.
+    void watch(const double* x) {
+        const std::int64_t n = contact_.surface.count;
+        began_ = !places_.empty();
+        cloth_ = {};
+        for (std::int64_t i = 0; began_ && i < n; ++i) cloth_.take(load4(x + 4 * i) - load4(places_.data() + 4 * i));
+    }
+    /// Find what is near an obstacle, and look at the ways since the last time.
     bool look(std::int64_t k, const double* x, const Pose& pose) {
         if (passed_) return false;
-        const Surface& s = contact_.surface;
         NearFeatures& near = contact_.obstacles[k];
-        Before& before = before_[k];
-        double moved = 0.0;
-        if (!before.places.empty()) {
-            Spread spread;
-            for (std::int64_t i = 0; i < s.count; ++i)
-                spread.take(load4(x + 4 * i) - load4(before.places.data() + 4 * i));
-            const Vec3<double> way = pose.place - before.pose.place;
+        double moved = 0.0, since = std::numeric_limits<double>::infinity();
+        if (began_) {
+            Spread spread = cloth_;
+            const Vec3<double> way = pose.place - poses_[k].place;
             spread.take(quad<double>{way.x, way.y, way.z, 0.0});
-            moved = spread.most() + turned(pose, before.pose, near.features.reach);
+            since = moved = spread.most() + turned(pose, poses_[k], near.features.reach);
         }
         // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
-        passed_ = !near.find(s, x, pose, law_.thickness(), 2.0 * moved);
-        if (!passed_ && moved > 0.0) check(near, x, pose, before, moved);
-        before.places.assign(x, x + 4 * s.count);
-        before.pose = pose;
+        passed_ = !near.follow(contact_.surface, x, pose, law_.thickness(), 2.0 * moved, since);
+        if (!passed_ && moved > 0.0) check(near, x, pose, poses_[k], moved);
+        poses_[k] = pose;
         return !passed_;
     }
-    void check(const NearFeatures& near, const double* x, const Pose& pose, const Before& before, double moved) {
+    void check(const NearFeatures& near, const double* x, const Pose& pose, const Pose& before, double moved) {
         const Surface& s = contact_.surface;
-        const FeaturesAt now{near.features, pose}, then{near.features, before.pose};
-        const Quads at{x}, was{before.places.data()};
+        const FeaturesAt now{near.features, pose}, then{near.features, before};
+        const Quads at{x}, was{places_.data()};
         const double radius = near.features.radius, least = (radius + moved) * (radius + moved);
         Vec3<double> own[3];
         const auto way = [&](Index c) { return at(c) - was(c); };
@@ -238,8 +264,12 @@ private:
     FeatureMeeting<double> meeting_;
     FeatureDemand demand_;
     std::vector<double> sums_;
-    std::vector<Before> before_;
-    bool passed_ = false;
+    /// Where all stood the last time.
+    Array<double> places_;
+    std::vector<Pose> poses_;
+    Spread cloth_;
+    PinchRun* pads_ = nullptr;
+    bool began_ = false, passed_ = false;
 };
 
 }  // namespace cloth

@@ -19,10 +19,11 @@ struct Features {
     double radius = 0.0, reach = 0.0;
 };
 
-/// The same at a moment.
+/// The same at a moment. `lever` [m] leads from the point about which torques are booked, a pad's gripper, to the place.
 struct FeaturesAt {
     const Features& features;
     const Pose& pose;
+    Vec3<double> lever{};
 
     Vec3<double> arm(Index k) const {
         const Vec3<double> p = features.points[k];

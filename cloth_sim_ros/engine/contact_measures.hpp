@@ -183,11 +183,12 @@ struct ContactLimits {
     }
 };
 
-/// Accelerations [m/s^2] of half the ways between pads at time t, by the cloth and their drives.
-inline void pinch_accelerations(const Plan& plan, double t, const double* x, const double* v, double* out) {
+/// Accelerations [m/s^2] of half the ways between pads at time t, by the cloth and their drives; `felt` [N] is what else
+/// moves them outward, by the pinch.
+inline void pinch_accelerations(const Plan& plan, double t, const double* x, const double* v, std::vector<double> felt,
+                                double* out) {
     const Contacts& contacts = plan.contacts;
     const auto law = contacts.law<double>();
-    std::vector<double> felt(contacts.pinches.size(), 0.0);
     for_each_contact(plan, t, x, v, [&](const NearOne& one) {
         const Obstacle& obstacle = contacts.obstacles[one.obstacle];
         if (obstacle.pinch < 0) return;

@@ -23,10 +23,11 @@ struct Pinch {
 
     /// Acceleration [m/s^2] of half the way between the faces, at a force of the cloth that opens the pads, both summed [N].
     /// A motor's line: its force falls from that at rest to none at the speed without load. The same law as contact's stops
-    /// pads at each other and at their widest, from where half a thickness or a thickness is left.
+    /// pads at each other, from where half a thickness is left between their faces, which is closer than cloth between
+    /// them lets them come; and at their widest, from where a thickness is left.
     double acceleration(const ContactLaw<double>& law, double thickness, double way, double rate, double felt) const {
         const double drive = 2.0 * force * ((closed ? -1.0 : 1.0) - rate / speed);
-        const double inner = law.push(way + 0.5 * thickness, -rate), outer = law.push(open + thickness - way, rate);
+        const double inner = law.push(way + 0.75 * thickness, -rate), outer = law.push(open + thickness - way, rate);
         return (felt + drive) / mass + (inner - outer);
     }
     /// Energy per mass, in U^2/2, that a stop has to take up at that rate; none where none is near.
@@ -35,7 +36,7 @@ struct Pinch {
             const double w = larger(closing, 0.0) / ContactLaw<double>::speed;
             return gap - soon * larger(closing, 0.0) < thickness ? w * w + law.shape(gap) : 0.0;
         };
-        return larger(at(way + 0.5 * thickness, -rate), at(open + thickness - way, rate));
+        return larger(at(way + 0.75 * thickness, -rate), at(open + thickness - way, rate));
     }
 };
 

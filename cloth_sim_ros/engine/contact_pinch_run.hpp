@@ -11,8 +11,8 @@ namespace cloth {
 class PinchRun {
 public:
     PinchRun(const Contacts& contacts, const Run& run, int threads, std::int64_t blocks)
-        : contacts_(contacts), run_(run), blocks_(blocks), law_(contacts.law<double>()),
-          felt_(contacts.pinches.empty() ? 0 : 2 * contacts.count() * blocks * Felt::numbers, 0.0) {
+        : contacts_(contacts), run_(run), blocks_(blocks + 1), law_(contacts.law<double>()),
+          felt_(contacts.pinches.empty() ? 0 : 2 * contacts.count() * blocks_ * Felt::numbers, 0.0) {
         const std::int64_t count = static_cast<std::int64_t>(contacts.pinches.size());
         for (int k = 0; k < threads && count; ++k) {
             threads_.emplace_back();
@@ -32,6 +32,10 @@ public:
         double* const at = place(obstacle, block, step);
         at[0] = felt.force;
         at[1] = felt.mass;
+    }
+    /// What the cloth between particles does to a pad.
+    void feel_between(std::int64_t obstacle, std::int64_t step, const Felt& felt) {
+        feel(obstacle, blocks_ - 1, step, felt);
     }
     /// Pose of a pad at a step, from its gripper's, as particles see it.
     Pose pose(int thread, std::int64_t obstacle, const Pose& gripper) const {
@@ -100,7 +104,7 @@ private:
 
     const Contacts& contacts_;
     const Run& run_;
-    std::int64_t blocks_;
+    std::int64_t blocks_;  ///< and one for what acts between particles
     ContactLaw<double> law_;
     std::vector<double> felt_;
     std::vector<Mine> threads_;

@@ -36,6 +36,7 @@ public:
 
     /// Move pads to a step, before any block is looked at: all blocks have been at the step before.
     void follow(int thread, std::int64_t step) { pinches_.follow(thread, step); }
+    PinchRun& pinches() { return pinches_; }
     /// Add the forces on a block's particles at positions x and velocities v to f, all by component; `own` books them.
     void add(int thread, std::int64_t number, std::int64_t step, const T* x, const T* v, T* f, std::int64_t count,
              bool own) {

@@ -177,7 +177,7 @@ inline Done accelerations(Plan& plan, double t, const double* x, const double* v
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     plan.contacts.wake();
     plan.self_rests = false;
-    if (plan.features) plan.features->wake();
+    if (plan.features) plan.features->wake(plan.contacts);
     return plan.grid ? GridForces(plan, run).go() : evaluate_lists(plan, run);
 }
 

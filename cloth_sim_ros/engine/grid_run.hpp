@@ -117,7 +117,8 @@ private:
         return done;
     }
 
-    /// A turn is the start, or one sweep of `levels` steps. First the band is loaded, or its neighbours' rows are taken in.
+    /// A turn is the start, or one sweep of `levels` steps. First the band is loaded, or its neighbours' rows are taken in,
+    /// and pads are moved: all bands have been at the step before.
     void begin(int b, std::int64_t turn) {
         if (turn == 0) {
             load_band(b);
@@ -127,13 +128,13 @@ private:
             if (side >= 0 && side < bands_ && side != b)
                 wait_until([&] { return done_[side].turns.load(std::memory_order_acquire) >= turn; });
         take_in(b, turn - 1);
+        beside_.follow(b, (turn - 1) * levels_);
     }
     void end(int b, std::int64_t turn, std::int64_t turns) {
         if (turn == 0) {
             start(b);
         } else {
             const std::int64_t begin = (turn - 1) * levels_;
-            beside_.follow(b, begin);
             sweep(b, begin, std::min<std::int64_t>(levels_, run_.steps - begin));
         }
         if (turn + 1 < turns)

@@ -191,8 +191,12 @@ CLOTH_API int cloth_contact_pinched(Plan* plan, const double* pinched) {
     return guarded([&] { std::copy_n(pinched, plan->contacts.pinched.size(), plan->contacts.pinched.data()); });
 }
 /// Accelerations of half the ways between pads.
-CLOTH_API int cloth_pinch_accelerations(const Plan* plan, double t, const double* x, const double* v, double* out) {
-    return guarded([&] { cloth::pinch_accelerations(*plan, t, x, v, out); });
+CLOTH_API int cloth_pinch_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded([&] {
+        std::vector<double> felt(plan->contacts.pinches.size(), 0.0);
+        if (plan->features) cloth::feature_openings(*plan, t, x, v, felt);
+        cloth::pinch_accelerations(*plan, t, x, v, felt, out);
+    });
 }
 
 CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {

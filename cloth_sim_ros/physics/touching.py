@@ -89,7 +89,7 @@ class Touching:
             check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *numbers))
             tell_meshes(self._handle, force.obstacles)
             if self._features is not None:
-                self._features.tell(force.obstacles[: force.solid_count], force.thickness)
+                self._features.tell(force.obstacles, force.thickness)
         else:
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
         if force.pads and (force.changes, force.commands) != (self._seen, self._heard):
@@ -216,18 +216,19 @@ class Touching:
         Cloth and stops push the harder the further pads go: of their rates, one is what the rate before and the push
         make. It is found by bisection between the stops.
         """
-        force = self.force
-        pinched = state.memory.get(PINCHED)
+        force, pinched = self.force, state.memory.get(PINCHED)
         before = np.array([pads.start for pads in force.pads]) if pinched is None else pinched
         way, rate = before[:, 0], before[:, 1]
         opening = np.array([0.5 * pads.opening for pads in force.pads])
-        low, high = (-0.5 * force.thickness - way) / h, (opening + force.thickness - way) / h
+        low, high = (-0.75 * force.thickness - way) / h, (opening + force.thickness - way) / h
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
             self.lay_pads(np.stack([way + h * middle, middle], axis=1))
             over = middle - rate - h * self.pad_accelerations(t, state.x, state.v)
-            # Where nothing is finite pads are within the cloth.
+            # Where nothing is finite pads are within the cloth. Beyond it they would be pushed on.
             inward = over > 0.0
+            if self._features is not None:
+                inward = np.where(self._features.pads_cross(t, state.x, way), middle > 0.0, inward)
             low, high = np.where(inward, low, middle), np.where(inward, middle, high)
         middle = np.where(force.driven[:, 0], high, 0.0)
         return self.lay_pads(np.stack([way + h * middle, middle], axis=1))  # type: ignore[return-value]

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
 from cloth_sim_ros.physics.forces.contact import OwnSurface
@@ -32,7 +33,7 @@ class TouchingFeatures:
         check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.shortest))
 
     def tell(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
-        """Tell the engine the features of the first obstacles that it knows, but for those that particles keep out."""
+        """Tell the engine the features of its obstacles, but for those that particles keep out."""
         for k, obstacle in enumerate(obstacles):
             found = features(obstacle, thickness)
             if found.radius > 0.0 and round_enough(found.radius, self._longest, thickness):
@@ -63,6 +64,15 @@ class TouchingFeatures:
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_features_cross(self._handle, t, duration, *addresses))
         return bool(out[0])
+
+    def pads_cross(self, t: float, x: Array, ways: Array) -> NDArray[np.bool_]:
+        """Return of each pinch whether a pad passes through the cloth on its way at time t [s] from half a way between
+        the faces [m] to where pads were laid, the cloth being at x.
+        """
+        out = np.empty(len(ways), dtype=np.int64)
+        addresses = doubles("x", x, self._shape), doubles("ways", ways, ways.shape), address(out)
+        check(self._library.cloth_pads_cross(self._handle, t, *addresses))
+        return out != 0
 
     def pierced(self, t: float, x: Array) -> tuple[int, int, int]:
         """Return which obstacle passes through the cloth at time t, and two particles about the place; -1 for none."""
