@@ -37,6 +37,7 @@ SECTIONS = {
     "adds": "adds",
     "scale": "scale",
     "peers": "peers",
+    "peers-contact": "peers-contact",
     "batch": "batch",
     "studies": "studies",
 }

@@ -24,6 +24,7 @@ COMMANDS = {
     "contact": ("contact", "obstacles and friction against theory: slopes, weight, a strip over a drum, impacts, cost"),
     "speed": ("speed", "ns per spring against C, simulated seconds per wall second, two threads against one"),
     "peers": ("peers", "other engines on the same sheet, installed on demand into an environment of their own"),
+    "peers-contact": ("peers_contact", "other engines where cloth touches: a drape, a fold, a pinch; depth and creep"),
     "scale": ("scale", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
     "engine": ("engine", "this tree against an older commit of itself, in turns, in one run"),
     "adds": ("adds", "whether features cost together what they cost one by one, for every pair of them"),

@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 
 #: Beyond the time limit of its frames a process may take so long to start, compile and build its sheet [s].
-_STARTING = 180.0
+_STARTING = 600.0
 #: Steps in a frame beyond which no longer step is looked for.
 _MOST_STEPS = 4096
 #: Between the longest step that kept the sheet whole and the shortest that did not, so many are tried.
@@ -35,8 +35,8 @@ class PeerFailed(RuntimeError):
 
 
 @attrs.frozen
-class Peer:
-    """One solver of another engine."""
+class Solver:
+    """One solver of another engine, and the script that runs it."""
 
     name: str
     #: Which entry of the requirements it needs.
@@ -45,6 +45,12 @@ class Peer:
     variant: str
     #: How its model differs from ours.
     differs: str
+
+
+@attrs.frozen
+class Peer(Solver):
+    """A solver whose longest step is looked for."""
+
     #: Steps in a frame to begin the search with, for N particles a side.
     first_steps: Callable[[int], int]
 
@@ -151,14 +157,24 @@ def attempt(
     Raises:
         PeerFailed: if it gives no result.
     """
-    job = {
-        "script": peer.script,
-        "sheet": str(sheet.absolute()),
-        "variant": peer.variant,
-        "steps": steps,
-        "frame": PERIOD,
-    }
-    job |= {"frames": frames, "seconds": seconds, "whole": whole}
+    job = {"sheet": str(sheet.absolute()), "steps": steps, "frames": frames, "seconds": seconds, "whole": whole}
+    return Attempt(steps=steps, **answer(peer, job, folder=sheet.parent, environment=environment, threads=threads))
+
+
+def answer(solver: Solver, job: dict[str, Any], *, folder: Path, environment: Path, threads: int = 1) -> dict[str, Any]:
+    """Run a job of `peer_run` in a process of the environment, and return what it says.
+
+    Args:
+        solver: which.
+        job: all of it but the solver and the length of a frame.
+        folder: where it runs: some engines leave a log there.
+        environment: where the engines are installed.
+        threads: that an engine which uses several may have.
+
+    Raises:
+        PeerFailed: if it gives no result.
+    """
+    job = {**job, "script": solver.script, "variant": solver.variant, "frame": PERIOD}
     variables = peer_environment.clean_variables(
         OMP_NUM_THREADS=str(threads),
         OPENBLAS_NUM_THREADS=str(threads),
@@ -167,13 +183,12 @@ def attempt(
     )
     python = peer_environment.python_of(environment.absolute())
     command = [str(python), "-I", str(Path(__file__).with_name("peer_run.py"))]
-    limit = _STARTING + 2.0 * seconds
+    limit = _STARTING + 2.0 * job["seconds"]
     try:
-        # Where the sheet lies: some peers leave a log in the folder that they are started in.
         done = subprocess.run(
             command,
             input=json.dumps(job),
-            cwd=sheet.parent,
+            cwd=folder,
             env=variables,
             capture_output=True,
             text=True,
@@ -181,13 +196,14 @@ def attempt(
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise PeerFailed(f"{peer.name}: no result after {limit:.0f} s") from error
+        raise PeerFailed(f"{solver.name}: no result after {limit:.0f} s") from error
     if done.returncode:
         lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
         status = done.returncode
         end = f"ended with status {status}" if status > 0 else f"was killed by {signal.Signals(-status).name}"
-        raise PeerFailed(f"{peer.name}: {end}: {lines[-1] if lines else 'no word of why'}")
-    return Attempt(steps=steps, **json.loads(done.stdout))
+        raise PeerFailed(f"{solver.name}: {end}: {lines[-1] if lines else 'no word of why'}")
+    said: dict[str, Any] = json.loads(done.stdout)
+    return said
 
 
 def longest_step(run: Callable[[int], Attempt], first: int) -> Attempt | None:

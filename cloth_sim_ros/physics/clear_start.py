@@ -22,6 +22,20 @@ _LOOKED_AT = 16
 _REMEDY = "start from another state, or set contact.self to false"
 
 
+def pierced(owner: Owner, x: Array) -> list[int] | None:
+    """Return the first edge of a cloth that goes through a triangle of it, as their two and three particles; None where
+    none does. What has a corner in common with a triangle does not count.
+
+    Args:
+        owner: of the engine's plan, which knows the surface.
+        x: its particles [m], shape (3, n).
+    """
+    out = np.empty(5, dtype=np.int64)
+    check(library().cloth_self_pierced(owner.handle, doubles("x", x, x.shape), address(out)))
+    found: list[int] = out.tolist()
+    return None if found[0] < 0 else found
+
+
 def check_clear(owner: Owner, surface: OwnSurface, thickness: float, x: Array) -> None:
     """Refuse a cloth that passes through itself, or is so near to itself that contact would tear it apart.
 
@@ -34,17 +48,16 @@ def check_clear(owner: Owner, surface: OwnSurface, thickness: float, x: Array) -
     Raises:
         ValueError: naming the first edge and triangle that do, or the particle and the triangle that are, and where.
     """
-    place, out = doubles("x", x, x.shape), np.empty(5, dtype=np.int64)
-    check(library().cloth_self_pierced(owner.handle, place, address(out)))
-    a, b, *triangle = out.tolist()
-    if a >= 0:
+    through = pierced(owner, x)
+    if through is not None:
+        a, b, *triangle = through
         where = _rounded(0.5 * (x[:, a] + x[:, b]))
         raise ValueError(
             f"the cloth passes through itself at {where}: the edge from particle {a} to {b} goes through the triangle "
             f"of particles {', '.join(map(str, triangle))}; {_REMEDY}"
         )
     found = np.empty(2)
-    check(library().cloth_self_gaps(owner.handle, place, address(found)))
+    check(library().cloth_self_gaps(owner.handle, doubles("x", x, x.shape), address(found)))
     least = float(found[1])
     if least < NEAREST * thickness:
         raise ValueError(

@@ -1,0 +1,129 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is measured of cloth in contact, of any engine's: how deep it gets, whether it crosses itself, how it creeps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics import touching_layers
+from cloth_sim_ros.physics.clear_start import pierced
+from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.obstacle_mesh import nearest_points
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.owner import Owner
+
+
+def depth_in_ball(frames: Array, triangles: NDArray[np.int64], radius: float) -> float:
+    """Return by how much any point of any triangle is inside a ball about the origin at most [m]; 0 where none is.
+
+    Args:
+        frames: positions [m], (frames, n, 3).
+        triangles: (t, 3).
+        radius: of the ball [m].
+    """
+    nearest = radius
+    for x in frames:
+        # A triangle without area has no normal; its sides count.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            points = nearest_points(np.zeros((1, 3)), x[triangles])[0]
+        nearest = min(nearest, float(np.sqrt(np.nanmin((points * points).sum(axis=1)))))
+    return radius - nearest
+
+
+def depth(frames: Array, solid: Obstacle, places: Array) -> float:
+    """Return by how much any particle is inside an obstacle at most [m]; 0 where none is.
+
+    Args:
+        frames: positions [m], (frames, n, 3).
+        solid: the obstacle, not turned.
+        places: of it in each frame, or in all of them [m], (frames, 3) or (3,).
+    """
+    away = frames - np.broadcast_to(places, (len(frames), 3))[:, None, :]
+    gaps, _ = solid.distance(away.reshape(-1, 3))
+    return max(0.0, -float(gaps.min()))
+
+
+def stretch(frames: Array, triangles: NDArray[np.int64]) -> float:
+    """Return the longest length of an edge over that in the first frame.
+
+    Args:
+        frames: positions [m], (frames, n, 3).
+        triangles: (t, 3).
+    """
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    rest = np.linalg.norm(frames[0][ends[:, 1]] - frames[0][ends[:, 0]], axis=1)
+    return max(float((np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / rest).max()) for x in frames)
+
+
+def crossings(frames: Array, triangles: NDArray[np.int64], rest: Array) -> list[int]:
+    """Return the numbers of the frames in which an edge of the cloth goes through a triangle of it.
+
+    Args:
+        frames: positions [m], (frames, n, 3).
+        triangles: (t, 3).
+        rest: positions at rest [m], (n, 3).
+    """
+    owner = Owner(Model(np.ones(len(rest)), []))
+    # How near it may come to itself plays no part.
+    surface = OwnSurface(triangles, rest, thickness=1e-9)
+    touching_layers.tell_surface(owner.handle, Contact(thickness=1e-9, surface=surface))
+    return [number for number, x in enumerate(frames) if pierced(owner, np.ascontiguousarray(x.T)) is not None]
+
+
+def creep_on_ball(frames: Array, seconds: float, radius: float, near: float) -> float:
+    """Return how fast the particle moves that moves furthest of those on a ball [m/s]; nan where none is on it.
+
+    Args:
+        frames: positions over the time that counts [m], (frames, n, 3).
+        seconds: how long that is [s].
+        radius: of the ball about the origin [m].
+        near: a particle within this distance of the ball at the begin and at the end is on it [m].
+    """
+    first, last = frames[0], frames[-1]
+    touching = np.ones(frames.shape[1], dtype=bool)
+    for x in (first, last):
+        touching &= np.linalg.norm(x, axis=1) - radius <= near
+    if not touching.any():
+        return float("nan")
+    return float(np.linalg.norm(last - first, axis=1)[touching].max()) / seconds
+
+
+def sinking(frames: Array, seconds: float, between: NDArray[np.bool_]) -> float:
+    """Return the mean speed with which particles go down [m/s].
+
+    Args:
+        frames: positions over the time that counts [m], (frames, n, 3).
+        seconds: how long that is [s].
+        between: which particles, (n,).
+    """
+    return float((frames[0] - frames[-1])[between, 2].mean()) / seconds
+
+
+def between_pads(start: Array, solid: Obstacle, places: Array) -> NDArray[np.bool_]:
+    """Return which particles have a pad on either side.
+
+    Args:
+        start: positions [m], (n, 3).
+        solid: a pad, across whose faces is y.
+        places: of both pads [m], (2, 3).
+    """
+    x, _, z = (0.5 * length for length in solid.size)
+    away = np.abs(start - places.mean(axis=0))
+    found: NDArray[np.bool_] = (away[:, 0] <= x) & (away[:, 2] <= z)
+    return found
+
+
+def dropped(frames: Array, solid: Obstacle, pads: Array) -> int | None:
+    """Return the number of the first frame in which all of the cloth is below the pads; None where there is none.
+
+    Args:
+        frames: positions [m], (frames, n, 3).
+        solid: a pad.
+        pads: places of both [m], (frames, 2, 3).
+    """
+    below = frames[:, :, 2].max(axis=1) < pads[:, :, 2].min(axis=1) - 0.5 * solid.size[2]
+    return int(np.argmax(below)) if below.any() else None
