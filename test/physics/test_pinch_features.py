@@ -50,9 +50,7 @@ def between(own=None, *, faces=True, listed=False, place=MIDDLE, way=None, ancho
 
 def advance(plan, state, integrator, frames, first=0, book=None):
     """Advance by frames; return how many were flagged."""
-    return sum(
-        integrator.advance(plan, state, k * FRAME, FRAME, book).flagged for k in range(first, first + frames)
-    )
+    return sum(integrator.advance(plan, state, k * FRAME, FRAME, book).flagged for k in range(first, first + frames))
 
 
 def through(own, state, place=MIDDLE):
