@@ -59,6 +59,9 @@ class Effort:
             return choice
         left = self.cap - self.evaluations - self.calls - ahead
         refine = max(1.0, choice.refine * left / needed)
+        # Whole numbers of steps and parts may take more than their share.
+        while refine > 1.0 and work(choice.columns, refine) > left + FINISHED:
+            refine = max(1.0, 0.5 * refine)
         self.spent = True
         self.lost = work(choice.columns, refine) > left + FINISHED and within_reach(self.plan)
         return Choice(choice.columns, refine, True)
