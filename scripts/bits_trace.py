@@ -132,6 +132,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_features_rest": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_features_ahead": ("i", ("h", "d", "d", "d", _X, _X, _fixed(2))),
     "cloth_features_cross": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_pads_cross": ("i", ("h", "d", _X, _pinches(1), _pinches(1))),
     "cloth_features_pierce": ("i", ("h", "d", _X, _fixed(3))),
     "cloth_plan_self": ("i", ("h", "i", _given(3, 1), "d")),
     "cloth_self_friction": ("i", ("h", "d", "d")),

@@ -50,7 +50,7 @@ KINDS = {
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
 #: What a user's own force is called with: t, x, v, f and powers (or null); returns `CALLED_WELL`, or another number to
 #: end the run. ctypes returns any number for an exception that nobody caught.
-CALLED_WELL = 1
+CALLED_WELL = 1611516433
 CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctypes.c_double),) * 4)
 
 

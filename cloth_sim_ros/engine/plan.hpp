@@ -18,7 +18,7 @@ namespace cloth {
 /// Forces of the caller's own: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n), and, where they
 /// are asked for, to the powers that damping takes and that else is given [W]. Other than `called_well` ends the run.
 using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
-inline constexpr int called_well = 1;
+inline constexpr int called_well = 1611516433;  // no number that a call which never returned is likely to leave behind
 
 /// Particles that one thread looks after, and the listed elements that touch them: those at a border are taken by both
 /// sides, so that every particle's sum runs in one order.
