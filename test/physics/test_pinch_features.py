@@ -122,6 +122,12 @@ def test_the_force_on_pads_is_the_slope_of_the_energy():
     assert plan.contact.pad_accelerations(0.0, x, at_rest)[0] == pytest.approx(drive - slope / own.inertia, rel=1e-6)
     a = np.empty_like(x)
     plan.accelerations(0.0, x, at_rest, a)
+    # What the cloth feels, the pads feel the other way: forces, and torques about the gripper.
+    felt, own_forces = plan.contact.rates(0.0, x, at_rest).sum(axis=0), (plan.model.masses * a).T
+    torques = np.cross(state.positions - MIDDLE, own_forces)
+    assert np.abs(torques.sum(axis=0)).max() > 1e-4
+    assert felt[:3] == pytest.approx(-own_forces.sum(axis=0), abs=1e-12)
+    assert felt[3:6] == pytest.approx(-torques.sum(axis=0), abs=1e-12)
     for c, i in ((2, 12), (2, 17), (0, 12)):
         moved = [x.copy() for _ in range(2)]
         moved[0][c, i] += step
