@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.futures import Future, Wanted, future
+from cloth_sim_ros.batch.future import Future, Wanted, future
 from cloth_sim_ros.physics import cores
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot

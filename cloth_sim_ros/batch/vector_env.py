@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_sim_ros.batch import registered as registered
 from cloth_sim_ros.batch.actions import Commands
 from cloth_sim_ros.batch.crew import Crew
-from cloth_sim_ros.batch.futures import particles_of, put
+from cloth_sim_ros.batch.future import particles_of, put
 from cloth_sim_ros.batch.herd import Herd, Prepare, Randomise
 from cloth_sim_ros.batch.outcome import Judge, Outcome, judged
 from cloth_sim_ros.batch.seeds import Generators

@@ -76,9 +76,13 @@ class Plan:
         self._library = library()
         self._shape = (3, model.particle_count)
         parts = Assembly.of(model)
-        self._own, self._drag, self._gridded = parts.own, parts.drag, parts.gridded
+        self._own, self._drag = parts.own, parts.drag
         #: Estimated time of a step for one particle [ns].
         self.step_cost = parts.step_cost()
+        #: Whether a step is long enough for a second thread to be worth meeting it.
+        self._long = self.step_cost * model.particle_count >= 1e3 * CONSTANTS.call and (
+            parts.gridded is None or parts.gridded.rows >= 16
+        )
         self._pair_counts = parts.pair_counts()
         self.turn = threading.Lock()
         # The engine's request, made once: what a frame asks for is written into it.
@@ -221,7 +225,7 @@ class Plan:
             self._steps_at,
             self._weights_at,
             narrow,
-            self._threads(threads),
+            (available() if self._long else 1) if threads is None else threads,
             x0,
             v0,
             out_at,
@@ -273,16 +277,6 @@ class Plan:
         duration [s]: what may meet by then counts, by how much of it there is.
         """
         return 0.0 if self.contact is None else CONSTANTS.operation * self.contact.work(t, duration, state)
-
-    def _threads(self, wanted: int | None) -> int:
-        """Threads of a run: a second one where a step is long enough to be worth meeting it."""
-        if wanted is not None:
-            return wanted
-        if self.step_cost * self.model.particle_count < 1e3 * CONSTANTS.call or (
-            self._gridded and self._gridded.rows < 16
-        ):
-            return 1
-        return available()
 
     @one_at_a_time
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:

@@ -191,12 +191,29 @@ def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> N
         actors.start("subscriber", wait=False)
         client.wait_for_clouds(20)
         assert is_lifted(client)
-    before = actors.received
-    client.spin_until(lambda: actors.received > before, what="the last subscriber to receive")
+    hear_again(actors, client)
     # A node that ends while a subscriber is dead but not yet missed does not wait for it.
     actors.kill("subscriber")
     assert actors.interrupt("node") == 0
     assert "Traceback" not in actors.output("node")
+
+
+def hear_again(actors: Actors, client: Client) -> None:
+    """A subscriber that is started now receives.
+
+    Fast DDS leaves one deaf now and then whose predecessor was killed while the two sides were finding each other
+    (eProsima/Fast-DDS issues 5053 and 5469; the client of this test hears all clouds meanwhile). Whoever meets that
+    starts it again, so the test does.
+    """
+    for _ in range(5):
+        before, until = actors.received, time.monotonic() + 15.0
+        while actors.received <= before and time.monotonic() < until:
+            client.executor.spin_once(timeout_sec=0.02)
+        if actors.received > before:
+            return
+        actors.interrupt("subscriber")
+        actors.start("subscriber")
+    pytest.fail("five subscribers, one after the other, received nothing")
 
 
 def check_sessions(folder: Path, count: int) -> None:
