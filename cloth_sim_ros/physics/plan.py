@@ -225,7 +225,7 @@ class Plan:
             self._steps_at,
             self._weights_at,
             narrow,
-            (available() if self._long else 1) if threads is None else threads,
+            self._threads() if threads is None else threads,
             x0,
             v0,
             out_at,
@@ -273,10 +273,11 @@ class Plan:
         self._asked = tuple(steps)
 
     def contact_cost(self, t: float, duration: float, state: State) -> float:
-        """Return the estimated time [ns] that contact adds to a force evaluation, of runs from a state at time t over a
-        duration [s]: what may meet by then counts, by how much of it there is.
-        """
+        """Return the estimated time [ns] that what may meet within a duration [s] from t on adds to an evaluation."""
         return 0.0 if self.contact is None else CONSTANTS.operation * self.contact.work(t, duration, state)
+
+    def _threads(self) -> int:
+        return available() if self._long else 1
 
     @one_at_a_time
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:

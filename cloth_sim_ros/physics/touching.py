@@ -218,7 +218,7 @@ class Touching:
         """
         force, pinched = self.force, state.memory.get(PINCHED)
         before = np.array([pads.start for pads in force.pads]) if pinched is None else pinched
-        way, rate = before[:, 0], before[:, 1]
+        way, rate = before.T.copy()
         opening = np.array([0.5 * pads.opening for pads in force.pads])
         low, high = (-0.75 * force.thickness - way) / h, (opening + force.thickness - way) / h
         for _ in range(_BISECTIONS):

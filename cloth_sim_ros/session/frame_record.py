@@ -12,6 +12,8 @@ from typing import Any
 
 from cloth_sim_ros.session.errors import SessionError
 
+#: Made once: it is asked for every frame.
+_ENCODE = json.JSONEncoder(allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode
 _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "digest", "paused")
 
 
@@ -53,7 +55,7 @@ class FrameRecord:
         if self.extras:
             content["extras"] = dict(self.extras)
         try:
-            return json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+            return _ENCODE(content)
         except (ValueError, TypeError) as error:
             raise SessionError(f"frame {self.frame} cannot be recorded: {error}") from error
 

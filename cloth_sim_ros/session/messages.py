@@ -8,6 +8,7 @@ Alignment counts from the byte after the four-byte encapsulation header, as in `
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections.abc import Iterable
 
@@ -25,6 +26,9 @@ BOOL = "std_msgs/msg/Bool"
 _LITTLE = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
 _FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+#: Packers of a time, and of 3, 6 and 7 numbers.
+_TIME = struct.Struct("<iI").pack
+_DOUBLES = {count: struct.Struct(f"<{count}d").pack for count in (3, 6, 7)}
 
 
 class CloudBytes:
@@ -79,7 +83,7 @@ def point_bytes(position: Iterable[float], *, frame_id: str, stamp: int) -> byte
 
 def wrench_bytes(wrench: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
     """A geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
-    return _stamped(frame_id, stamp, tuple(float(value) for value in wrench))
+    return _stamped(frame_id, stamp, tuple(map(float, wrench)))
 
 
 def bool_bytes(value: bool) -> bytes:
@@ -88,12 +92,18 @@ def bool_bytes(value: bool) -> bytes:
 
 
 def _stamped(frame_id: str, stamp: int, numbers: tuple[float, ...]) -> bytes:
-    body = _aligned(bytearray(_stamp(stamp)) + _text(frame_id), 8)
-    return _LITTLE + bytes(body) + struct.pack(f"<{len(numbers)}d", *numbers)
+    numbers_of = _DOUBLES[len(numbers)]
+    return b"".join((_LITTLE, _stamp(stamp), _named(frame_id), numbers_of(*numbers)))
+
+
+@functools.lru_cache(maxsize=16)
+def _named(frame_id: str) -> bytes:
+    """A header's frame, up to where numbers begin."""
+    return bytes(_aligned(bytearray(8) + _text(frame_id), 8)[8:])
 
 
 def _stamp(nanoseconds: int) -> bytes:
-    return struct.pack("<iI", *divmod(nanoseconds, _SECOND))
+    return _TIME(*divmod(nanoseconds, _SECOND))
 
 
 def _text(text: str) -> bytes:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.pinch import pads_of
@@ -88,7 +89,8 @@ def _check_pads(event: Target, scene: Scene, state: State) -> None:
     turn = (0.0, 0.0, 0.0, 1.0) if event.orientation is None else normalised(event.orientation)
     pads = next(pads for pads in pads_of(scene, 1.0) if pads.gripper == event.gripper)
     try:
-        check_placed(pads, np.concatenate([event.position, turn]), state)
+        poses = check_placed(pads, np.concatenate([event.position, turn]), state)
+        _check_faces(scene, pads.boxes(), poses, state)
     except ValueError as error:
         raise EventError(f"target of '{event.gripper}': {error}") from error
 
@@ -131,21 +133,21 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) ->
         obstacles.check_outside(names, scene.anchored_particles())
     except ValueError as error:
         raise EventError(f"{what} {error}") from error
-    _check_faces(scene, names, obstacles.poses(), state)
+    kept = [k for k, name in enumerate(scene.obstacle_names) if name in names]
+    _check_faces(scene, [scene.solids[k] for k in kept], obstacles.poses()[kept], state)
 
 
-def _check_faces(scene: Scene, names: Sequence[str], poses: Array, state: State) -> None:
-    """Refuse obstacles of some names that come through a cloth between its particles, all at their poses."""
+def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: State) -> None:
+    """Refuse obstacles that, at their poses, come through a cloth between its particles."""
     from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
     from cloth_sim_ros.physics.model import Model
     from cloth_sim_ros.physics.plan import compile
     from cloth_sim_ros.simulation.movers import standing
 
-    kept = [k for k, name in enumerate(scene.obstacle_names) if name in names]
     thickness = scene.contact.thickness
     faces = OwnSurface(scene.sheet.triangles(), scene.sheet.positions(), thickness=thickness)
-    contact = Contact([scene.solids[k] for k in kept], thickness=thickness, faces=faces)
-    contact.move(standing(0.0, poses[kept]))
+    contact = Contact(solids, thickness=thickness, faces=faces)
+    contact.move(standing(0.0, poses))
     plan = compile(Model(np.ones(state.x.shape[1]), [contact], anchors=scene.anchored_particles()))
     assert plan.contact is not None
     try:

@@ -105,13 +105,15 @@ class Pinching:
         return found
 
 
-def check_placed(pads: Pads, pose: Array, state: State) -> None:
-    """Refuse a pose of a gripper at which its open pads would be where particles are.
+def check_placed(pads: Pads, pose: Array, state: State) -> Array:
+    """Refuse a pose of a gripper at which its open pads would be where particles are; return the poses of its pads,
+    position [m] and quaternion x, y, z, w, shape (2, 7).
 
     Raises:
         ValueError: naming the pad and the particle that is deepest inside.
     """
-    for box, place in zip(pads.boxes(), _places(pads, pose, pads.start[0]), strict=True):
+    places = _places(pads, pose, pads.start[0])
+    for box, place in zip(pads.boxes(), places, strict=True):
         gap = gaps(box, place, state.x, within=0.0)
         particle = int(np.argmin(gap))
         if gap[particle] <= 0.0:
@@ -120,6 +122,7 @@ def check_placed(pads: Pads, pose: Array, state: State) -> None:
                 f"{box.name} would be in the cloth: particle {particle} at {where} is {-gap[particle]:.4g} m deep in "
                 "it; begin where the open gripper is clear of the cloth"
             )
+    return np.array(places)
 
 
 def _places(pads: Pads, pose: Array, way: float) -> list[Array]:

@@ -27,24 +27,27 @@ FORCE = 0.4
 
 def pads(**options):
     """Pads that are smaller than a cell of 125 mm."""
-    values = {"size": (0.04, 0.01, 0.03), "friction": (0.0, 0.0), "inertia": 0.06, "opening": 0.02, **options}
-    return Pads(gripper="hand", force=FORCE, speed=0.1, **values)
+    values = {"size": (0.04, 0.01, 0.03), "friction": (0.0, 0.0), "inertia": 0.06, "opening": 0.02, "force": FORCE}
+    return Pads(gripper="hand", speed=0.1, **values | options)
 
 
 def between(own=None, *, faces=True, listed=False, place=MIDDLE, way=None, anchored=True, **options):
-    """A sheet without weight whose corners are anchored, between pads that close: plan, state, integrator, contact."""
-    own = own or pads()
+    """A sheet without weight whose corners are anchored, between pads that close, or several, each in its place: plan,
+    state, integrator, contact.
+    """
+    hands = own if isinstance(own, tuple) else (own or pads(),)
+    middles = [place] if isinstance(place, tuple) else place
     sheet = GridSheet(height=0.5, width=0.5, rows=5, columns=5, layout="alternating")
     surface = OwnSurface(sheet.triangles(), sheet.positions(), thickness=THICKNESS)
-    force = Contact([], thickness=THICKNESS, pads=[own], faces=surface if faces else None)
-    force.move(np.array([still(place, UP)] * 2))
-    force.drive(np.array([[True, True]]))
+    force = Contact([], thickness=THICKNESS, pads=hands, faces=surface if faces else None)
+    force.move(np.array([still(middle, UP) for middle in middles for _ in range(2)]))
+    force.drive(np.array([[True, True]] * len(hands)))
     anchors = [0, 4, 20, 24] if anchored else ()
     material = {"gravity": False, "air.drag": 2.0, **options.pop("sheet", {})}
     model, places = flat_sheet(5, 5, force, size=0.5, listed=listed, anchors=anchors, **material)
     plan, state, integrator = drop(model, places, **{"tolerance": 1e-4, **options})
     if way is not None:
-        state.memory[PINCHED] = np.array([[way, 0.0]])
+        state.memory[PINCHED] = np.array([[way, 0.0]] * len(hands))
     return plan, state, integrator, force
 
 
@@ -182,6 +185,15 @@ def test_other_integrators_press_a_cell_with_that_force(integrator):
     loads = plan.contact.rates(30 * FRAME, state.x, state.v)
     assert loads[:, 2] == pytest.approx([FORCE, -FORCE], rel=1e-3)
     assert not through(pads(), state)
+
+
+def test_implicit_steps_press_the_cells_of_two_hands_with_their_forces():
+    strong, weak = pads(size=(0.03, 0.01, 0.02)), pads(size=(0.03, 0.01, 0.02), force=0.5 * FORCE)
+    places = [MIDDLE, (-0.06, -0.065, 0.0)]
+    plan, state, steps, _ = between((strong, weak), place=places, way=0.7 * THICKNESS, integrator="implicit")
+    advance(plan, state, steps, 30)
+    loads = plan.contact.rates(30 * FRAME, state.x, state.v)
+    assert loads[:, 2] == pytest.approx([FORCE, -FORCE, 0.5 * FORCE, -0.5 * FORCE], rel=1e-3)
 
 
 def test_threads_change_no_bit(monkeypatch):

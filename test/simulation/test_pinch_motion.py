@@ -166,6 +166,15 @@ def test_pads_that_would_be_placed_in_the_cloth_are_refused() -> None:
     cloth.advance([Target("gripper", CORNER)])
 
 
+def test_pads_that_would_come_through_a_cell_are_refused() -> None:
+    cloth = Simulation(Scene.from_parameters({**PINCH, "gripper.pad_size": [0.02, 0.02, 0.02]}))
+    # Cells are of 60 mm: the middle of one is clear of particles. A pad's faces are 10 and 30 mm from the gripper.
+    through = (0.0, 0.02, 0.0)
+    with pytest.raises(EventError, match=r"'gripper.right_pad' comes through the cloth between particles \d+ and \d+"):
+        cloth.advance([Target("gripper", through)])
+    cloth.advance([Target("gripper", (0.0, 0.05, 0.0))])
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
