@@ -22,7 +22,7 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
-from cloth_sim_ros.physics import touching_layers
+from cloth_sim_ros.physics import touching_layers, touching_pads
 from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.contact import Contact
@@ -36,8 +36,6 @@ from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshe
 #: Operations of a force evaluation: of a particle in reach of an obstacle, what friction adds to it, and of a pair of
 #: a particle or point and a triangle, or of two edges, that may come near.
 NEAR, RUBBED, PAIR = 60, 150, 150
-#: Halvings of the range in which an implicit step looks for the rate of pads: down to its last bit.
-_BISECTIONS = 60
 
 
 class Touching:
@@ -206,32 +204,18 @@ class Touching:
     def follow(self, t: float, h: float, state: State) -> None:
         """Let pads and anchors follow a state that has moved by a step h [s] to time t [s], during which pads stood."""
         if self.force.pads:
-            state.memory[PINCHED] = self._moved_pads(t, h, state)
+            features = self._features
+            state.memory[PINCHED] = touching_pads.moved(
+                self.force,
+                state.memory.get(PINCHED),
+                h,
+                lay=self.lay_pads,
+                accelerations=lambda: self.pad_accelerations(t, state.x, state.v),
+                cross=None if features is None else lambda way: features.pads_cross(t, state.x, way),
+            )
+            self.lay_pads(state.memory[PINCHED])
         if self.force.anchored and self._taken is not None:
             state.memory[ANCHORS] = self.settle(t, state.x, state.v, self._taken[None], [1.0])
-
-    def _moved_pads(self, t: float, h: float, state: State) -> Array:
-        """Return where pads are after a step by the implicit Euler method, the cloth where it is then.
-
-        Cloth and stops push the harder the further pads go: of their rates, one is what the rate before and the push
-        make. It is found by bisection between the stops.
-        """
-        force, pinched = self.force, state.memory.get(PINCHED)
-        before = np.array([pads.start for pads in force.pads]) if pinched is None else pinched
-        way, rate = before.T.copy()
-        opening = np.array([0.5 * pads.opening for pads in force.pads])
-        low, high = (-0.75 * force.thickness - way) / h, (opening + force.thickness - way) / h
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            self.lay_pads(np.stack([way + h * middle, middle], axis=1))
-            over = middle - rate - h * self.pad_accelerations(t, state.x, state.v)
-            # Where nothing is finite pads are within the cloth. Beyond it they would be pushed on.
-            inward = over > 0.0
-            if self._features is not None:
-                inward = np.where(self._features.pads_cross(t, state.x, way), middle > 0.0, inward)
-            low, high = np.where(inward, low, middle), np.where(inward, middle, high)
-        middle = np.where(force.driven[:, 0], high, 0.0)
-        return self.lay_pads(np.stack([way + h * middle, middle], axis=1))  # type: ignore[return-value]
 
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return squared frequency [1/s^2] and damping rate [1/s] that contact may come to within a duration [s]: where

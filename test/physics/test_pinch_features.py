@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from support.contact_scenes import drop, flat_sheet, still
 from support.feature_scenes import THICKNESS, come_through
 
+from cloth_sim_ros.physics.control.fallback import finish
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
 from cloth_sim_ros.physics.obstacles import Obstacle
@@ -194,6 +195,14 @@ def test_implicit_steps_press_the_cells_of_two_hands_with_their_forces():
     advance(plan, state, steps, 30)
     loads = plan.contact.rates(30 * FRAME, state.x, state.v)
     assert loads[:, 2] == pytest.approx([FORCE, -FORCE, 0.5 * FORCE, -0.5 * FORCE], rel=1e-3)
+
+
+def test_a_frame_is_finished_from_where_it_began_not_from_where_pads_were_laid_on_the_way():
+    plan, state, *_ = between(way=0.7 * THICKNESS, place=(0.0, 0.0, 0.0))
+    # As steps that were given up leave them: with the particle that they hold inside.
+    plan.contact.lay_pads(np.array([[-0.004, 0.0]]))
+    assert finish(plan, state, 0.0, FRAME, None, instead_of="explicit").flagged
+    assert np.isfinite(plan.energy(FRAME, state.x, state.v))
 
 
 def test_threads_change_no_bit(monkeypatch):

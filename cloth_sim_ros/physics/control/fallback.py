@@ -72,6 +72,9 @@ def finish(plan: Plan, state: State, t: float, duration: float, book: Book | Non
     Raises:
         UnstableError: if the motion does not stay finite.
     """
+    if plan.contact is not None:
+        # Pads are still where the steps that were given up had laid them.
+        plan.contact.take(state)
     if not math.isfinite(plan.energy(t, state.x, state.v)):
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
     from cloth_sim_ros.physics.integrators.implicit import Implicit

@@ -1,0 +1,55 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pads that follow an implicit step: between the stops they stay on the side of the cloth on which they stood."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics import touching_pads
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.pinch import Pads
+
+STEP, STOOD = 0.01, 0.005
+PADS = Pads(gripper="hand", size=(0.1, 0.01, 0.1), force=1.0, speed=0.1, friction=(0.0, 0.0), opening=0.02, inertia=0.1)
+
+
+def follow(rate, cloth, *, passes=False):
+    """Half the way between pads after a step that began with a rate [m/s], cloth being where half the way is between
+    two numbers [m]. `passes`: it is so thin that nothing but crossing it tells of it.
+    """
+    force = Contact([], thickness=0.002, pads=[PADS])
+    force.drive(np.array([[True, True]]))
+    laid = []
+
+    def accelerations():
+        way = laid[-1][:, 0]
+        return np.where((cloth[0] < way) & (way < cloth[1]) & (not passes), np.nan, 0.0)
+
+    def cross(ways):
+        middle = 0.5 * sum(cloth)
+        return (ways - middle) * (laid[-1][:, 0] - middle) < 0.0
+
+    before = np.array([[STOOD, rate]])
+    moved = touching_pads.moved(
+        force, before, STEP, lay=laid.append, accelerations=accelerations, cross=cross if passes else None
+    )
+    assert moved[0, 0] == pytest.approx(STOOD + STEP * moved[0, 1])
+    return float(moved[0, 0])
+
+
+def test_nothing_about_lets_them_keep_their_rate():
+    assert follow(0.3, (1.0, 2.0)) == pytest.approx(STOOD + 0.3 * STEP)
+
+
+@pytest.mark.parametrize(("rate", "cloth", "stops"), [(0.6, (0.008, 0.009), 0.008), (-0.6, (-0.01, 0.003), 0.003)])
+def test_they_stop_before_cloth_on_either_side(rate, cloth, stops):
+    assert follow(rate, cloth) == pytest.approx(stops, abs=1e-9)
+
+
+@pytest.mark.parametrize(("rate", "cloth", "stops"), [(0.6, (0.008, 0.009), 0.0085), (-0.6, (0.002, 0.003), 0.0025)])
+def test_they_do_not_jump_over_thin_cloth(rate, cloth, stops):
+    assert follow(rate, cloth, passes=True) == pytest.approx(stops, abs=1e-9)
+
+
+def test_out_of_cloth_they_are_let_outward():
+    assert follow(0.0, (0.004, 0.006)) == pytest.approx(0.006, abs=1e-9)
