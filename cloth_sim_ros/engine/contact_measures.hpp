@@ -314,31 +314,30 @@ inline void contact_gaps(const Plan& plan, double t, const double* x, double* ou
 inline bool contact_crosses(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
     const double origin[3] = {}, least = 1e-3 * plan.contacts.thickness;
-    double longest = 0.0;
-    for (std::int64_t i = 0; i < n; ++i) {
-        const Vec3<double> way{x1[i] - x0[i], x1[n + i] - x0[n + i], x1[2 * n + i] - x0[2 * n + i]};
-        longest = larger(root(norm2(way)), longest);
-    }
     bool crosses = false;
     const auto anyone = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x0, nullptr, anyone, [&](const NearOne& one) {
+        if (crosses) return;
         const double* const path = plan.contacts.path(one.obstacle);
         const Obstacle& obstacle = plan.contacts.obstacles[one.obstacle];
-        const double end = t + duration - path[0];
-        double way = 0.0, turn = 0.0;
-        for (int order = 0; order < 3; ++order) {
-            // An upper bound of how far the path's cubic leads: its largest possible rate times the duration.
-            const double power = (order == 0 ? 1.0 : order == 1 ? 2.0 * end : 3.0 * end * end) * duration;
-            const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
-            way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
-            turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
-        }
-        way += longest;
-        // A pad turns about its gripper.
-        way += turn * (root(norm2(one.arm)) + root(norm2(one.placed.lever)) + way);
-        if (crosses || one.gap > way) return;
         const std::int64_t i = one.particle;
         const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
+        // An upper bound of how far the particle moves relative to the obstacle, whose place is a cubic of time: by the
+        // velocities halfway, and by how much the obstacle's may differ from that. What goes along with it hardly moves.
+        const auto order = [&](int k) { return Vec3<double>{path[4 + 3 * k], path[5 + 3 * k], path[6 + 3 * k]}; };
+        const double half = 0.5 * duration, middle = t + half - path[0], end = t + duration - path[0];
+        const Vec3<double> velocity = order(0) + (2.0 * middle) * order(1) + (3.0 * middle * middle) * order(2);
+        const double differs = half * root(norm2(2.0 * order(1) + (6.0 * middle) * order(2))) +
+                               3.0 * half * half * root(norm2(order(2)));
+        double way = root(norm2(to - from - duration * velocity)) + duration * differs, turn = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double power = (k == 0 ? 1.0 : k == 1 ? 2.0 * end : 3.0 * end * end) * duration;
+            const double* const r = path + 17 + 3 * k;
+            turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+        }
+        // A pad turns about its gripper.
+        way += turn * (root(norm2(one.arm)) + root(norm2(one.placed.lever)) + way);
+        if (one.gap > way) return;
         for (double part = 0.0, gap = one.gap; part < 1.0 && !crosses;) {
             part = smaller(part + larger(gap, least) / way, 1.0);
             const Placed<double> placed(plan.contacts.pose(one.obstacle, t + part * duration), origin, obstacle);
