@@ -2,23 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """A subscriber as anyone would write it: rclpy and sensor_msgs alone. Run as `plain_subscriber.py topic file`.
 
-Appends each message to the file: its length (8 bytes, little endian), then its bytes as they came.
+Appends each message to the file: its length (8 bytes, little endian), then its bytes as they came. SIGINT ends it at
+once: how the middleware of a subscriber shuts down, which may hang on a busy machine, is nobody's promise here.
 """
 
-import contextlib
+import os
+import signal
 import sys
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 
 
 def main() -> None:
     topic, path = sys.argv[1:]
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("plain_subscriber")
+    ended: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _frame: ended.append(number))
     with open(path, "wb", buffering=0) as file:
 
         def receive(data: bytes) -> None:
@@ -29,9 +34,12 @@ def main() -> None:
             file.write(len(data).to_bytes(8, "little") + data)
 
         node.create_subscription(PointCloud2, topic, receive, QoSProfile(depth=1000), raw=True)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
         print("ready", flush=True)
-        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-            rclpy.spin(node)
+        while not ended:
+            executor.spin_once(timeout_sec=0.1)
+    os._exit(0)
 
 
 if __name__ == "__main__":
