@@ -34,7 +34,9 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
     from distributed import LocalCluster
 
     _be_quiet()
-    dask.config.set({"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES})
+    # A worker's profiler looks a hundred times a second at what its thread does, and takes the interpreter from it.
+    settings = {"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES, "distributed.worker.profile.enabled": False}
+    dask.config.set(settings)
     with warnings.catch_warnings():
         # The dashboard's port may be taken: it gets another one.
         warnings.simplefilter("ignore")
