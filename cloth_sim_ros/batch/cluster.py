@@ -35,7 +35,10 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
 
     _be_quiet()
     # A worker's profiler looks a hundred times a second at what its thread does, and takes the interpreter from it.
-    settings = {"distributed.scheduler.allowed-failures": _ALLOWED_FAILURES, "distributed.worker.profile.enabled": False}
+    settings = {
+        "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
+        "distributed.worker.profile.enabled": False,
+    }
     dask.config.set(settings)
     with warnings.catch_warnings():
         # The dashboard's port may be taken: it gets another one.
