@@ -1,0 +1,81 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a particle meets an obstacle that moves and turns, against looking at many places of its way."""
+
+import numpy as np
+import pytest
+from support.contact_scenes import SHAPES, THICKNESS, contact, moving, near, still
+from support.laws import pose
+
+from cloth_sim_ros.physics.gripper_path import carried
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import compile
+
+START, DURATION = 0.02, 0.05
+#: What is less deep may be stepped over: a thousandth of the thickness [m].
+SHALLOW = 1e-3 * THICKNESS
+
+
+def least_gap(obstacle, path, start, end):
+    """The least of the gaps [m] of a particle that goes straight from one place to another."""
+    points = []
+    for part in np.linspace(0.0, 1.0, 201):
+        place, _, rotation, _ = pose(path, START + part * DURATION)
+        points.append(rotation.T @ (start + part * (end - start) - place))
+    return obstacle.distance(points)[0].min()
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_particle_meets_an_obstacle_where_its_way_leads_into_it(shape):
+    rng = np.random.default_rng(len(shape))
+    met = 0
+    for seed in range(16):
+        path = moving(seed)
+        plan = compile(Model([1.0], [contact(shape, paths=[path])]))
+        start = near(SHAPES[shape], path, START, 1, rng, deepest=0.05, farthest=2.0)
+        # It goes along with the obstacle or stands, but for less or more than the gap.
+        along = start + (seed % 2) * DURATION * carried(path, START, DURATION, start)
+        end = along + rng.normal(size=(3, 1)) * THICKNESS * 10.0 ** rng.uniform(-1.5, 1.0)
+        gap = least_gap(SHAPES[shape], path, start[:, 0], end[:, 0])
+        if abs(gap) < SHALLOW:
+            continue
+        assert plan.contact.crosses(START, DURATION, start, end) == (gap < 0.0), (seed, gap)
+        met += gap < 0.0
+    assert 0 < met < 16
+
+
+def ball(*, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
+    """The path of a ball of 0.2 m about the origin at the start of the step, without a turn."""
+    path = still()
+    path[0], path[4:7], path[7:10] = START, velocity, 0.5 * np.array(acceleration)
+    return path
+
+
+def meets(path, start, end, obstacle="sphere"):
+    plan = compile(Model([1.0], [contact(obstacle, paths=[path])]))
+    return plan.contact.crosses(START, DURATION, *(np.array([place]).T.copy() for place in (start, end)))
+
+
+def test_what_goes_along_with_a_fast_obstacle_does_not_meet_it():
+    away = np.array([10.0, -3.0, 5.0])
+    start = np.array([0.0, 0.0, 0.2 + 1e-2 * THICKNESS])
+    assert not meets(ball(velocity=away), start, start + DURATION * away)
+    assert meets(ball(velocity=away), start, start + DURATION * away - [0.0, 0.0, THICKNESS])
+    assert meets(ball(velocity=[0.0, 0.0, 1.0]), start, start)
+
+
+def test_an_obstacle_that_turns_back_on_the_way_is_met():
+    start = np.array([0.0, 0.0, 0.21])
+    # It comes nearer by v^2 / 2 a, halfway, and is back where it was in the end.
+    for nearest, met in ((0.012, True), (0.008, False)):
+        rise = 4.0 * nearest / DURATION
+        turning = ball(velocity=[0.0, 0.0, rise], acceleration=[0.0, 0.0, -2.0 * rise / DURATION])
+        assert meets(turning, start, start) == met
+
+
+def test_an_edge_that_sweeps_over_a_particle_meets_it():
+    # A box of 0.5 m x 0.3 m x 0.2 m that turns about z: its corner, 0.292 m off, passes through the x axis.
+    path = still()
+    path[0], path[19] = START, -1.0 / DURATION
+    for place, met in ((0.27, True), (0.3, False)):
+        assert meets(path, [place, 0.0, 0.0], [place, 0.0, 0.0], "box") == met
