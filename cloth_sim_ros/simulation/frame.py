@@ -42,3 +42,8 @@ class Frame:
     wrenches: Array
     #: The same of the cloth on each obstacle about its place, shape (obstacle_count, 6).
     loads: Array
+
+    def again(self, index: int, time: float) -> Frame:
+        """Return the frame that a sleeping cloth repeats, without the events that this one had."""
+        now = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=())
+        return attrs.evolve(now, moved=True, wrenches=self.wrenches.copy(), loads=self.loads.copy())

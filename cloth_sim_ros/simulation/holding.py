@@ -1,19 +1,28 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulation starts, and what anchored particles do there: they hold the place that they have, for without a
-force on them their velocity would last.
+"""Where a simulation starts, what anchored particles do there (they hold the place that they have, for without a force
+on them their velocity would last), and what a command to grasp does.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.identity import difference
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp
+from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.sleep import wake
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.pinching import Pinching
 
 
 def stop(state: State, particles: NDArray[np.int64]) -> None:
@@ -52,3 +61,24 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
     start.cloth = initial.cloth
     start.memory.setdefault("paused", np.zeros(1, dtype=bool))
     return initial, start
+
+
+def grasp(
+    event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: Pinching | None
+) -> GraspResult:
+    """Close or open a gripper; what it takes or lets go wakes the cloth."""
+    index = grippers.names.index(event.gripper)
+    before = grippers.held(index).size
+    pinches = pinching is not None and event.gripper in pinching.names
+    if pinches and event.closed:
+        result = grippers.pinch(event.gripper)
+    elif event.closed:
+        result = grippers.close(event.gripper, model, scene.gripper.radius)
+    else:
+        result = grippers.open(event.gripper)
+    restart(state)
+    if result.pending and pinching is not None:
+        pinching.unsettle(event.gripper)
+    if result.held != before or pinches:
+        wake(state)
+    return result

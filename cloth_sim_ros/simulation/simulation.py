@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.book import Book, note
@@ -18,7 +17,6 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation import snapshot
 from cloth_sim_ros.simulation.event_checks import check, check_added
 from cloth_sim_ros.simulation.events import (
     Event,
@@ -34,10 +32,10 @@ from cloth_sim_ros.simulation.events import (
 )
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.grippers import GraspResult
-from cloth_sim_ros.simulation.holding import hold, starting_states, stop
+from cloth_sim_ros.simulation.holding import grasp, hold, starting_states, stop
 from cloth_sim_ros.simulation.loads import JUMP, is_gentle
 from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
-from cloth_sim_ros.simulation.snapshot import Snapshot
+from cloth_sim_ros.simulation.snapshot import Snapshot, give_back, taken
 from cloth_sim_ros.simulation.surroundings import (
     booked,
     change_obstacles,
@@ -179,7 +177,8 @@ class Simulation:
             UnstableError: if the motion does not stay finite.
         """
         if self._slept is not None and not events and self.sleeps_on:
-            return self._sleep_on(self._slept)
+            self.state.frame += 1
+            return self._slept.again(self.frame, self.time)
         self._slept = None
         in_order = ordered(list(events))
         wanted = self._scene
@@ -189,21 +188,31 @@ class Simulation:
         try:
             return self._advance(in_order)
         except BaseException:
-            snapshot.give_back(self, before)
+            self._become(before)
             raise
 
     def snapshot(self) -> Snapshot:
         """Return all that later frames read: restored, the same events give the same bits. It takes microseconds."""
-        return snapshot.taken(self)
+        return taken(
+            scene=self._scene,
+            state=self.state,
+            initial=self._initial,
+            plan=self.plan,
+            gripped=self.grippers,
+            book=self._book,
+            watched=self._energy,
+            report=self.energy_report,
+            rest=(self._known_to_rest, self._slept),
+        )
 
-    def restore(self, taken: Snapshot) -> None:
+    def restore(self, snapshot: Snapshot) -> None:
         """Go back, or on, to a snapshot of a simulation of the same scene; live parameters become the snapshot's.
 
         Raises:
             ValueError: for a snapshot of another scene; the message names a parameter that differs.
         """
-        taken.check_fits(self._scene)
-        snapshot.give_back(self, taken)
+        snapshot.check_fits(self._scene)
+        self._become(snapshot)
 
     def _advance(self, events: list[Event]) -> Frame:
         grasps: list[GraspResult] = []
@@ -216,7 +225,7 @@ class Simulation:
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
                 case Grasp():
-                    grasps.append(self._grasp(event))
+                    grasps.append(grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))
                 case SetParameters(values=values):
                     self._set_parameters(values)
                 case Relax(factor=factor):
@@ -265,23 +274,6 @@ class Simulation:
             restart(self.state, entirely=stable)
         wake(self.state)
         stop(self.state, np.setdiff1d(self.model.anchors, anchors))
-
-    def _grasp(self, event: Grasp) -> GraspResult:
-        index = self.grippers.names.index(event.gripper)
-        before = self.grippers.held(index).size
-        pinches = self.pinching is not None and event.gripper in self.pinching.names
-        if pinches and event.closed:
-            result = self.grippers.pinch(event.gripper)
-        elif event.closed:
-            result = self.grippers.close(event.gripper, self.model, self._scene.gripper.radius)
-        else:
-            result = self.grippers.open(event.gripper)
-        restart(self.state)
-        if result.pending and self.pinching is not None:
-            self.pinching.unsettle(event.gripper)
-        if result.held != before or pinches:
-            wake(self.state)
-        return result
 
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._scene.period
@@ -341,12 +333,6 @@ class Simulation:
             note(self._book, self.plan, t, self.state.x, self.state.v, self._scene.period)
         return True
 
-    def _sleep_on(self, last: Frame) -> Frame:
-        """Return a frame of a sleeping cloth: the last one with the next number."""
-        self.state.frame += 1
-        now = attrs.evolve(last, index=self.frame, time=self.time, events=(), grasps=(), pinches=())
-        return attrs.evolve(now, moved=True, wrenches=last.wrenches.copy(), loads=last.loads.copy())
-
     def _reset(self) -> None:
         frame, paused, factor = self.state.frame, self.paused, relaxation.factor_of(self.state)
         self.state.restore(self._initial)
@@ -395,3 +381,18 @@ class Simulation:
         self._tolerance = (relaxation.relaxed(scene.tolerance, self._factor) or None) if not scene.step else None
         self._sleep = Sleep(self.plan, tolerance=self._tolerance, period=scene.period)
         self._known_to_rest, self._slept = False, None
+
+    def _become(self, snapshot: Snapshot) -> None:
+        scene = snapshot.scene
+        self.state.become(snapshot.state)
+        self._initial = snapshot.initial.share()
+        if scene is not self._scene and scene != self._scene:
+            self.obstacles = obstacles_of(scene, self.state)
+            self._apply_scene(scene)
+        elif relaxation.factor_of(self.state) != self._factor:
+            self._hold_tolerance()
+        self._scene = scene
+        give_back(snapshot, plan=self.plan, gripped=self.grippers, book=self._book, watched=self._energy)
+        if self._energy is not None and snapshot.energy is not None:
+            self.energy_report = snapshot.energy[1]
+        self._known_to_rest, self._slept = snapshot.rest

@@ -14,17 +14,18 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation import grippers
 from cloth_sim_ros.simulation.frame import Frame
-from cloth_sim_ros.simulation.surroundings import obstacles_of
+from cloth_sim_ros.simulation.grippers import Grippers
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation import energy_watch
-    from cloth_sim_ros.simulation.simulation import Simulation
+    from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -45,7 +46,7 @@ class Snapshot:
     contact: tuple[Array, NDArray[np.bool_]] | None
     #: What the frame before noted, and the energy balance.
     book: tuple[Array, float, float] | None
-    energy: tuple[energy_watch.Noted, energy_watch.EnergyReport | None] | None
+    energy: tuple[energy_watch.Noted, EnergyReport | None] | None
     #: Whether a sleeping cloth is known to rest, and the frame that it repeats.
     rest: tuple[bool, Frame | None]
 
@@ -88,42 +89,42 @@ class Snapshot:
         return scene.files.get(name) if isinstance(name, str) else None
 
 
-def taken(simulation: Simulation) -> Snapshot:
-    """Take a simulation's."""
-    plan, book, energy = simulation.plan, simulation._book, simulation._energy
+def taken(
+    *,
+    scene: Scene,
+    state: State,
+    initial: State,
+    plan: Plan,
+    gripped: Grippers,
+    book: Book | None,
+    watched: EnergyWatch | None,
+    report: EnergyReport | None,
+    rest: tuple[bool, Frame | None],
+) -> Snapshot:
+    """Take one of the parts of a simulation: `watched` is what follows its energy, `report` the last that it told."""
     contact = plan.contact
     return Snapshot(
-        scene=simulation.scene,
-        state=simulation.state.share(),
-        initial=simulation._initial.share(),
-        grips=simulation.grippers.noted(plan.grips),
+        scene=scene,
+        state=state.share(),
+        initial=initial.share(),
+        grips=gripped.noted(plan.grips),
         contact=None if contact is None else (contact.force.paths, contact.force.driven),
         book=None if book is None else book.noted(),
-        energy=None if energy is None else (energy.noted(), simulation.energy_report),
-        rest=(simulation._known_to_rest, simulation._slept),
+        energy=None if watched is None else (watched.noted(), report),
+        rest=rest,
     )
 
 
-def give_back(simulation: Simulation, snapshot: Snapshot) -> None:
-    """Let a simulation of the same scene be what one was when a snapshot was taken."""
-    state, scene = simulation.state, snapshot.scene
-    state.become(snapshot.state)
-    simulation._initial = snapshot.initial.share()
-    if scene is not simulation._scene and scene != simulation._scene:
-        simulation.obstacles = obstacles_of(scene, state)
-        simulation._apply_scene(scene)
-    elif relaxation.factor_of(state) != simulation._factor:
-        simulation._hold_tolerance()
-    simulation._scene = scene
-    plan, book, energy = simulation.plan, simulation._book, simulation._energy
-    simulation.grippers.go_back(snapshot.grips, plan.grips)
+def give_back(
+    snapshot: Snapshot, *, plan: Plan, gripped: Grippers, book: Book | None, watched: EnergyWatch | None
+) -> None:
+    """Lay what a snapshot noted into the parts of a simulation of the same scene, its state being the snapshot's."""
+    gripped.go_back(snapshot.grips, plan.grips)
     if plan.contact is not None and snapshot.contact is not None:
         paths, driven = snapshot.contact
         plan.contact.force.move(paths)
         plan.contact.force.drive(driven)
     if book is not None and snapshot.book is not None:
         book.go_back(snapshot.book)
-    if energy is not None and snapshot.energy is not None:
-        noted, simulation.energy_report = snapshot.energy
-        energy.go_back(noted)
-    simulation._known_to_rest, simulation._slept = snapshot.rest
+    if watched is not None and snapshot.energy is not None:
+        watched.go_back(snapshot.energy[0])
