@@ -33,7 +33,9 @@ class Constants:
     far: float = _number(0.05, "part of the budget below which an error is far below")
     trust: float = _number(2.0, "factor by which an estimate may be off before it is made anew or acted upon")
     finer: float = _number(4.0, "most by which one rejection makes steps finer")
-    work: float = _number(8.0, "least cap of a large sheet's frame, in runs by the longest stable steps")
+    work: float = _number(
+        8.0, "least cap of a large sheet's frame, or one with contact, in runs by longest stable steps"
+    )
 
     # Contact.
     brief: float = _number(200.0, "least steps of a stretch that is halved because contact makes them short")

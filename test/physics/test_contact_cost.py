@@ -64,3 +64,13 @@ def test_a_frame_may_take_fewer_evaluations_where_each_costs_more() -> None:
     bare = plan.step_cost * plan.model.particle_count
     caps = [work_cap(plan, 1000.0, 1 / 60, 1e-3, 0.0, met) for met in (0.0, bare)]
     assert caps[0] == pytest.approx(2.0 * caps[1], rel=1e-2)
+
+
+def test_where_the_cloth_touches_some_runs_of_longest_steps_always_fit() -> None:
+    plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
+    bare, longest = plan.step_cost * plan.model.particle_count, 1e-4
+    runs = CONSTANTS.work / 60.0 / longest
+    assert work_cap(plan, 1e-3, 1 / 60, longest, 0.0, bare) == pytest.approx(runs)
+    # What could not be followed is tried with half the effort, and so on.
+    assert work_cap(plan, 1e-3, 1 / 60, longest, 3.0, bare) == pytest.approx(runs / 8.0)
+    assert work_cap(plan, 1e-3, 1 / 60, longest, 0.0) < runs

@@ -33,13 +33,15 @@ def within_reach(plan: Plan) -> bool:
 def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float, met: float = 0.0) -> float:
     """Return the most force evaluations of an advance by explicit steps; a count, never a clock.
 
-    What could not be followed in the frames before is tried with half the effort in each further one.
+    What could not be followed in the frames before is tried with half the effort in each further one. Where the cloth
+    touches, and where implicit steps are out of reach, some runs by the longest stable steps fit in any case: implicit
+    steps would take longer, for contact couples what is far apart in their matrix.
 
     Args:
         plan: equations of motion.
         work: limit in real time by the plan's estimated cost; 0 for none.
         duration: of the advance [s].
-        longest: longest stable step since the last restart [s].
+        longest: longest stable step since the last restart, contact aside [s].
         fallen: frames in a row that had to be finished by implicit steps.
         met: estimated time that contact adds to a force evaluation [ns].
     """
@@ -47,8 +49,8 @@ def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: f
         return math.inf
     evaluation = 1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met
     most = math.ldexp(work, -int(fallen)) * duration / evaluation
-    # Where implicit steps are out of reach, explicit ones are all that there is.
-    return max(most - FINISHED, 0.5 * most) if within_reach(plan) else max(most, CONSTANTS.work * duration / longest)
+    least = math.ldexp(CONSTANTS.work, -int(fallen)) * duration / longest if met or not within_reach(plan) else 0.0
+    return max(max(most - FINISHED, 0.5 * most) if within_reach(plan) else most, least)
 
 
 def part_cost(plan: Plan, met: float = 0.0) -> float:
