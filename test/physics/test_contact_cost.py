@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -74,3 +75,22 @@ def test_where_the_cloth_touches_some_runs_of_longest_steps_always_fit() -> None
     # What could not be followed is tried with half the effort, and so on.
     assert work_cap(plan, 1e-3, 1 / 60, longest, 3.0, bare) == pytest.approx(runs / 8.0)
     assert work_cap(plan, 1e-3, 1 / 60, longest, 0.0) < runs
+
+
+def test_where_the_cloth_touches_fewer_runs_take_the_place_of_implicit_steps() -> None:
+    # It comes down on its edge; in its fourth frame contact turns out stiffer than steps were made for.
+    down = {
+        **OVER,
+        "cloth.size": [0.3, 0.3],
+        "cloth.orientation": [math.sin(0.3942), 0.0, 0.0, math.cos(0.3942)],
+        "cloth.position": [0.0, 0.0, 0.02 + 0.15 * math.sin(0.7884)],
+        "gravity": [0.0, 0.0, -83.55],
+        "it.position": [0.0, 0.0, 0.0],
+        "contact.thickness": 0.003207,
+        "tolerance": 1.769e-4,
+        "work_limit": 0.0389,
+    }
+    cloth = Simulation(Scene.from_parameters(down))
+    done = [cloth.advance().advance for _ in range(4)][-1]
+    assert done is not None
+    assert (done.integrator, done.binds) == ("extrapolated", "work")

@@ -36,6 +36,8 @@ class Effort:
     #: Most force evaluations, and what the calls of one part cost, in force evaluations.
     cap: float
     part_cost: float
+    #: Whether anything may touch the cloth.
+    touches: bool
     #: Force evaluations; what the calls of all parts cost, in force evaluations; attempts that did not hold.
     evaluations: int = 0
     calls: float = 0.0
@@ -50,11 +52,21 @@ class Effort:
         """Whether so many force evaluations more fit the cap."""
         return self.evaluations + self.calls + work <= self.cap
 
+    def fewer(self, columns: int, needed: Callable[[int], float]) -> int:
+        """Return how many runs to combine. Where the cloth touches it is as many as fit: fewer of them do better than
+        implicit steps, and take less.
+        """
+        while self.touches and columns > 1 and not self.affords(needed(columns)):
+            columns -= 1
+        return columns
+
     def fitted(self, choice: Choice, work: Callable[[int, float], float], ahead: float) -> Choice:
         """Return what fits the cap of a choice whose work is told, with so much ahead. Explicit steps are given up
         where the longest stable ones exceed it by more than implicit ones take to finish the frame.
         """
-        needed = work(choice.columns, choice.refine)
+        columns = self.fewer(choice.columns, lambda count: ahead + work(count, 1.0))
+        choice = Choice(columns, choice.refine, choice.judge or columns < choice.columns)
+        needed = work(columns, choice.refine)
         if self.options.tolerance is None or self.affords(ahead + needed):
             return choice
         left = self.cap - self.evaluations - self.calls - ahead

@@ -77,6 +77,7 @@ class ExplicitAdvance:
             duration=duration,
             cap=work_cap(plan, options.work, duration, memory.longest, self._fallen, met),
             part_cost=part_cost(plan, met),
+            touches=met > 0.0,
         )
         rule = ErrorRule(error, stability, budget, options.columns, state)
         # A judged attempt has to fit.

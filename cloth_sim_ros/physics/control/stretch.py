@@ -381,8 +381,9 @@ class Stretch:
         if options.tolerance is not None and finer > 1.0 and self._beyond_order(2.0 * refine) and self._can_halve():
             self._halve = True
             return False
-        if self.affords(choice.columns, refine):
-            self.choice = Choice(choice.columns, refine, choice.judge)
+        columns = effort.fewer(choice.columns, lambda count: self._ahead + self.work(count, refine))
+        if self.affords(columns, refine):
+            self.choice = Choice(columns, refine, choice.judge or columns < choice.columns)
             if options.tolerance is None and finer > 1.0:
                 self.rule.refined(refine)
             return False
