@@ -5,6 +5,7 @@
 // list of pairs holds until something has moved too far, and no bit depends on when it was made.
 #pragma once
 
+#include <bit>
 #include <cmath>
 
 #include "self_near.hpp"
@@ -31,18 +32,27 @@ struct PairList {
         second.push_back(b);
     }
     /// In order, where the seconds of each first ascend already.
-    void sort(std::int64_t firsts) {
-        std::vector<std::size_t> place(firsts + 1, 0);
-        for (const Index a : first) ++place[a + 1];
-        for (std::int64_t i = 0; i < firsts; ++i) place[i + 1] += place[i];
-        std::vector<Index> a(size()), b(size());
-        for (std::size_t k = 0; k < size(); ++k) {
-            const std::size_t to = place[first[k]]++;
-            a[to] = first[k];
-            b[to] = second[k];
+    void sort(std::int64_t firsts) { sort(first, second, firsts); }
+    /// In order, both being below a number.
+    void sort_both(std::int64_t most) {
+        sort(second, first, most);
+        sort(first, second, most);
+    }
+
+private:
+    /// By one of each pair, which is below a number; those with the same one stay in their order.
+    static void sort(std::vector<Index>& by, std::vector<Index>& other, std::int64_t most) {
+        std::vector<Index> place(most + 1, 0);
+        for (const Index a : by) ++place[a + 1];
+        for (std::int64_t i = 0; i < most; ++i) place[i + 1] += place[i];
+        std::vector<Index> sorted(by.size()), along(by.size());
+        for (std::size_t k = 0; k < by.size(); ++k) {
+            const Index to = place[by[k]]++;
+            sorted[to] = by[k];
+            along[to] = other[k];
         }
-        first.swap(a);
-        second.swap(b);
+        by.swap(sorted);
+        other.swap(along);
     }
 };
 
@@ -62,69 +72,108 @@ inline void squares(std::size_t size, const double* x, F&& corners, D&& distance
     }
 }
 
-/// Cells of a grid, found by a hash: points by the cell that they are in.
+/// Points by the cells of a grid that they are in. Cells next to each other along x follow each other, and so do their
+/// points: a row of cells is one range of places.
 class Cells {
 public:
-    Cells(std::int64_t points, double size) : size_(size) {
-        while (buckets_ < 2 * points) buckets_ *= 2;
-        start_.assign(buckets_ + 1, 0);
-        cell_.resize(points);
-        in_order_.resize(points);
-        order_.resize(points);
-    }
+    /// A grid for so many points, of cells of a size [m] or larger ones, so that there are not many more than points.
+    Cells(std::int64_t points, double size) : size_(size), cell_(points), order_(points) {}
     /// Take in all points, `at(i)`.
     template <class F>
     void fill(F&& at) {
         const std::int64_t points = static_cast<std::int64_t>(cell_.size());
+        if (!points) return;
+        Vec3<double> high = low_ = at(0);
+        for (std::int64_t i = 1; i < points; ++i) {
+            const Vec3<double> p = at(i);
+            low_ = {smaller(p.x, low_.x), smaller(p.y, low_.y), smaller(p.z, low_.z)};
+            high = {larger(p.x, high.x), larger(p.y, high.y), larger(p.z, high.z)};
+        }
+        const Vec3<double> extent = high - low_;
+        const double most = 4.0 * static_cast<double>(points) + 64.0;
+        const auto along = [&](double length) { return length < 1e300 ? std::floor(length / size_) + 1.0 : 1.0; };
+        while (along(extent.x) * along(extent.y) * along(extent.z) > most) size_ *= 1.5;
+        many_[0] = along(extent.x), many_[1] = along(extent.y), many_[2] = along(extent.z);
+        start_.assign(static_cast<std::size_t>(many_[0] * many_[1] * many_[2]) + 1, 0);
         for (std::int64_t i = 0; i < points; ++i) {
             const Vec3<double> p = at(i);
-            cell_[i] = cell(number(p.x), number(p.y), number(p.z));
-            ++start_[bucket(cell_[i]) + 1];
+            cell_[i] = cell(number(p.x - low_.x, 0), number(p.y - low_.y, 1), number(p.z - low_.z, 2));
+            ++start_[cell_[i] + 1];
         }
-        for (std::int64_t k = 0; k < buckets_; ++k) start_[k + 1] += start_[k];
+        for (std::size_t k = 1; k < start_.size(); ++k) start_[k] += start_[k - 1];
         std::vector<std::int64_t> next(start_.begin(), start_.end() - 1);
-        for (std::int64_t i = 0; i < points; ++i) {
-            const std::int64_t place = next[bucket(cell_[i])]++;
-            order_[place] = static_cast<Index>(i);
-            in_order_[place] = cell_[i];
-        }
+        for (std::int64_t i = 0; i < points; ++i) order_[next[cell_[i]]++] = static_cast<Index>(i);
+    }
+    /// The point at a place.
+    Index operator[](std::int64_t place) const { return order_[place]; }
+    /// Call `what` with the first place and the one behind the last of each row of cells in a box.
+    template <class F>
+    void rows(Vec3<double> low, Vec3<double> high, F&& what) const {
+        if (order_.empty()) return;
+        const Vec3<double> from = low - low_, to = high - low_;
+        const std::int64_t first = number(from.x, 0), last = number(to.x, 0);
+        for (std::int64_t k = number(from.z, 2); k <= number(to.z, 2); ++k)
+            for (std::int64_t j = number(from.y, 1); j <= number(to.y, 1); ++j) {
+                const std::int64_t begin = start_[cell(first, j, k)], end = start_[cell(last, j, k) + 1];
+                if (begin < end) what(begin, end);
+            }
     }
     /// Call `what` with each point in the cells of a box.
     template <class F>
     void each(Vec3<double> low, Vec3<double> high, F&& what) const {
-        const std::int64_t first[3] = {number(low.x), number(low.y), number(low.z)};
-        const std::int64_t last[3] = {number(high.x), number(high.y), number(high.z)};
-        for (std::int64_t i = first[0]; i <= last[0]; ++i)
-            for (std::int64_t j = first[1]; j <= last[1]; ++j)
-                for (std::int64_t k = first[2]; k <= last[2]; ++k) {
-                    const std::uint64_t wanted = cell(i, j, k);
-                    const std::int64_t b = bucket(wanted);
-                    for (std::int64_t place = start_[b]; place < start_[b + 1]; ++place)
-                        if (in_order_[place] == wanted) what(order_[place]);
-                }
+        rows(low, high, [&](std::int64_t begin, std::int64_t end) {
+            for (std::int64_t place = begin; place < end; ++place) what(order_[place]);
+        });
     }
 
 private:
-    std::int64_t number(double a) const {
-        return static_cast<std::int64_t>(std::floor(larger(smaller(a / size_, most_), -most_)));
+    /// The number of the cell along an axis, of the outermost one for what is outside.
+    std::int64_t number(double a, int axis) const {
+        return static_cast<std::int64_t>(larger(smaller(std::floor(a / size_), many_[axis] - 1.0), 0.0));
     }
-    /// One number for a cell: 21 bits of each coordinate. What is two million cells apart and takes the same one is told
-    /// apart by boxes.
-    static std::uint64_t cell(std::int64_t i, std::int64_t j, std::int64_t k) {
-        constexpr std::uint64_t bits = (1u << 21) - 1;
-        return (static_cast<std::uint64_t>(i) & bits) | (static_cast<std::uint64_t>(j) & bits) << 21 |
-               (static_cast<std::uint64_t>(k) & bits) << 42;
+    std::int64_t cell(std::int64_t i, std::int64_t j, std::int64_t k) const {
+        return i + static_cast<std::int64_t>(many_[0]) * (j + static_cast<std::int64_t>(many_[1]) * k);
     }
-    std::int64_t bucket(std::uint64_t cell) const {
-        const std::uint64_t mixed = cell * 0x9e3779b97f4a7c15u;
-        return static_cast<std::int64_t>((mixed ^ mixed >> 32) & static_cast<std::uint64_t>(buckets_ - 1));
-    }
-    static constexpr double most_ = 1e15;
     double size_;
-    std::int64_t buckets_ = 16;
-    std::vector<std::int64_t> start_;
-    std::vector<std::uint64_t> cell_, in_order_;  ///< of each point, and in the order of buckets
+    Vec3<double> low_{};
+    double many_[3] = {1.0, 1.0, 1.0};  ///< cells along each axis
+    std::vector<std::int64_t> start_, cell_;
     std::vector<Index> order_;
+};
+
+/// Boxes, or points, in the order of cells, so that a row of them is compared with a box a vector at a time.
+class InOrder {
+public:
+    explicit InOrder(std::int64_t count) {
+        for (auto* all : {&low_, &high_})
+            for (auto& numbers : *all) numbers.resize(count + lanes<double>);
+    }
+    void put(std::int64_t place, Vec3<double> low, Vec3<double> high) {
+        low_[0][place] = low.x, low_[1][place] = low.y, low_[2][place] = low.z;
+        high_[0][place] = high.x, high_[1][place] = high.y, high_[2][place] = high.z;
+    }
+    /// Call `what` with each place of a range, which may be empty, whose box meets another one.
+    template <class F>
+    void each(std::int64_t begin, std::int64_t end, Vec3<double> low, Vec3<double> high, F&& what) {
+        using V = vec<double>;
+        const V one = splat<V>(1.0);
+        for (std::int64_t k = begin; k < end; k += lanes<double>) {
+            // The least way into the box along an axis, negative outside it.
+            const auto into = [&](int axis, double from, double to) CLOTH_INLINED {
+                return smaller(V(load(high_[axis].data() + k) - from * one), V(to * one - load(low_[axis].data() + k)));
+            };
+            const V way = smaller(smaller(into(0, low.x, high.x), into(1, low.y, high.y)), into(2, low.z, high.z));
+            double ways[lanes<double>];
+            store(ways, way);
+            unsigned bits = 0;
+            for (int lane = 0; lane < lanes<double>; ++lane) bits |= (ways[lane] >= 0.0 ? 1u : 0u) << lane;
+            if (end - k < lanes<double>) bits &= (1u << (end - k)) - 1u;
+            for (; bits; bits &= bits - 1u) what(k + std::countr_zero(bits));
+        }
+    }
+
+private:
+    std::vector<double> low_[3], high_[3];
 };
 
 /// The pairs of a surface that are within a reach of each other where `make` looked.
@@ -185,13 +234,6 @@ private:
             b.high = high + more;
             return b;
         }
-        bool holds(Vec3<double> a) const {
-            return a.x >= low.x && a.x <= high.x && a.y >= low.y && a.y <= high.y && a.z >= low.z && a.z <= high.z;
-        }
-        bool meets(const Box& b) const {
-            return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y &&
-                   b.high.z >= low.z && b.low.z <= high.z;
-        }
     };
 
     /// Keep those of a list that are within a reach.
@@ -206,21 +248,26 @@ private:
         list.second.resize(kept);
     }
     void find_triangles(const Surface& s, const Quads& at, double length) {
-        Cells cells(s.count, length + reach);
+        Cells cells(s.count, fineness * (length + reach));
         cells.fill(at);
+        InOrder points(s.count);
+        for (std::int64_t place = 0; place < s.count; ++place) points.put(place, at(cells[place]), at(cells[place]));
         for (std::size_t t = 0; t < s.triangles.size(); ++t) {
             Box box(at(s.triangles[t][0]));
             box.take(at(s.triangles[t][1]));
             box.take(at(s.triangles[t][2]));
             box = box.grown(reach);
-            cells.each(box.low, box.high, [&](Index i) {
-                if (box.holds(at(i)) && !s.has(t, i)) triangles.add(i, static_cast<Index>(t));
+            cells.rows(box.low, box.high, [&](std::int64_t begin, std::int64_t end) {
+                points.each(begin, end, box.low, box.high, [&](std::int64_t place) {
+                    const Index i = cells[place];
+                    if (!s.has(t, i)) triangles.add(i, static_cast<Index>(t));
+                });
             });
         }
-        triangles.sort(s.count);
         std::vector<double> all;
         triangle_squares(s, at.from, all);
         keep(triangles, all, reach);
+        triangles.sort(s.count);
     }
     void find_edges(const Surface& s, const Quads& at, double length, double reach) {
         const std::int64_t count = static_cast<std::int64_t>(s.edges.size());
@@ -236,27 +283,32 @@ private:
             const Vec3<double> extent = 0.5 * (box.high - box.low);
             half = {larger(extent.x, half.x), larger(extent.y, half.y), larger(extent.z, half.z)};
         }
-        Cells cells(count, length + reach);
+        Cells cells(count, fineness * (length + reach));
         cells.fill([&](std::int64_t e) { return 0.5 * (boxes[e].low + boxes[e].high); });
-        std::vector<Index> found;
-        for (std::int64_t e = 0; e < count; ++e) {
+        InOrder placed(count);
+        for (std::int64_t place = 0; place < count; ++place)
+            placed.put(place, boxes[cells[place]].low, boxes[cells[place]].high);
+        // Each pair is met once: by the one that comes first in the order of cells.
+        for (std::int64_t own = 0; own < count; ++own) {
+            const Index e = cells[own];
             const Box box = boxes[e].grown(reach);
-            Box wide = box;
-            wide.low = box.low - half;
-            wide.high = box.high + half;
-            found.clear();
-            cells.each(wide.low, wide.high, [&](Index other) {
-                if (other <= e || !box.meets(boxes[other])) return;
-                const auto &a = s.edges[e], &b = s.edges[other];
-                if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1]) found.push_back(other);
+            const auto& a = s.edges[e];
+            cells.rows(box.low - half, box.high + half, [&](std::int64_t begin, std::int64_t end) {
+                placed.each(std::max(begin, own + 1), end, box.low, box.high, [&](std::int64_t place) {
+                    const Index other = cells[place];
+                    const auto& b = s.edges[other];
+                    if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
+                        edges.add(std::min(e, other), std::max(e, other));
+                });
             });
-            std::sort(found.begin(), found.end());
-            for (const Index other : found) edges.add(static_cast<Index>(e), other);
         }
         std::vector<double> all;
         edge_squares(s, at.from, all);
         keep(edges, all, reach);
+        edges.sort_both(count);
     }
+    /// Size of a grid's cells, as a fraction of how far what is in them may be looked for.
+    static constexpr double fineness = 0.5;
 };
 
 }  // namespace cloth
