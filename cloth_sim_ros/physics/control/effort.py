@@ -47,10 +47,22 @@ class Effort:
     spent: bool = False
     lost: bool = False
     narrow: bool = False
+    #: Whether what was left over finishes the advance.
+    finishing: bool = False
 
     def affords(self, work: float) -> bool:
         """Whether so many force evaluations more fit the cap."""
         return self.evaluations + self.calls + work <= self.cap
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether something else finishes the advance where explicit steps are given up."""
+        return self.may_finish or within_reach(self.plan)
+
+    @property
+    def may_finish(self) -> bool:
+        """Whether explicit steps do that themselves, by what was left over."""
+        return self.touches and self.options.tolerance is not None and not self.finishing
 
     def fewer(self, columns: int, needed: Callable[[int], float]) -> int:
         """Return how many runs to combine. Where the cloth touches it is as many as fit: fewer of them do better than
@@ -75,5 +87,5 @@ class Effort:
         while refine > 1.0 and work(choice.columns, refine) > left + FINISHED:
             refine = max(1.0, 0.5 * refine)
         self.spent = True
-        self.lost = work(choice.columns, refine) > left + FINISHED and within_reach(self.plan)
+        self.lost = work(choice.columns, refine) > left + FINISHED and self.gives_way
         return Choice(choice.columns, refine, True)

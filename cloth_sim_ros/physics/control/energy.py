@@ -25,8 +25,8 @@ from cloth_sim_ros.physics.state import State
 #: Rounding of a sum of energies, relative to it; coordinates of a sheet at rest are off by so many roundings.
 _ROUNDING, _ROUNDINGS = 1e-12, 8.0
 
-#: Time [s], positions and velocities (3, n), and where pads are, None without any.
-Moment = tuple[float, Array, Array, Array | None]
+#: A time [s] and the state then: what contact remembers, anchors and pads, is part of its energy.
+Moment = tuple[float, State]
 
 
 class EnergyRule:
@@ -69,7 +69,7 @@ class EnergyRule:
         before = self._own(start, step)
         rise = self._own(end, step) - before - work
         moved = max(self._kinetic(start), self._kinetic(end)) + abs(work)
-        little = _ROUNDING * abs(before) + self._noise(end[1])
+        little = _ROUNDING * abs(before) + self._noise(end[1].x)
         made, most = max(0.0, memory.made + rise), CONSTANTS.gain * moved + little
         if not np.isfinite(rise):
             return True
@@ -87,19 +87,22 @@ class EnergyRule:
         return 0.5 * self._plan.model.mass * omega2 * place * place
 
     def _kinetic(self, moment: Moment) -> float:
-        return self._plan.energies(*moment[:3])[0]
-
-    def _lay(self, moment: Moment) -> None:
-        if self._plan.contact is not None:
-            self._plan.contact.lay_pads(moment[3])
+        t, state = moment
+        return self._plan.energies(t, state.x, state.v)[0]
 
     def _own(self, moment: Moment, step: float) -> float:
-        self._lay(moment)
-        return own_energy(self._plan, *moment[:3], step)
+        t, state = moment
+        self._lay(state)
+        return own_energy(self._plan, t, state.x, state.v, step)
 
     def _energy(self, moment: Moment) -> float:
-        self._lay(moment)
-        return self._plan.energy(*moment[:3])
+        t, state = moment
+        self._lay(state)
+        return self._plan.energy(t, state.x, state.v)
+
+    def _lay(self, state: State) -> None:
+        if self._plan.contact is not None:
+            self._plan.contact.take(state)
 
 
 def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule
-from cloth_sim_ros.physics.control.fallback import finish, part_cost, within_reach, work_cap
+from cloth_sim_ros.physics.control.fallback import finish, part_cost, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
@@ -75,16 +75,24 @@ class ExplicitAdvance:
             precision=PrecisionRule(plan, precision, duration, budget),
             touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
             duration=duration,
-            cap=work_cap(plan, options.work, duration, memory.longest, self._fallen, met),
+            cap=math.inf,
             part_cost=part_cost(plan, met),
             touches=met > 0.0,
         )
         rule = ErrorRule(error, stability, budget, options.columns, state)
-        # A judged attempt has to fit.
-        most = self._effort.cap / sum(RATIOS[:2]) if options.tolerance is not None else math.inf
-        choice = Choice(columns, error.refine, judge)
-        self._whole = Stretch(self._effort, t, duration, choice, rule, stability, most=most)
+        self._stability = stability
+        self._whole = Stretch(self._effort, t, duration, Choice(columns, error.refine, judge), rule, stability)
         self._limit = self._whole.limit
+        work, self._left_over = work_cap(plan, options.work, duration, memory.longest, self._fallen, met, self._limit)
+        self._allow(work)
+
+    def _allow(self, work: float) -> None:
+        """Let the stretch take so many force evaluations more."""
+        effort = self._effort
+        effort.cap = effort.evaluations + effort.calls + work
+        if self._options.tolerance is not None:
+            # A judged attempt has to fit.
+            self._whole.most = work / sum(RATIOS[:2])
 
     def run(self) -> Advance:
         """Do it."""
@@ -92,7 +100,7 @@ class ExplicitAdvance:
         if options.step is not None and options.step > self._limit and not self._known:
             refuse_unstable(options.step, self._limit, options.name)
         # Even the longest stable steps may exceed the frame's work.
-        effort.lost = self._duration / self._bare > effort.cap and within_reach(self._plan)
+        effort.lost = self._duration / self._bare > effort.cap and effort.gives_way
         fits = whole.affords(whole.choice.columns, whole.choice.refine)
         if options.tolerance is not None and not fits:
             # What the last frame would have needed is beyond the cap: it is tried with as many runs as fit, and with
@@ -107,23 +115,19 @@ class ExplicitAdvance:
             effort.evaluations += effort.precision.measure(self._t, state, step, whole.choice)
             if fits:
                 whole.choice = effort.fitted(whole.choice, whole.work, 0.0)
-        if self._book is not None:
-            self._book.restart()
-        try:
-            error = whole.cover()
-        except UnstableError:
-            state.go_back(whole.start)
-            raise
+        error = self._cover()
+        if error is None and effort.may_finish:
+            error = self._cover_anyhow()
         if error is None:
-            state.go_back(whole.start)
             return self._finish()
+        whole = self._whole
         if whole.pieces > 1:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
         effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
-        if self._fallen:
-            Fallback().store(state)
+        if self._fallen or effort.finishing:
+            Fallback(min(64.0, self._fallen + 1.0) if effort.finishing else 0.0).store(state)
         flagged = int(options.tolerance is not None and error > whole.rule.budget)
         return Advance(
             steps=whole.steps,
@@ -137,6 +141,28 @@ class ExplicitAdvance:
             flagged=flagged,
             reason=self._reason(flagged),
         )
+
+    def _cover(self) -> float | None:
+        """Return the error [m], None where explicit steps are given up; the state is that of the start then."""
+        start = self._state.share()
+        if self._book is not None:
+            self._book.restart()
+        try:
+            error = self._whole.cover()
+        except UnstableError:
+            self._state.go_back(start)
+            raise
+        if error is None:
+            self._state.go_back(start)
+        return error
+
+    def _cover_anyhow(self) -> float | None:
+        """The same by a single run of the longest steps that hold, with what was left over for that."""
+        effort = self._effort
+        effort.finishing, effort.spent, effort.lost = True, True, False
+        self._whole = Stretch(effort, self._t, self._duration, Choice(1, 1.0, True), self._whole.rule, self._stability)
+        self._allow(self._left_over)
+        return self._cover()
 
     def _mean_refinement(self) -> float:
         """Steps that the first runs took, relative to those that stability asks for."""

@@ -15,6 +15,7 @@ import math
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.physics.integrators.columns import RATIOS
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
@@ -30,27 +31,42 @@ def within_reach(plan: Plan) -> bool:
     return plan.model.particle_count <= CONSTANTS.implicit
 
 
-def work_cap(plan: Plan, work: float, duration: float, longest: float, fallen: float, met: float = 0.0) -> float:
-    """Return the most force evaluations of an advance by explicit steps; a count, never a clock.
+def work_cap(
+    plan: Plan,
+    work: float,
+    duration: float,
+    longest: float,
+    fallen: float,
+    met: float = 0.0,
+    limit: float = math.inf,
+) -> tuple[float, float]:
+    """Return the most force evaluations of an advance by explicit steps, and those beside that are left over to finish
+    it; counts, never a clock.
 
     What could not be followed in the frames before is tried with half the effort in each further one. Where the cloth
-    touches, and where implicit steps are out of reach, some runs by the longest stable steps fit in any case: implicit
-    steps would take longer, for contact couples what is far apart in their matrix.
+    touches, explicit steps by single runs finish a frame, for which that is left over twice: implicit steps would take
+    longer, for contact couples what is far apart in their matrix, and they follow no friction.
 
     Args:
         plan: equations of motion.
         work: limit in real time by the plan's estimated cost; 0 for none.
         duration: of the advance [s].
         longest: longest stable step since the last restart, contact aside [s].
-        fallen: frames in a row that had to be finished by implicit steps.
+        fallen: frames in a row that could not be followed.
         met: estimated time that contact adds to a force evaluation [ns].
+        limit: longest step that contact lets expect [s].
     """
     if work == 0.0:
-        return math.inf
+        return math.inf, math.inf
     evaluation = 1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met
-    most = math.ldexp(work, -int(fallen)) * duration / evaluation
-    least = math.ldexp(CONSTANTS.work, -int(fallen)) * duration / longest if met or not within_reach(plan) else 0.0
-    return max(max(most - FINISHED, 0.5 * most) if within_reach(plan) else most, least)
+    whole, runs = work * duration / evaluation, CONSTANTS.work * duration / longest
+    most = math.ldexp(whole, -int(fallen))
+    if met:
+        single = CONSTANTS.trust * sum(RATIOS[:2]) * duration / (CONSTANTS.safety * limit) if limit else math.inf
+        kept = max(min(single, 0.5 * whole), runs)
+        return math.ldexp(max(whole - kept, kept), -int(fallen)), kept
+    # Where implicit steps are out of reach, explicit ones are all that there is.
+    return max(most - FINISHED, 0.5 * most) if within_reach(plan) else max(most, runs), FINISHED
 
 
 def part_cost(plan: Plan, met: float = 0.0) -> float:

@@ -17,13 +17,12 @@ from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.ending import EVALUATIONS, missed_velocity
 from cloth_sim_ros.physics.control.energy import put_in
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
-from cloth_sim_ros.physics.control.fallback import within_reach
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.powers import root
-from cloth_sim_ros.physics.remembered import PINCHED, Error
+from cloth_sim_ros.physics.remembered import Error
 from cloth_sim_ros.physics.state import State
 
 #: A stretch whose first run takes fewer steps is not halved: half of them could not tell runs apart.
@@ -62,7 +61,7 @@ class Stretch:
     ) -> None:
         self._effort, self._t, self._duration = effort, t, duration
         self.choice, self.rule = choice, rule
-        self._stability, self._ahead, self._halvings, self._most = stability, ahead, halvings, most
+        self._stability, self._ahead, self._halvings, self.most = stability, ahead, halvings, most
         self.limit = effort.touch.limit_ahead(t, duration, effort.state)
         self.start = effort.state
         #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
@@ -92,11 +91,11 @@ class Stretch:
         self.start = start = state.share()
         begun = memory.omega2, memory.damping
         noted = None if book is None else book.noted()
-        if self._duration * self.choice.refine > self._most * self.longest:
+        if self._duration * self.choice.refine > self.most * self.longest:
             if self._halvings < _MOST_HALVINGS and effort.affords(self._ahead):
                 return self._halves()
             effort.spent, self.choice = True, Choice(self.choice.columns, 1.0, True)
-            effort.lost = self._duration > self._most * self.longest and within_reach(effort.plan)
+            effort.lost = self._duration > self.most * self.longest and effort.gives_way
         if effort.touch.is_brief(self.longest, self._duration) and self._halvings < _MOST_HALVINGS:
             return self._halves(untried=True)
         if self._halvings and not effort.lost:
@@ -121,7 +120,7 @@ class Stretch:
         """Cover both halves, each by what it needs."""
         effort, half, spent = self._effort, 0.5 * self._duration, 0.0
         self.finest = math.inf
-        most = min(self._most, self.first) if self.first else self._most
+        most = min(self.most, self.first) if self.first else self.most
         self.steps = self.first = self.pieces = 0
         for k in range(2):
             # What the first half does not spend is left to the second.
@@ -200,18 +199,21 @@ class Stretch:
         if not (accepted and self._within(columns)):
             return False
         choice, told = self.choice, columns.told(self.choice.columns)
-        x, v = columns.combine(choice.columns)
         after = math.inf if effort.touch.acts(columns, choice.columns) else told.omega2
         # Where the error vouches for nothing, energy might come from nowhere.
         unknown = options.tolerance is None or self._sums.error > self.rule.budget
         varied = choice.columns > 1 or self._halvings > 0
         if unknown and effort.energy.looks(memory.omega2, after, varied=varied):
-            ends = (t, state.x, state.v, state.memory.get(PINCHED)), (t + length, x, v, columns.pads(choice.columns))
+            end = state.share()
+            columns.pass_on(choice.columns, end)
             # A combination's energy does not swing, and from steps of one length to another the swing stays behind.
             step = 0.0 if varied else self.finest
             work, evaluations = put_in(effort.plan, state, columns, t, choice.columns)
             effort.evaluations += evaluations
-            if effort.energy.exceeds(*ends, step, work):
+            exceeds = effort.energy.exceeds((t, state), (t + length, end), step, work)
+            if effort.plan.contact is not None:
+                effort.plan.contact.take(state)
+            if exceeds:
                 return self._instead(2.0, "making energy from nowhere")
         memory.omega2, memory.damping = told.omega2, told.damping
         if effort.book is not None:
@@ -387,7 +389,7 @@ class Stretch:
             if options.tolerance is None and finer > 1.0:
                 self.rule.refined(refine)
             return False
-        effort.lost = within_reach(effort.plan)
+        effort.lost = effort.gives_way
         if not effort.lost:
             raise UnstableError(
                 f"{options.name}: steps of {self.finest:.3g} s are {why}, and finer ones exceed the frame's "
