@@ -52,6 +52,15 @@ template <class V>
 CLOTH_INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
     return {fma(a.y, b.z, -(a.z * b.y)), fma(a.z, b.x, -(a.x * b.z)), fma(a.x, b.y, -(a.y * b.x))};
 }
+/// a x b - c x d.
+template <class V>
+CLOTH_INLINE Vec3<V> crosses(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V> d) {
+    const auto part = [](V p, V q, V r, V s, V t, V u, V v, V w) CLOTH_INLINED {
+        return fma(p, q, fma(-r, s, fma(-t, u, v * w)));
+    };
+    return {part(a.y, b.z, a.z, b.y, c.y, d.z, c.z, d.y), part(a.z, b.x, a.x, b.z, c.z, d.x, c.x, d.z),
+            part(a.x, b.y, a.y, b.x, c.x, d.y, c.y, d.x)};
+}
 
 /// A symmetric 3x3 matrix.
 template <class V>

@@ -261,13 +261,14 @@ struct AltitudeAreas {
 
     template <class V>
     static CLOTH_INLINE void of(const Vec3<V>* p, V& square, V& limit, Vec3<V>* area) {
-        const Vec3<V> a = p[0], b = p[1], c = p[2], d = b - a, e = c - a;
-        // n0 is the face opposite to corner 0, and so on; |p x q|^2 / 2 has the gradients q x n and n x p.
-        const Vec3<V> n0 = cross(e, d), n1 = cross(b, c), n2 = cross(c, a), n3 = cross(a, b);
-        const Vec3<V> dn = cross(d, n0), ne = cross(n0, e);
-        area[0] = cross(b, n3) + cross(n2, c) - (dn + ne);
-        area[1] = cross(n3, a) + cross(c, n1) + ne;
-        area[2] = cross(a, n2) + cross(n1, b) + dn;
+        // Area vectors n1, n2, n3 of the faces at corner 0 and n0 of the one opposite to it, which close the tetrahedron.
+        // The gradients of |p x q|^2 / 2 are q x n and n x p; those of all faces gather to cross products with n - n0.
+        const Vec3<V> a = p[0], b = p[1], c = p[2];
+        const Vec3<V> n1 = cross(b, c), n2 = cross(c, a), n3 = cross(a, b), n0 = -(n1 + n2 + n3);
+        const Vec3<V> m1 = n1 - n0, m2 = n2 - n0, m3 = n3 - n0;
+        area[0] = crosses(b, m3, c, m2);
+        area[1] = crosses(c, m1, a, m3);
+        area[2] = crosses(a, m2, b, m1);
         square = norm2(n0) + norm2(n1) + norm2(n2) + norm2(n3);
         const V size = splat<V>(sine) * (norm2(a) + norm2(b) + norm2(c));
         limit = size * size;

@@ -7,6 +7,7 @@ from __future__ import annotations
 from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice
+from cloth_sim_ros.physics.integrators.columns import amplification
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Precision
@@ -29,6 +30,9 @@ class PrecisionRule:
     def __init__(self, plan: Plan, memory: Precision, duration: float, budget: float) -> None:
         self._plan, self.memory, self._duration = plan, memory, duration
         self._room = CONSTANTS.rounding * budget
+        #: What an estimate of the error may be off by [m]: it tells whether an error is far below the budget all the
+        #: same, for what was measured is counted `trust` times.
+        self._blur = CONSTANTS.trust * CONSTANTS.far * budget
 
     def measure(self, t: float, state: State, step: float, choice: Choice) -> int:
         """Measure what single precision changes over steps of a length [s], where that is not known and might fit;
@@ -51,15 +55,22 @@ class PrecisionRule:
         memory.rounding = CONSTANTS.trust * largest_distance(*ends)
         return 2 * (steps + 1)
 
-    def narrows(self, state: State, amplified: float) -> bool:
-        """Whether runs from a state take it whose combination amplifies rounding: what comes to rest has to find its
-        place, so the motion must be large against it.
+    def narrows(self, state: State, choice: Choice) -> bool:
+        """Whether the runs of a choice from a state take it: what comes to rest has to find its place, so the motion
+        must be large against what their combination makes of it.
         """
-        rounding = amplified * self.memory.rounding
-        if not 0.0 <= rounding <= self._room:
+        rounding = amplification(choice.columns) * self.memory.rounding
+        # A judgement looks at one combination more.
+        if not (0.0 <= rounding <= self._room and self.tells(choice.columns + choice.judge)):
             return False
         v, least = state.v, CONSTANTS.motion * rounding
         # The last particle is looked at first: where the sheet moves it mostly does.
         if max(map(abs, v[:, -1].tolist())) * self._duration > least:
             return True
         return float(v.max()) * self._duration > least or -float(v.min()) * self._duration > least
+
+    def tells(self, columns: int) -> bool:
+        """Whether a combination of so many such runs still tells what the error is. It is no result, so rounding need
+        not be small against it, only against the budget.
+        """
+        return amplification(columns) * self.memory.rounding <= self._blur

@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.control.energy import put_in
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, amplification, step_counts
+from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.powers import root
 from cloth_sim_ros.physics.remembered import Error
@@ -239,10 +239,8 @@ class Stretch:
         if part == 0 and kept is not None and kept.counts == counts and kept.duration == length:
             return kept
         if effort.options.tolerance is not None:
-            # A judgement looks at one combination more.
-            runs = self.choice.columns + self.choice.judge
             # What it changes was measured over a whole advance, and does not shrink with the stretch.
-            effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, amplification(runs))
+            effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
         columns = Columns(
             effort.plan,
             start if part == 0 else effort.state,
@@ -290,6 +288,8 @@ class Stretch:
             ahead = self._ahead + (1.0 - passed) * self.work(choice.columns, choice.refine)
             while len(errors) < effort.options.columns and sums.error + errors[-1] > aim:
                 if not effort.affords(ahead + columns.counts[len(errors) + 1]):
+                    break
+                if columns.narrow and not effort.precision.tells(len(errors) + 2):
                     break
                 errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
