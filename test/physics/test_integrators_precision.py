@@ -9,6 +9,7 @@ import numpy as np
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.integrators.columns import amplification
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Precision, restart
 from cloth_sim_ros.physics.state import State
@@ -54,6 +55,36 @@ def test_a_loose_tolerance_takes_it_between_judgements() -> None:
     assert sum(runs == [True] for runs in each) > 12
     rounding = Precision.of(state).rounding
     assert 1e-9 < rounding < CONSTANTS.rounding * CONSTANTS.share * PERIOD * 1e-2
+
+
+def test_a_judgement_takes_it_where_a_combination_could_not() -> None:
+    tolerance = 1e-3
+    budget = CONSTANTS.share * PERIOD * tolerance
+    each, state = frames(tolerance, 24)
+    blurred = amplification(2) * Precision.of(state).rounding
+    assert CONSTANTS.rounding * budget < blurred < 0.1 * budget
+    judged = [runs for runs in each[1:] if len(runs) == 2]
+    assert judged
+    assert all(runs == [True, True] for runs in judged)
+
+
+def test_a_judgement_in_it_tells_the_same_error_within_its_blur() -> None:
+    tolerance, count = 1e-3, 24
+    budget = CONSTANTS.share * PERIOD * tolerance
+    plan, state = build()
+    seen, compared = precisions(plan), 0
+    for frame in range(count):
+        start = state.copy()
+        seen.clear()
+        done = Extrapolated(tolerance=tolerance).advance(plan, state, frame * PERIOD, PERIOD)
+        if seen != [True, True]:
+            continue
+        # So much rounding that nothing has room for it.
+        Precision(rounding=1.0).store(start)
+        wide = Extrapolated(tolerance=tolerance).advance(plan, start, frame * PERIOD, PERIOD)
+        assert abs(done.error - wide.error) < 0.1 * budget
+        compared += 1
+    assert compared >= 2
 
 
 def test_a_tight_tolerance_never_does() -> None:
