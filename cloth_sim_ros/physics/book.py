@@ -52,7 +52,8 @@ class Book:
             if run.grippers != self.gripper_count:
                 raise ValueError(f"a book of {self.gripper_count} grippers for a run with {run.grippers}")
             self._sums = self._sums + weight * run.notes[:size]
-            self._rubbed += weight * run.rubbed
+            if len(run.notes) > size:
+                self._rubbed += weight * run.rubbed
         self._duration += duration
 
     def add(

@@ -33,6 +33,8 @@ class Model:
             raise ValueError(f"masses are {masses!r}; they must be numbers") from error
         if self.masses.ndim != 1 or self.masses.size == 0:
             raise ValueError(f"masses have shape {self.masses.shape}; give one mass a particle, at least one")
+        #: Number of particles, anchored ones included.
+        self.particle_count = int(self.masses.size)
         wrong = np.flatnonzero(~(np.isfinite(self.masses) & (self.masses > 0.0)))
         if wrong.size:
             raise ValueError(
@@ -60,11 +62,6 @@ class Model:
     def mass(self) -> float:
         """Mass of all particles [kg]."""
         return fixed_sum(self.masses)
-
-    @property
-    def particle_count(self) -> int:
-        """Number of particles, anchored ones included."""
-        return int(self.masses.size)
 
     def force(self, name: str) -> Force:
         """Return the force of that name.

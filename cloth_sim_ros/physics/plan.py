@@ -101,6 +101,10 @@ class Plan:
         self._handle = self._owner.handle
         parts.hand_over(self._handle)
         self._gripping = None if parts.grips is None else Gripping(self._owner, parts.grips, count)
+        #: The force by which grippers hold particles, where the model has one.
+        self.grips: Grips | None = parts.grips
+        #: Number of grippers of the model.
+        self.gripper_count = 0 if self._gripping is None else self._gripping.count
         self.contact: Touching | None = None
         if parts.contact is not None:
             from cloth_sim_ros.physics.touching import Touching
@@ -140,19 +144,9 @@ class Plan:
             self._gripping.sync()
 
     @property
-    def gripper_count(self) -> int:
-        """Number of grippers of the model."""
-        return 0 if self._gripping is None else self._gripping.count
-
-    @property
     def obstacle_count(self) -> int:
         """Number of obstacles."""
         return 0 if self.contact is None else self.contact.count
-
-    @property
-    def grips(self) -> Grips | None:
-        """The force by which grippers hold particles, where the model has one."""
-        return None if self._gripping is None else self._gripping.force
 
     @property
     def drag(self) -> float:
@@ -193,21 +187,21 @@ class Plan:
             Exception: what a force in numpy raised.
         """
         self._sync()
-        count, grippers, obstacles = len(steps), self.gripper_count, self.obstacle_count
+        count, grippers, obstacles = len(steps), self.gripper_count, 0
         if steps != self._asked:
             self._ask(steps)
         if not (isfinite(t) and isfinite(duration)):
             raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
         x0, v0 = self._places(*start)
         out = empty((count, 2, *self._shape))
-        met = TOUCHED_NUMBERS if self.contact is not None and self.contact.force.acts else 0
-        notes = zeros((count, booked_size(grippers, obstacles) + met))
         out_at = address(out)
         result, result_at, told_at = out[0], 0, 0
-        ends, ends_at = _NO_ENDS, _NOWHERE
+        met, ends, ends_at = 0, _NO_ENDS, _NOWHERE
         if self.contact is not None:
+            obstacles, met = self.contact.count, TOUCHED_NUMBERS if self.contact.force.acts else 0
             ends = self.contact.ends(count)
             ends_at = [0 if array is None else address(array) for array in ends]
+        notes = zeros((count, booked_size(grippers, obstacles) + met))
         if weights is not None:
             if len(weights) != count:
                 raise ValueError(f"{len(weights)} weights for {count} runs; give one a run")
@@ -237,7 +231,9 @@ class Plan:
             touches,
             *ends_at,
         )
-        self._checked(self._library.cloth_frame(self._handle, self._frame_at))
+        status = self._library.cloth_frame(self._handle, self._frame_at)
+        if status:
+            self._checked(status)
         if ends is _NO_ENDS:
             runs = [Run(*each, grippers, obstacles) for each in zip(out, notes, strict=True)]
         else:
@@ -245,12 +241,12 @@ class Plan:
             runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
         if weights is None:
             return runs, None
-        activity, omega2, damping, held, *own = self._told
+        activity, omega2, damping, held, stiff, damped = self._told[:]
         x, v = result
         self._newest, self._newest_at = (x, v), result_at or out_at
         if self._own:
             omega2, damping = self.rates(x)
-        return runs, (x, v, Told(activity, omega2, damping, held, (own[0], own[1])))
+        return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped)))
 
     def _places(self, x: Array, v: Array) -> tuple[int, int]:
         """Addresses of positions and velocities; of the newest combination, which mostly comes next, they are known."""

@@ -275,7 +275,11 @@ class Scene:
     @property
     def pinching(self) -> list[str]:
         """Names of the grippers that pinch."""
-        return [name for name in self.gripper_names if self.modes.get(name, self.gripper.mode) == PINCH]
+        return [name for name in self.gripper_names if self.pinches(name)]
+
+    def pinches(self, gripper: str) -> bool:
+        """Whether a gripper pinches."""
+        return self.modes.get(gripper, self.gripper.mode) == PINCH
 
     @property
     def obstacle_names(self) -> list[str]:

@@ -42,12 +42,12 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
         EventError: naming the value, the limit and the remedy.
     """
     if isinstance(event, _OF_GRIPPERS):
-        _check_name("gripper", event.gripper, scene.gripper_names)
+        _check_name("gripper", event.gripper, scene.grippers)
     if isinstance(event, Target):
         _check_pose(event.gripper, event.position, event.orientation)
         _check_pads(event, scene, state)
     elif isinstance(event, Move):
-        _check_name("obstacle", event.obstacle, scene.obstacle_names)
+        _check_name("obstacle", event.obstacle, scene.obstacles)
         _check_pose(event.obstacle, event.position, event.orientation)
     elif isinstance(event, SetParameters):
         return _check_parameters(event, scene, state)
@@ -63,8 +63,9 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
 
 
 def _check_name(kind: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        raise EventError(f"there is no {kind} '{name}'; this cloth has {', '.join(known) or 'none'}")
+    if not name or name not in known:
+        there = ", ".join(filter(None, known)) or "none"
+        raise EventError(f"there is no {kind} '{name}'; this cloth has {there}")
 
 
 def _check_pose(name: str, position: Sequence[float], orientation: Sequence[float] | None) -> None:
@@ -81,8 +82,10 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
 
 def _check_pads(event: Target, scene: Scene, state: State) -> None:
     """Refuse a first target, which places a gripper at once, where its pads would be in the cloth."""
+    if not scene.pinches(event.gripper):
+        return
     placed = state.memory.get("gripper.placed")
-    if event.gripper not in scene.pinching or (placed is not None and placed[scene.gripper_names.index(event.gripper)]):
+    if placed is not None and placed[scene.gripper_names.index(event.gripper)]:
         return
     from cloth_sim_ros.simulation.pinching import check_placed
 

@@ -12,7 +12,7 @@ Vector = tuple[float, ...]
 
 
 def _floats(value: Any) -> Vector:
-    return tuple(float(number) for number in value)
+    return tuple(map(float, value))
 
 
 @attrs.frozen

@@ -183,13 +183,14 @@ class Grippers:
             mass.
             damping: dimensionless damping k_d0 of it.
         """
-        memory = self._state.memory
-        closed = memory["gripper.closed"].tolist()
+        closed, most = self._state.memory["gripper.closed"].tolist(), 0.0
         goal = functools.partial(self._within, duration) if self.reaches else None
         self.paths, changes = self._movers.paths(t, duration, goal)
         self._lay(grips, self.paths, model, stiffness, damping)
-        counts = [shut or g in self.reaches for g, shut in enumerate(closed)]
-        return max((change for count, change in zip(counts, changes, strict=True) if count), default=0.0)
+        for g, change in enumerate(changes):
+            if change > most and (closed[g] or g in self.reaches):
+                most = change
+        return most
 
     def _within(self, duration: float, g: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
         """Where a gripper is at a frame's end: pads follow as obstacles do, lest they jump through the cloth."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.stability import StabilityRule
-from cloth_sim_ros.physics.integrators.columns import RATIOS, amplification
+from cloth_sim_ros.physics.integrators.columns import RATIOS, SUMS, amplification
 from cloth_sim_ros.physics.powers import power, root
 from cloth_sim_ros.physics.remembered import Error
 from cloth_sim_ros.physics.state import State
@@ -113,7 +113,7 @@ class ErrorRule:
         for columns, error in enumerate(errors[: self._most], start=1):
             scale = root(max(error, self.floor(columns)) / (CONSTANTS.aim * self.budget), columns + 1)
             wanted = max(self._stability.least(columns), refine * scale)
-            work = wanted * (sum(RATIOS[:columns]) + RATIOS[columns] / CONSTANTS.wait)
+            work = wanted * (SUMS[columns] + RATIOS[columns] / CONSTANTS.wait)
             if work < best[2]:
                 best = (columns, wanted, work)
         return best[0], best[1]

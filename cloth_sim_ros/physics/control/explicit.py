@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
 from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_unstable
-from cloth_sim_ros.physics.integrators.columns import RATIOS
+from cloth_sim_ros.physics.integrators.columns import SUMS
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
@@ -92,7 +92,7 @@ class ExplicitAdvance:
         effort.cap = effort.evaluations + effort.calls + work
         if self._options.tolerance is not None:
             # A judged attempt has to fit.
-            self._whole.most = work / sum(RATIOS[:2])
+            self._whole.most = work / SUMS[2]
 
     def run(self) -> Advance:
         """Do it."""
@@ -144,16 +144,16 @@ class ExplicitAdvance:
 
     def _cover(self) -> float | None:
         """Return the error [m], None where explicit steps are given up; the state is that of the start then."""
-        start = self._state.share()
+        whole = self._whole
         if self._book is not None:
             self._book.restart()
         try:
-            error = self._whole.cover()
+            error = whole.cover()
         except UnstableError:
-            self._state.go_back(start)
+            self._state.go_back(whole.start)
             raise
         if error is None:
-            self._state.go_back(start)
+            self._state.go_back(whole.start)
         return error
 
     def _cover_anyhow(self) -> float | None:

@@ -15,7 +15,7 @@ import math
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.physics.integrators.columns import RATIOS
+from cloth_sim_ros.physics.integrators.columns import SUMS
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
@@ -62,7 +62,7 @@ def work_cap(
     whole, runs = work * duration / evaluation, CONSTANTS.work * duration / longest
     most = math.ldexp(whole, -int(fallen))
     if met:
-        single = CONSTANTS.trust * sum(RATIOS[:2]) * duration / (CONSTANTS.safety * limit) if limit else math.inf
+        single = CONSTANTS.trust * SUMS[2] * duration / (CONSTANTS.safety * limit) if limit else math.inf
         kept = max(min(single, 0.5 * whole), runs)
         return math.ldexp(max(whole - kept, kept), -int(fallen)), kept
     # Where implicit steps are out of reach, explicit ones are all that there is.

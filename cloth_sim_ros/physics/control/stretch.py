@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.control.energy import put_in
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.columns import RATIOS, Columns, step_counts
+from cloth_sim_ros.physics.integrators.columns import RATIOS, SUMS, Columns, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.powers import root
 from cloth_sim_ros.physics.remembered import Error
@@ -73,7 +73,8 @@ class Stretch:
         #: Whether it is halved next.
         self._halve = False
         self._kept: Columns | None = None
-        self._sums, self._counts_first, self._held = Sums(), 0, 0.0
+        self._sums: Sums
+        self._counts_first, self._held = 0, 0.0
 
     @property
     def longest(self) -> float:
@@ -91,12 +92,13 @@ class Stretch:
         self.start = start = state.share()
         begun = memory.omega2, memory.damping
         noted = None if book is None else book.noted()
-        if self._duration * self.choice.refine > self.most * self.longest:
+        longest = self.longest
+        if self._duration * self.choice.refine > self.most * longest:
             if self._halvings < _MOST_HALVINGS and effort.affords(self._ahead):
                 return self._halves()
             effort.spent, self.choice = True, Choice(self.choice.columns, 1.0, True)
-            effort.lost = self._duration > self.most * self.longest and effort.gives_way
-        if effort.touch.is_brief(self.longest, self._duration) and self._halvings < _MOST_HALVINGS:
+            effort.lost = self._duration > self.most * longest and effort.gives_way
+        if effort.touch.is_brief(longest, self._duration) and self._halvings < _MOST_HALVINGS:
             return self._halves(untried=True)
         if self._halvings and not effort.lost:
             self.choice = effort.fitted(self.choice, self.work, self._ahead)
@@ -129,7 +131,7 @@ class Stretch:
             rule = self.rule.of_stretch(Error(part=half), budget, effort.state, stability)
             # The other half may go on by steps as long as they were.
             later = half * self.choice.refine / (CONSTANTS.safety * effort.stability.longest)
-            ahead = self._ahead + (max(1.0, later) * sum(RATIOS[: self.choice.columns + 1]) if k == 0 else 0.0)
+            ahead = self._ahead + (max(1.0, later) * SUMS[self.choice.columns + 1] if k == 0 else 0.0)
             t, deeper = self._t + k * half, self._halvings + 1
             child = Stretch(effort, t, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
             # It begins with the steps that were too long for the whole.
@@ -181,15 +183,16 @@ class Stretch:
         columns = self._columns(part, t, length, start)
         before = columns.evaluations
         told = columns.told(choice.columns)
+        finite = told.finite
         effort.evaluations += columns.evaluations - before
         effort.calls += effort.part_cost
         # Steps that contact turned out to be too stiff for are not worth a judgement.
-        if told.finite and effort.touch.acts(columns, choice.columns) and not self._within(columns):
+        if finite and effort.touch.acts(columns, choice.columns) and not self._within(columns):
             return False
         accepted = True
-        if told.finite and options.tolerance is not None:
+        if finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
-        if not told.finite:
+        if not finite:
             # Contact that stops nothing any more: by finer steps it would have reached no further. Steps that ended on
             # a surface, where the limit is none, were too long.
             reached, own = columns.reached(self.choice.columns), columns.own(self.choice.columns)
@@ -370,7 +373,7 @@ class Stretch:
         """Force evaluations of an attempt that is judged, the calls that it takes included."""
         steps = steps_for(self._duration, self.longest / max(refine, self._stability.least(columns)))
         calls = self._parts(columns, steps) * (columns + 1 + self._effort.part_cost)
-        return steps * sum(RATIOS[: columns + 1]) + calls
+        return steps * SUMS[columns + 1] + calls
 
     def _instead(self, finer: float, why: str) -> bool:
         """Try finer steps from the start, or give explicit ones up; return False.

@@ -74,7 +74,7 @@ class TouchRule:
         """Return the step limit [s] of T_K, K = count: of contact in its runs, and of the sheet at its end."""
         told = columns.told(count)
         if self._plan.contact is None:
-            return self.limit(0.0, told.own, told.omega2, told.damping)
+            return self._options.step_limit(told.omega2, told.damping)
         energy, own = self._met(columns, count)
         return self.limit(energy, larger_rates(own, told.own), told.omega2, told.damping)
 

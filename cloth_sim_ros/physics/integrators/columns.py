@@ -27,6 +27,8 @@ from cloth_sim_ros.physics.state import State
 #: Step counts of the columns, relative to the first. Wider ones cost more, narrower ones amplify rounding and what
 #: high modes do: the sums of |w| of the first 1 to 5 columns are 1, 4.6, 17.7, 32 and 70.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
+#: What the first 0, 1, 2, ... of them take together.
+SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 
 @lru_cache(maxsize=256)
