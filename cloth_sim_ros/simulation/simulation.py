@@ -180,8 +180,7 @@ class Simulation:
             self.state.frame += 1
             return self._slept.again(self.frame, self.time)
         self._slept = None
-        in_order = ordered(list(events))
-        wanted = self._scene
+        in_order, wanted = ordered(list(events)), self._scene
         for event in in_order:
             wanted = check(event, wanted, self.state, self._initial)
         before = self.snapshot()
@@ -265,6 +264,7 @@ class Simulation:
         observing = all(entry.observes for entry in Scene.declared(scene.described) if entry.name in values)
         # A motion beyond the fixed step already is none of the parameters' doing.
         stable = observing or self._holds_step()
+        self._initial = self._initial.share()  # snapshots hold the old one
         change_obstacles(before, scene, (self.state, self._initial))
         self.obstacles = obstacles_of(scene, self.state)
         self._apply_scene(scene)
@@ -282,7 +282,7 @@ class Simulation:
         if is_asleep(state) and self._known_to_rest and self._settled and self.frame < sleeps_until(state):
             done = self._sleep.frame(self._integrator.name)
         else:
-            before = state.share()
+            before = None if self.plan.contact is None else state.share()
             self._plan_movers(start)
             if is_asleep(state) and self._sleeps_on(start):
                 done = self._sleep.frame(self._integrator.name)
@@ -293,8 +293,9 @@ class Simulation:
             try:
                 done = self._integrator.advance(self.plan, state, start, period, self._book)
             except UnstableError:
-                state.restore(before)
-                self._halted = halt(self.obstacles, self.grippers)
+                if before is not None:
+                    state.restore(before)
+                    self._halted = halt(self.obstacles, self.grippers)
                 if not self._halted:
                     raise
                 # Where nothing comes nearer there is always a way: that the cloth stays where it is.
@@ -361,7 +362,7 @@ class Simulation:
         self._book = Book(grippers, powers=watches, obstacle_count=obstacles) if noted else None
         self._stand_obstacles()
         self._energy: EnergyWatch | None = None
-        if scene.diagnostics.energy:
+        if watches:
             from cloth_sim_ros.simulation.energy_watch import EnergyWatch
 
             self._energy = EnergyWatch(self.plan)
@@ -385,7 +386,7 @@ class Simulation:
     def _become(self, snapshot: Snapshot) -> None:
         scene = snapshot.scene
         self.state.become(snapshot.state)
-        self._initial = snapshot.initial.share()
+        self._initial = snapshot.initial
         if scene is not self._scene and scene != self._scene:
             self.obstacles = obstacles_of(scene, self.state)
             self._apply_scene(scene)

@@ -73,8 +73,7 @@ class Stretch:
         #: Whether it is halved next.
         self._halve = False
         self._kept: Columns | None = None
-        self._sums: Sums
-        self._counts_first, self._held = 0, 0.0
+        self._sums, self._counts_first, self._held = Sums(), 0, 0.0
 
     @property
     def longest(self) -> float:
@@ -182,8 +181,7 @@ class Stretch:
         t = self._t + part * length
         columns = self._columns(part, t, length, start)
         before = columns.evaluations
-        told = columns.told(choice.columns)
-        finite = told.finite
+        finite = (told := columns.told(choice.columns)).finite
         effort.evaluations += columns.evaluations - before
         effort.calls += effort.part_cost
         # Steps that contact turned out to be too stiff for are not worth a judgement.
