@@ -51,7 +51,8 @@ class Book:
         for weight, run in zip(weights, runs, strict=True):
             if run.grippers != self.gripper_count:
                 raise ValueError(f"a book of {self.gripper_count} grippers for a run with {run.grippers}")
-            self._sums = self._sums + weight * run.notes[:size]
+            noted = run.notes[:size]
+            self._sums = self._sums + (noted if weight == 1.0 else weight * noted)
             if len(run.notes) > size:
                 self._rubbed += weight * run.rubbed
         self._duration += duration

@@ -100,37 +100,50 @@ def carried(row: Array, t: float, h: float, x: Array) -> Array:
     return np.ascontiguousarray((then - x) / h)
 
 
+class Planner:
+    """Plans the paths of bodies frame by frame."""
+
+    def __init__(self) -> None:
+        # What the newest frame left, which mostly comes next, and where it lies.
+        self._left: tuple[Array | None, ...] = (None, None, None)
+        self._places = (0, 0, 0)
+
+    def plan(
+        self, t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
+    ) -> tuple[Array, Array, Array, list[float]]:
+        """Return paths over one frame, shape (count, PATH_NUMBERS), twists at its end and displacements and turns over
+        it, shape (count, 6) each, and by how much each displacement differs from that of the frame before [m], at most,
+        along an axis.
+
+        A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the
+        last frame had too: a steady stream of targets is followed without ripple, a jump arrives at rest without
+        overshoot. See docs/design.md.
+
+        Args:
+            t: time of the frame's start [s].
+            duration: length of the frame [s].
+            poses: positions [m] and unit quaternions x, y, z, w, shape (count, 7).
+            twists: velocities [m/s] and angular velocities [rad/s], shape (count, 6).
+            before: displacements [m] and rotation vectors [rad] over the frame before, shape (count, 6).
+            targets: poses at the frame's end, shape (count, 7).
+        """
+        count = len(poses)
+        at, rates = (count, 7), (count, 6)
+        places, left = self._places, self._left
+        if not (poses is left[0] and twists is left[1] and before is left[2]):
+            places = doubles("poses", poses, at), doubles("twists", twists, rates), doubles("before", before, rates)
+        end = doubles("targets", targets, at)
+        paths, further = np.empty((count, PATH_NUMBERS)), np.empty(13 * count)
+        last, turns = further[: 6 * count].reshape(rates), further[6 * count : 12 * count].reshape(rates)
+        rows, begin = (address(paths), address(further)) if count else (0, 0)
+        after = begin, begin + 48 * count
+        check(library().cloth_paths(count, t, duration, *places, end, rows, *after, begin + 96 * count))
+        self._left, self._places = (targets, last, turns), (end, *after)
+        return paths, last, turns, further[12 * count :].tolist()
+
+
 def planned_paths(
     t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:
-    """Return paths over one frame, shape (count, PATH_NUMBERS), twists at its end and displacements and turns over it,
-    shape (count, 6) each, and by how much each displacement differs from that of the frame before [m], at most, along
-    an axis.
-
-    A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the last
-    frame had too: a steady stream of targets is followed without ripple, a jump arrives at rest without overshoot. See
-    docs/design.md.
-
-    Args:
-        t: time of the frame's start [s].
-        duration: length of the frame [s].
-        poses: positions [m] and unit quaternions x, y, z, w, shape (count, 7).
-        twists: velocities [m/s] and angular velocities [rad/s], shape (count, 6).
-        before: displacements [m] and rotation vectors [rad] over the frame before, shape (count, 6).
-        targets: poses at the frame's end, shape (count, 7).
-    """
-    count = len(poses)
-    at, rates = (count, 7), (count, 6)
-    given = (
-        doubles("poses", poses, at),
-        doubles("twists", twists, rates),
-        doubles("before", before, rates),
-        doubles("targets", targets, at),
-    )
-    paths = np.empty((count, PATH_NUMBERS))
-    further = np.empty(13 * count)
-    last, turns, changes = further[: 6 * count], further[6 * count : 12 * count], further[12 * count :]
-    begin = address(further) if count else 0
-    places = (address(paths) if count else 0), begin, begin + 48 * count, begin + 96 * count
-    check(library().cloth_paths(count, t, duration, *given, *places))
-    return paths, last.reshape(rates), turns.reshape(rates), changes.tolist()
+    """Return what `Planner.plan` does for a single frame."""
+    return Planner().plan(t, duration, poses, twists, before, targets)

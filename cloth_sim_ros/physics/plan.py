@@ -235,7 +235,7 @@ class Plan:
         if status:
             self._checked(status)
         if ends is _NO_ENDS:
-            runs = [Run(*each, grippers, obstacles) for each in zip(out, notes, strict=True)]
+            runs = [Run(out[k], notes[k], grippers, obstacles) for k in range(count)]
         else:
             anchors, pinched = ([None] * count if array is None else array for array in ends)
             runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]

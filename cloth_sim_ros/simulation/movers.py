@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised, planned_paths, rotation_vector, turned_by
+from cloth_sim_ros.physics.gripper_path import Planner, normalised, rotation_vector, turned_by
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Vector
 
@@ -70,6 +70,7 @@ class Movers:
     def __init__(self, kind: str, poses: Array, state: State) -> None:
         self._kind = kind
         self._state = state
+        self._planner = Planner()
         self._names = tuple(f"{kind}.{what}" for what in ("pose", "twist", "turn", "target"))
         count = len(poses)
         arrays = poses.copy(), np.zeros((count, 6)), np.zeros((count, 6)), poses.copy()
@@ -124,7 +125,7 @@ class Movers:
         if goal is not None:
             given = zip(poses.tolist(), targets.tolist(), strict=True)
             ends = np.array([goal(k, *each) for k, each in enumerate(given)])
-        rows, last, turns, changes = planned_paths(t, duration, poses, twists, before, ends)
+        rows, last, turns, changes = self._planner.plan(t, duration, poses, twists, before, ends)
         pose, twist, turn, _ = self._names
         # No array of a state is written into, so two names may share one.
         memory[pose], memory[twist], memory[turn] = ends, last, turns
