@@ -13,6 +13,7 @@ from cloth_sim_ros.engine.binding import (
     BOOKED_NUMBERS,
     NOT_FINITE,
     PATH_NUMBERS,
+    address,
     check,
     doubles,
     finite,
@@ -38,6 +39,8 @@ class Gripping:
         self._library, self._handle = library(), owner.handle
         self._shape = (3, particle_count)
         self._seen = self._moved = -1
+        #: What the engine was told that is held.
+        self._told: tuple[NDArray[Any], ...] | None = None
         #: Number of grippers.
         self.count = grips.gripper_count
         self._paths_shape = (self.count, PATH_NUMBERS)
@@ -59,11 +62,15 @@ class Gripping:
         self._seen, self._moved = grips.changes, grips.moves
 
     def _hold(self) -> None:
-        if self.force.told is None:
-            self.force.told = self._checked()
-        arrays = self.force.told
-        places = (array.ctypes.data for array in arrays)
-        check(self._library.cloth_plan_held(self._handle, self.count, len(arrays[0]), *places))
+        told = self.force.told
+        if told is None:
+            told = self.force.told = self._checked()
+        elif told is self._told:
+            return
+        # A snapshot that came from another process may bring arrays that can't be written.
+        places = (address(array) if array.size and array.flags.writeable else array.ctypes.data for array in told)
+        check(self._library.cloth_plan_held(self._handle, self.count, len(told[0]), *places))
+        self._told = told
 
     def _checked(self) -> tuple[NDArray[Any], ...]:
         """Return what is held as the engine takes it: particles, their grippers, offsets, stiffness, damping."""
@@ -78,7 +85,8 @@ class Gripping:
             finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
             finite("damping of grips", grips.damping, (count,), least=0.0),
         )
-        return particles, owners, *numbers
+        # Copies: what is held stays as it was told, whoever writes into what it came of.
+        return tuple(array.copy() for array in (particles, owners, *numbers))
 
     def rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
         """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
