@@ -106,7 +106,8 @@ class Commands:
             pose = within(before, [*position, *unit], _ARM, self._way)
             return pose[:3], pose[3:]
         way = [end - start for start, end in zip(before, position, strict=False)]
-        length = math.sqrt(sum(part * part for part in way))
+        x, y, z = way
+        length = math.sqrt(x * x + y * y + z * z)
         if length <= self._way:
             return position, None
         share = self._way / length

@@ -69,5 +69,5 @@ def particles_of(particles: ArrayLike | None, count: int) -> tuple[Chosen, int]:
 
 def put(out: NDArray[np.float32], chosen: Chosen, state: State) -> None:
     """Write positions and, where there is room, velocities of chosen particles, shape (1 or 2, m, 3)."""
-    for room, source in zip(out, (state.x, state.v), strict=False):
-        room[:] = source[:, chosen].T
+    for k in range(len(out)):
+        out[k] = (state.x, state.v)[k][:, chosen].T

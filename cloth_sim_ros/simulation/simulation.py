@@ -96,7 +96,7 @@ class Simulation:
     @property
     def time(self) -> float:
         """Simulated time [s]: frame number times period."""
-        return self.state.frame * self._scene.period
+        return self.state.frame * self._period
 
     @property
     def paused(self) -> bool:
@@ -276,7 +276,7 @@ class Simulation:
         stop(self.state, np.setdiff1d(self.model.anchors, anchors))
 
     def _move(self) -> Advance:
-        state, start, period = self.state, self.time, self._scene.period
+        state, start, period = self.state, self.time, self._period
         done: Advance | None = None
         self._halted: tuple[str, ...] = ()
         if is_asleep(state) and self._known_to_rest and self._settled and self.frame < sleeps_until(state):
@@ -317,7 +317,7 @@ class Simulation:
     def _plan_movers(self, t: float) -> None:
         """Lay the paths of grippers and obstacles over the frame that starts at time t [s]."""
         change = plan_movers(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
-        if change > JUMP * self._scene.period:
+        if change > JUMP * self._period:
             restart(self.state)
 
     def _sleeps_on(self, t: float) -> bool:
@@ -331,7 +331,7 @@ class Simulation:
         self._known_to_rest = True
         if self._book is not None:
             self._book.restart()
-            note(self._book, self.plan, t, self.state.x, self.state.v, self._scene.period)
+            note(self._book, self.plan, t, self.state.x, self.state.v, self._period)
         return True
 
     def _reset(self) -> None:
@@ -353,7 +353,7 @@ class Simulation:
             stand(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
 
     def _apply_scene(self, scene: Scene) -> None:
-        self._scene = scene
+        self._scene, self._period = scene, scene.period
         self.plan = self._plans.change(scene)
         self.model = self.plan.model
         watches = scene.diagnostics.energy
