@@ -7,6 +7,11 @@
 // A law of `corners` particles sees them from the first one: d[i] = x[i + 1] - x[0] and u[i] = v[i + 1] - v[0], and gives
 // the forces on corners 1 and up; the first one takes minus their sum, so that no law makes momentum. Air is the
 // exception (`own_velocities`): it sees the velocity of each corner and gives the force on each.
+//
+// Of bounds `stiff` and `damp` of corner i bound a square of a sum over the corners, by Cauchy and Schwarz
+// (sum of a_i)^2 <= (sum of w_j |g_j|) (sum of a_i^2 / (w_i |g_i|)), with weights w of 1 here; `norm` has the |g_i|, so
+// that others can be put in their place (rates.hpp). `rest` is added, times I, whatever the weights. Where norms are 0
+// there is no such square.
 // Formulas: S1 to S9 of docs/springs.md and docs/bending.md.
 #pragma once
 
@@ -18,6 +23,13 @@ namespace cloth {
 inline constexpr double shortest_square = 1e-30;
 /// Largest stiffness across a spring relative to that along it that counts: that of a tenth of the rest length.
 inline constexpr double most_across = 9.0;
+
+/// What bounds the stiffness and the damping of an element at one of its corners, see above.
+template <class V>
+struct Bound {
+    Sym3<V> stiff, damp;
+    V norm, rest;
+};
 
 /// S1, a damped spring of rest length l0 > 0: F = -k (|d| - l0) d^ - c (u . d^) d^ on the far end, k = k_s / l0.
 struct Spring {
@@ -57,10 +69,9 @@ struct Spring {
     /// Twice k dd' + |k - k_s / |d|| (I - dd') at both ends. Compression's transverse part is negative and makes nothing
     /// unstable, but a spring pushed nearly to a point turns as fast as a stretched one: it counts by its size.
     template <class V>
-    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Axis<V> at = axis(p, d[0]);
-        stiff[0] = stiff[1] = outer(at.along, at.unit, at.across);
-        damp[0] = damp[1] = outer(at.damping, at.unit, V{});
+        b[0] = b[1] = {outer(at.along, at.unit, at.across), outer(at.damping, at.unit, V{}), splat<V>(1), V{}};
     }
     /// The same as numbers: along dd' + across I, and damping dd'.
     template <class V>
@@ -111,9 +122,9 @@ struct Joint {
         return p.c * norm2(u[0]);
     }
     template <class V>
-    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>*, Sym3<V>* stiff, Sym3<V>* damp) {
-        stiff[0] = stiff[1] = outer(V{}, Vec3<V>{}, splat<V>(2) * p.k);
-        damp[0] = damp[1] = outer(V{}, Vec3<V>{}, splat<V>(2) * p.c);
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>*, Bound<V>* b) {
+        const V two = splat<V>(2);
+        b[0] = b[1] = {outer(V{}, Vec3<V>{}, two * p.k), outer(V{}, Vec3<V>{}, two * p.c), splat<V>(1), V{}};
     }
 };
 
@@ -181,25 +192,25 @@ struct Hinge {
         const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
         return p.c * rate * rate;
     }
-    /// Of (grad h . u)^2 by Cauchy and Schwarz, (sum of a_i)^2 <= (sum of |g_j|) (sum of a_i^2 / |g_i|); of the curvature
-    /// k (h - h0) h'' as Areas bounds h''.
+    /// Of (grad h . u)^2 by Cauchy and Schwarz; of the curvature k (h - h0) h'' as Areas bounds h''.
     template <class V>
-    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Length<V> l = length(d);
         const Vec3<V> g[4] = {-(l.gradient[0] + l.gradient[1] + l.gradient[2]), l.gradient[0], l.gradient[1],
                               l.gradient[2]};
-        V norms[4], total{}, curvature[4];
+        V total{}, curvature[4];
         for (int i = 0; i < 4; ++i) {
-            norms[i] = root(norm2(g[i]));
-            total = total + norms[i];
+            b[i].norm = root(norm2(g[i]));
+            total = total + b[i].norm;
         }
         Areas::curvature(d, l, g, curvature);
         const V strain = p.k * absolute(l.h - p.rest);
         for (int i = 0; i < 4; ++i) {
-            const auto some = norms[i] > V{};
-            const V share = select(some, total / select(some, norms[i], splat<V>(1)), V{});
-            stiff[i] = outer(p.k * share, g[i], strain * curvature[i]);
-            damp[i] = outer(p.c * share, g[i], V{});
+            const auto some = b[i].norm > V{};
+            const V share = select(some, total / select(some, b[i].norm, splat<V>(1)), V{});
+            b[i].stiff = outer(p.k * share, g[i], V{});
+            b[i].damp = outer(p.c * share, g[i], V{});
+            b[i].rest = strain * curvature[i];
         }
     }
 };
@@ -359,7 +370,7 @@ struct Panel {
     /// The damping is exact. With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w
     /// feels at most (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
     template <class V>
-    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Sym3<V>* stiff, Sym3<V>* damp) {
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Shares<V> s = shares(p, d);
         V longest{};
         for (int i = 0; i < Corners - 1; ++i) {
@@ -369,10 +380,7 @@ struct Panel {
         const V speed = root(norm2(p.wind));
         const V strength =
             splat<V>(0.5) * (splat<V>(2) * absolute(p.normal - p.tangential) + p.tangential) * speed * root(longest);
-        for (int i = 0; i < Corners; ++i) {
-            stiff[i] = outer(V{}, Vec3<V>{}, strength);
-            damp[i] = outer(s.across, s.n, s.along);
-        }
+        for (int i = 0; i < Corners; ++i) b[i] = {Sym3<V>{}, outer(s.across, s.n, s.along), V{}, strength};
     }
 };
 

@@ -49,12 +49,14 @@ inline void add_list_bounds(const List& list, const double* x, std::int64_t n, d
         using Law = decltype(law);
         for (std::int64_t e = 0; e < list.count; ++e) {
             const Seen<Law> s(list, e, x, nullptr, n);
-            Sym3<double> k[Law::corners], c[Law::corners];
-            Law::bounds(s.params, s.d, k, c);
+            Bound<double> bound[Law::corners];
+            Law::bounds(s.params, s.d, bound);
             for (int i = 0; i < Law::corners; ++i) {
                 const std::int64_t p = list.corners[e * list.width + i];
-                if (stiff) add_block(stiff, n, p, k[i]);
-                if (damp && list.damped) add_block(damp, n, p, c[i]);
+                const Sym3<double>& k = bound[i].stiff;
+                const double rest = bound[i].rest;
+                if (stiff) add_block(stiff, n, p, {k.xx + rest, k.yy + rest, k.zz + rest, k.xy, k.xz, k.yz});
+                if (damp && list.damped) add_block(damp, n, p, bound[i].damp);
             }
         }
     });

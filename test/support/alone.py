@@ -53,6 +53,14 @@ def full(block):
     return whole.reshape(3 * count, 3 * count)
 
 
+def of_blocks(plan, x):
+    """What the largest eigenvalues of `blocks` come to, over masses: squared frequency and damping rate."""
+    return [
+        float((np.linalg.eigvalsh(bound[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]].T)[:, -1] * plan.model.inverse_masses).max())
+        for bound in blocks(plan, x)
+    ]
+
+
 def gradient(energy, x, step=1e-5):
     """Central differences of an energy, shape (3, n)."""
     slopes = np.zeros_like(x)
