@@ -207,13 +207,30 @@ def test_a_snapshot_copies_no_array() -> None:
 
 
 def test_reset_returns_to_the_start_of_the_snapshots_scene() -> None:
-    simulation = Simulation(Scene.from_parameters(LYING))
+    lies = Simulation(Scene.from_parameters(LYING)).state.to_bytes()
+    scene = Scene.from_parameters({**LYING, "initial_state": "lies.npz"}, files={"lies.npz": lies})
+    simulation = Simulation(scene)
     taken = simulation.snapshot()
-    simulation.advance([SetParameters({"obstacles": [""]})])
-    simulation.restore(taken)
+    for _ in range(2):  # a change after it was restored must not reach it either
+        simulation.advance([SetParameters({"obstacles": [""]})])
+        assert "obstacle.pose" in taken.initial.memory
+        simulation.restore(taken)
     simulation.advance([Reset()])
     assert "obstacle.pose" in simulation.state.memory
     assert simulation.scene.obstacle_names == ["table"]
+
+
+def test_a_snapshot_whose_arrays_cannot_be_written_is_restored() -> None:
+    simulation = Simulation(Scene.from_parameters(HUNG))
+    run(simulation, carried(HUNG))
+    buffers: list[pickle.PickleBuffer] = []
+    data = pickle.dumps(simulation.snapshot(), protocol=5, buffer_callback=buffers.append)
+    # As a message from another process brings them.
+    taken = pickle.loads(data, buffers=[bytes(buffer.raw()) for buffer in buffers])
+    assert not taken.state.x.flags.writeable
+    other = Simulation(Scene.from_parameters(HUNG))
+    other.restore(taken)
+    assert other.energy() == simulation.energy()
 
 
 def test_a_snapshot_of_another_scene_is_refused() -> None:
