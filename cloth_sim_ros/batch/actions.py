@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import REACH
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
@@ -101,7 +102,7 @@ class Commands:
     ) -> tuple[Sequence[float], Sequence[float] | None]:
         """Return the pose, or as much of the way to it from the target before as the speed lets."""
         if turn is not None:
-            length = math.sqrt(sum(number * number for number in turn))
+            length = math.sqrt(in_order(number * number for number in turn))
             unit = [number / length for number in turn]
             pose = within(before, [*position, *unit], _ARM, self._way)
             return pose[:3], pose[3:]

@@ -11,6 +11,7 @@ import numpy as np
 from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.runs import Run, booked_size
 
 
@@ -97,12 +98,12 @@ class Book:
     @property
     def work(self) -> float:
         """Work done on the cloth by grippers and obstacles [J]."""
-        return sum(self._touches[:, 6].tolist(), sum(self._grips[:, 6].tolist()))
+        return in_order(self._touches[:, 6].tolist(), in_order(self._grips[:, 6].tolist()))
 
     @property
     def lost(self) -> float:
         """Energy that springs, drag, grips and contact dissipated [J]; of springs and drag only with `powers`."""
-        return sum(self._touches[:, 7].tolist(), float(self._powers[0]) + sum(self._grips[:, 7].tolist()))
+        return in_order(self._touches[:, 7].tolist(), float(self._powers[0]) + in_order(self._grips[:, 7].tolist()))
 
     @property
     def rubbed(self) -> float:

@@ -41,6 +41,7 @@ from cloth_sim_ros.physics.gripping import Gripping
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.own_forces import OwnForces
 from cloth_sim_ros.physics.owner import Owner
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.runs import Run, Told, booked_size
 from cloth_sim_ros.physics.turn import one_at_a_time
 
@@ -314,7 +315,7 @@ class Plan:
         out = np.empty(2)
         speed = None if v is None else doubles("v", v, self._shape)
         check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), speed, address(out)))
-        return float(out[0]), sum((force.energy(t, x) for force in self._own), float(out[1]))
+        return float(out[0]), in_order((force.energy(t, x) for force in self._own), float(out[1]))
 
     def energy(self, t: float, x: Array, v: Array) -> float:
         """Return kinetic plus potential energy [J]."""
@@ -327,8 +328,8 @@ class Plan:
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_powers(self._handle, *addresses, address(out)))
-        lost = sum((force.dissipation(t, x, v) for force in self._own), float(out[0]))
-        return lost, sum((force.supply(t, x, v) for force in self._own), float(out[1]))
+        lost = in_order((force.dissipation(t, x, v) for force in self._own), float(out[0]))
+        return lost, in_order((force.supply(t, x, v) for force in self._own), float(out[1]))
 
     def grip_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
         """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
@@ -340,8 +341,8 @@ class Plan:
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
         """Return the power that damping takes out of the motion [W], that of grips and of contact included."""
-        lost = sum(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
-        return lost if self.contact is None else sum(self.contact.rates(t, x, v)[:, 7].tolist(), lost)
+        lost = in_order(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+        return lost if self.contact is None else in_order(self.contact.rates(t, x, v)[:, 7].tolist(), lost)
 
     def supply(self, t: float, x: Array, v: Array) -> float:
         """Return the power that moving air puts into the motion [W]."""

@@ -1,10 +1,15 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Powers and roots by arithmetic alone: a library's pow differs in the last bit from machine to machine."""
+"""Powers, roots and sums by arithmetic alone: a library's pow differs in the last bit from machine to machine, and
+Python's sum from version to version.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from functools import reduce
+from operator import add
 
 
 def power(base: float, exponent: int) -> float:
@@ -13,6 +18,15 @@ def power(base: float, exponent: int) -> float:
     for _ in range(exponent):
         product *= base
     return product
+
+
+def in_order(numbers: Iterable[float], start: float = 0.0) -> float:
+    """Return the sum of numbers, each added to what those before came to.
+
+    The built-in ``sum`` of floats carries rounding errors along from Python 3.12 on, so that its bits depend on the
+    version.
+    """
+    return reduce(add, numbers, start)
 
 
 def root(value: float, degree: int) -> float:

@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
@@ -170,7 +171,7 @@ def build_model(scene: Configuration) -> Model:
     forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_panels(scene, sheet)]
     if scene.gripper_names:
         forces.append(Grips(len(scene.gripper_names)))
-    solids, pads, own = scene.solids, pads_of(scene, sum(masses.tolist())), scene.contact
+    solids, pads, own = scene.solids, pads_of(scene, in_order(masses.tolist())), scene.contact
     if solids or pads or own.self_:
         from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
 

@@ -10,6 +10,7 @@ import attrs
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.state import State
 
 
@@ -64,7 +65,7 @@ class EnergyWatch:
             wind=sums.wind + wind,
             dissipated=sums.dissipated + lost,
             rubbed=sums.rubbed + book.rubbed,
-            residual=sums.residual + (kinetic + potential - sum(self._before) - work - wind + lost),
+            residual=sums.residual + (kinetic + potential - in_order(self._before) - work - wind + lost),
             turned_over=sums.turned_over + abs(kinetic - self._before[0]) + abs(lost) + abs(work) + abs(wind),
         )
         return self._sums

@@ -18,7 +18,7 @@ import numpy as np
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.columns import RATIOS, SUMS, amplification
-from cloth_sim_ros.physics.powers import power, root
+from cloth_sim_ros.physics.powers import in_order, power, root
 from cloth_sim_ros.physics.remembered import Error
 from cloth_sim_ros.physics.state import State
 
@@ -47,7 +47,7 @@ class Sums:
     def add(self, errors: Sequence[float], columns: int, predicted: float, activity: float) -> None:
         """Add a part that was judged."""
         known = self.errors or [0.0] * len(errors)
-        self.errors = [sum(pair) for pair in zip(known, errors, strict=False)]
+        self.errors = [in_order(pair) for pair in zip(known, errors, strict=False)]
         self.error += errors[columns - 1]
         self.predicted += predicted
         self.activity = max(self.activity, activity)

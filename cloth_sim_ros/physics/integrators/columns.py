@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.arrays import combine, largest_distance
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.state import State
@@ -44,7 +45,7 @@ def step_counts(first: int, columns: int) -> tuple[int, ...]:
 def amplification(columns: int) -> float:
     """Return by how much a combination of so many columns amplifies rounding: the sum of |w|."""
     # Twenty steps are the fewest whose counts keep the ratios.
-    return sum(abs(weight) for weight in weights(step_counts(20, columns)))
+    return in_order(abs(weight) for weight in weights(step_counts(20, columns)))
 
 
 @lru_cache(maxsize=1024)

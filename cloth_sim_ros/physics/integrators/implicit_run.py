@@ -18,6 +18,7 @@ from cloth_sim_ros.physics.integrators.base import Advance, MissedError, Unstabl
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.remembered import Implicit as Memory
 from cloth_sim_ros.physics.state import State
@@ -294,9 +295,9 @@ class ImplicitAdvance:
         for moment, weight, x, v in done.stages:
             work += weight * self._plan.supply(moment, x, v)
             if self._plan.gripper_count:
-                work = sum(self._plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), work)
+                work = in_order(self._plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), work)
             if self._plan.contact is not None:
-                work = sum(self._plan.contact.rates(moment, x, v, weight)[:, 6].tolist(), work)
+                work = in_order(self._plan.contact.rates(moment, x, v, weight)[:, 6].tolist(), work)
         return work
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
