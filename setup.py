@@ -55,7 +55,7 @@ def extensions():
 # The core runs the physics and the simulation. What needs a ROS graph, writes or shows sessions, reads mesh files or
 # measures is an extra of its own, so that `import cloth_sim_ros` needs none of it. Lower bounds are those of Ubuntu
 # 24.04, so that the same code runs on a robot's own packages; constraints.txt pins what `make` installs.
-CORE = ["numpy>=1.26", "scipy>=1.11", "attrs>=23.1", "PyYAML>=6.0", "xxhash>=3.2", "tqdm>=4.66"]
+CORE = ["numpy>=1.26", "scipy>=1.11", "attrs>=23.2", "PyYAML>=6.0", "xxhash>=3.2", "tqdm>=4.66"]
 
 SESSION = ["mcap>=1.1", "rosbags>=0.10.8", "zstandard>=0.22", "lz4>=4.0"]
 
