@@ -1,7 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of a whole scene beside its motion: energy, power, derivative product; bounds see rates.hpp. Arrays are (3, n).
+// What is asked of a whole scene beside its motion: energy, power, derivative product. Bounds are in rates.hpp. Arrays
+// are (3, n).
 #pragma once
 
 #include "contact_feature_measures.hpp"

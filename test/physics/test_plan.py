@@ -86,7 +86,8 @@ def test_a_sheet_is_the_same_springs_listed_to_rounding(values):
 
 @every_grid
 def test_a_sheet_that_is_carried_moves_as_the_same_springs_listed(values):
-    swept, plain = pair(values)
+    # Bounds of listed springs are sharper, so steps of their own would differ.
+    swept, plain = pair(values | {"step": 2e-5})
     corner, frames = swept.positions[-1], []
     for simulation in (swept, plain):
         grip(simulation, corner)

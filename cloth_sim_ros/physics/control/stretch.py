@@ -303,7 +303,7 @@ class Stretch:
                 self.choice = choice = Choice(enough[0], choice.refine, True)
                 accepted = True
         sums.add(errors, choice.columns, predicted, activity)
-        if accepted or sums.error <= rule.floor(choice.columns):  # no step gets below rounding
+        if accepted or sums.error <= CONSTANTS.trust * rule.floor(choice.columns):  # no step gets below rounding
             return True
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         # A single estimate tells nothing of that.
