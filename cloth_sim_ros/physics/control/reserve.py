@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rule of the reserve: what calm frames do not take of the tolerance is left to a lively one.
 
-Frames of a second may lose a share of the tolerance together. Each is granted a part of an equal share; what it does not
-take goes to a reserve that holds the rest of a second's share at most. So in no window of one second frames take more
-than all of it: what was there at its beginning, and what is granted in it.
+Frames of a second may lose a share of the tolerance together. Each is granted a part of an equal share; what it does
+not take goes to a reserve that holds the rest of a second's share at most. So in no window of one second frames take
+more than all of it: what was there at its beginning, and what is granted in it.
 """
 
 from __future__ import annotations

@@ -303,8 +303,8 @@ class Stretch:
                 self.choice = choice = Choice(enough[0], choice.refine, True)
                 accepted = True
         sums.add(errors, choice.columns, predicted, activity)
-        if accepted or sums.error <= CONSTANTS.trust * rule.floor(choice.columns):  # no step gets below rounding
-            return True
+        if accepted or sums.error <= CONSTANTS.trust * sums.parts * rule.floor(choice.columns):
+            return True  # no step gets below rounding
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         # A single estimate tells nothing of that.
         smooth = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
