@@ -87,6 +87,20 @@ def test_a_judgement_in_it_tells_the_same_error_within_its_blur() -> None:
     assert compared >= 2
 
 
+def test_what_misses_the_budget_in_it_is_tried_again_in_double() -> None:
+    plan, state = build()
+    for frame in range(6):
+        Extrapolated(tolerance=1e-3).advance(plan, state, frame * PERIOD, PERIOD)
+    # A kick that nothing was told of: what was predicted is far off.
+    state.v = state.v + 2.0 * np.random.default_rng(1).uniform(-1.0, 1.0, state.v.shape) * (state.v != 0.0)
+    seen = precisions(plan)
+    done = Extrapolated(tolerance=1e-3).advance(plan, state, 6 * PERIOD, PERIOD)
+    assert done.rejected > 1
+    assert seen[0] is True
+    # The frame, what judges it, and everything after that.
+    assert True not in seen[2:]
+
+
 def test_a_tight_tolerance_never_does() -> None:
     each, state = frames(1e-6, 24)
     assert not any(any(runs) for runs in each)

@@ -95,10 +95,10 @@ def in_numpy(model, name):
     return Model(model.masses, forces, anchors=model.anchors)
 
 
-def pair(name, force="structural"):
+def pair(name, force="structural", **options):
     """The same simulation by the engine, and with one force in numpy."""
     common = {"cloth.resolution": [7, 9], "grippers": ["one"], "gripper.radius": 0.2, "integrator": "leapfrog"}
-    scene = Scene.from_parameters({**common, **SCENES[name]}, files=FILES)
+    scene = Scene.from_parameters({**common, **SCENES[name], **options}, files=FILES)
     engine, own = Simulation(scene), Simulation(scene)
     own.plan = compile(in_numpy(own.model, force))
     for simulation in (engine, own):
@@ -127,13 +127,15 @@ def test_it_is_the_same_force(name, force):
     assert f == pytest.approx(g, abs=1e-12 * np.abs(f).max())
     assert out == pytest.approx(other, abs=1e-5 * np.abs(out).max())
     assert [energies, powers] == [pytest.approx(values, rel=1e-10) for values in rest[:2]]
-    # A sheet's bounds are calculated in single precision.
-    assert rates == pytest.approx(rest[2], rel=1e-5)
+    # A sheet's bounds are calculated in single precision; those of listed springs may be sharper than blocks alone are.
+    for sharp, plain in zip(rates, rest[2], strict=True):
+        assert 0.5 * plain < sharp <= plain * (1.0 + 1e-5)
 
 
 @every_sheet
 def test_a_sheet_that_is_carried_moves_and_pulls_the_same(name, force):
-    engine, own = pair(name, force)
+    # Bounds may differ, and steps that follow from them.
+    engine, own = pair(name, force, step=2e-5)
     corner, frames = engine.positions[-1], []
     for simulation in (engine, own):
         simulation.advance([Target("one", corner)])

@@ -30,7 +30,7 @@ def test_the_oracles_see_what_passes():
     ("run", "options", "met"),
     [
         (self_runs.fold, {}, 500),
-        (self_runs.three_layers, {"frames": 40}, 300),
+        (self_runs.three_layers, {"frames": 44}, 300),
         (self_runs.fall_on_an_edge, {}, 50),
         (self_runs.twist, {"turns": 1.5}, 20),
         (self_runs.crush, {}, 500),

@@ -62,8 +62,7 @@ class Stretch:
         self._effort, self._t, self._duration = effort, t, duration
         self.choice, self.rule = choice, rule
         self._stability, self._ahead, self._halvings, self.most = stability, ahead, halvings, most
-        self.limit = effort.touch.limit_ahead(t, duration, effort.state)
-        self.start = effort.state
+        self.limit, self.start = effort.touch.limit_ahead(t, duration, effort.state), effort.state
         #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
         self.steps = self.first = 0
         self.finest = math.inf
@@ -119,8 +118,7 @@ class Stretch:
 
     def _halves(self, *, untried: bool = False) -> float | None:
         """Cover both halves, each by what it needs."""
-        effort, half, spent = self._effort, 0.5 * self._duration, 0.0
-        self.finest = math.inf
+        effort, half, spent, self.finest = self._effort, 0.5 * self._duration, 0.0, math.inf
         most = min(self.most, self.first) if self.first else self.most
         self.steps = self.first = self.pieces = 0
         for k in range(2):
@@ -131,8 +129,8 @@ class Stretch:
             # The other half may go on by steps as long as they were.
             later = half * self.choice.refine / (CONSTANTS.safety * effort.stability.longest)
             ahead = self._ahead + (max(1.0, later) * SUMS[self.choice.columns + 1] if k == 0 else 0.0)
-            t, deeper = self._t + k * half, self._halvings + 1
-            child = Stretch(effort, t, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
+            now, deeper = self._t + k * half, self._halvings + 1
+            child = Stretch(effort, now, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
             # It begins with the steps that were too long for the whole.
             longest = min(child.longest, self.longest) if untried else child.longest
             refine = max(1.0, self.choice.refine * longest / self.longest)
@@ -234,14 +232,15 @@ class Stretch:
 
     def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
         """The runs of a part; those of the first are kept over attempts with the same steps."""
-        effort = self._effort
+        effort, kept = self._effort, self._kept
         counts = step_counts(self._counts_first, len(RATIOS))
-        kept = self._kept
-        if part == 0 and kept is not None and kept.counts == counts and kept.duration == length:
-            return kept
         if effort.options.tolerance is not None:
             # What it changes was measured over a whole advance, and does not shrink with the stretch.
             effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
+        if part == 0 and kept is not None and (kept.counts, kept.duration) == (counts, length):
+            if effort.narrow >= kept.narrow:
+                effort.narrow = kept.narrow
+                return kept
         columns = Columns(
             effort.plan,
             start if part == 0 else effort.state,
@@ -289,17 +288,16 @@ class Stretch:
             aim = CONSTANTS.aim * rule.budget * passed
             ahead = self._ahead + (1.0 - passed) * self.work(choice.columns, choice.refine)
             while len(errors) < effort.options.columns and sums.error + errors[-1] > aim:
-                if not effort.affords(ahead + columns.counts[len(errors) + 1]):
-                    break
-                if columns.narrow and not effort.precision.tells(len(errors) + 2):
+                fits = effort.affords(ahead + columns.counts[len(errors) + 1])
+                if not fits or (columns.narrow and not effort.precision.tells(len(errors) + 2)):
                     break
                 errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
             # A combination of more runs that are there may do. Of a motion that is not smooth all further ones have to
             # vouch for it: one estimate may be small by chance.
-            fits = [sums.error + error <= rule.budget for error in errors]
+            within = [sums.error + error <= rule.budget for error in errors]
             beyond = len(errors) if self._halvings else 0
-            enough = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : beyond])]
+            enough = [k for k, fit in enumerate(within, start=1) if fit and all(within[k - 1 : beyond])]
             if enough:
                 self.choice = choice = Choice(enough[0], choice.refine, True)
                 accepted = True
@@ -308,8 +306,8 @@ class Stretch:
             return True  # no step gets below rounding
         wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
         # A single estimate tells nothing of that.
-        smooth = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
-        return not self._seek(wanted, refine, smooth=smooth)
+        gained = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
+        return not self._seek(wanted, refine, smooth=gained)
 
     def _to_the_end(self, error: float) -> float | None:
         """Return a stretch's error [m] with what its last half step may have missed, None where that is too much."""
@@ -327,6 +325,7 @@ class Stretch:
         """Choose runs and refinement to try next, those wanted if they can be afforded; return whether any is.
         `smooth`: combinations gained on one another, as they do where the motion is smooth.
         """
+        self._effort.precision.doubted = True
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
         affordable = self.affords(columns, finer)
         if not smooth and (not affordable or self._beyond_order(refine)) and self._can_halve():
