@@ -237,10 +237,10 @@ class Stretch:
         if effort.options.tolerance is not None:
             # What it changes was measured over a whole advance, and does not shrink with the stretch.
             effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
-        if part == 0 and kept is not None and (kept.counts, kept.duration) == (counts, length):
-            if effort.narrow >= kept.narrow:
-                effort.narrow = kept.narrow
-                return kept
+        same = part == 0 and kept is not None and (kept.counts, kept.duration) == (counts, length)
+        if same and kept is not None and effort.narrow >= kept.narrow:
+            effort.narrow = kept.narrow
+            return kept
         columns = Columns(
             effort.plan,
             start if part == 0 else effort.state,
