@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.physics.constants import CONSTANTS
@@ -87,19 +88,20 @@ def test_a_judgement_in_it_tells_the_same_error_within_its_blur() -> None:
     assert compared >= 2
 
 
-def test_what_misses_the_budget_in_it_is_tried_again_in_double() -> None:
+@pytest.mark.parametrize(("kick", "doubted"), [(2.0, False), (10.0, True)])
+def test_what_misses_the_budget_twice_in_it_is_tried_in_double(kick: float, doubted: bool) -> None:
     plan, state = build()
     for frame in range(6):
         Extrapolated(tolerance=1e-3).advance(plan, state, frame * PERIOD, PERIOD)
-    # A kick that nothing was told of: what was predicted is far off.
-    state.v = state.v + 2.0 * np.random.default_rng(1).uniform(-1.0, 1.0, state.v.shape) * (state.v != 0.0)
+    # A kick [m/s] that nothing was told of: what was predicted is far off.
+    state.v = state.v + kick * np.random.default_rng(1).uniform(-1.0, 1.0, state.v.shape) * (state.v != 0.0)
     seen = precisions(plan)
     done = Extrapolated(tolerance=1e-3).advance(plan, state, 6 * PERIOD, PERIOD)
-    assert done.rejected > 1
-    assert seen[0] is True
-    # The frame, what judges it, and everything after that.
-    assert len(seen) > 2
-    assert not any(seen[2:])
+    assert done.rejected == (3 if doubted else 2)
+    # The frame, what judges it, the same with finer steps, and everything after that.
+    assert seen[:4] == [True] * 4
+    assert len(seen) > 4 if doubted else len(seen) == 4
+    assert not any(seen[4:])
 
 
 def test_a_tight_tolerance_never_does() -> None:

@@ -29,8 +29,8 @@ class PrecisionRule:
 
     def __init__(self, plan: Plan, memory: Precision, duration: float, budget: float) -> None:
         self._plan, self.memory, self._duration = plan, memory, duration
-        #: Whether an attempt missed the budget: that may have been rounding, which finer steps would not mend.
-        self.doubted = False
+        #: Attempts that missed the budget: from the second on it may be rounding, which finer steps do not mend.
+        self.missed = 0
         self._room = CONSTANTS.rounding * budget
         #: What an estimate of the error may be off by [m]: it tells whether an error is far below the budget all the
         #: same, for what was measured is counted `trust` times.
@@ -63,7 +63,7 @@ class PrecisionRule:
         """
         rounding = amplification(choice.columns) * self.memory.rounding
         # A judgement looks at one combination more.
-        if self.doubted or not (0.0 <= rounding <= self._room and self.tells(choice.columns + choice.judge)):
+        if self.missed > 1 or not (0.0 <= rounding <= self._room and self.tells(choice.columns + choice.judge)):
             return False
         v, least = state.v, CONSTANTS.motion * rounding
         # The last particle is looked at first: where the sheet moves it mostly does.

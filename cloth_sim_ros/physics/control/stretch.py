@@ -325,7 +325,7 @@ class Stretch:
         """Choose runs and refinement to try next, those wanted if they can be afforded; return whether any is.
         `smooth`: combinations gained on one another, as they do where the motion is smooth.
         """
-        self._effort.precision.doubted = True
+        self._effort.precision.missed += 1
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
         affordable = self.affords(columns, finer)
         if not smooth and (not affordable or self._beyond_order(refine)) and self._can_halve():
