@@ -50,8 +50,8 @@ def library_solvers(*, slow: bool) -> list[Solver]:
     """Every library solver at several tolerances; ``slow`` adds those that take minutes."""
     solvers = []
     for method, tolerances in (
-        ("RK45", (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)),
-        ("DOP853", (1e-2, 1e-3, 1e-4, 3e-5, 1e-5, 1e-6, 3e-7, 1e-7, 1e-8)),
+        ("RK45", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)),
+        ("DOP853", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 5e-7, 2e-7, 1e-7, 1e-8)),
     ):
         solvers += [_scipy(method, tolerance) for tolerance in tolerances]
     if slow:
