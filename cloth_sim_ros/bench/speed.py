@@ -26,7 +26,7 @@ KERNEL_PROMISE = 1.0
 CURTAIN_PROMISES = {32: 25.0, 64: 8.0, 128: 1.5}
 #: Two threads are at least so many times as fast as one, from so many particles a side.
 THREAD_PROMISE, THREADS_FROM = 1.7, 96
-#: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The second is the default.
+#: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The first is the default.
 TOLERANCES = (1e-3, 1e-4)
 #: Grids for bending models and for grippers, particles a side.
 PLAN_GRID = 64

@@ -111,9 +111,10 @@ class Scene:
     )
     tolerance: float = parameter(
         "double",
-        1e-4,
+        1e-3,
         "Over every second positions stay within this, times what a small kick grows by in it, of the exact motion; "
-        "frames that miss their share are flagged. 0 holds none",
+        "frames that miss their share are flagged. 0 holds none. The default is what a swung cloth of 30 x 30 keeps at "
+        "60 frames a second on two cores: at 1e-4 frames in which a fold snaps take longer than 1/60 s there",
         unit="m",
         least=0.0,
         most=1.0,
