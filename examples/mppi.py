@@ -8,7 +8,7 @@ from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.batch import rollouts
 
 MARK = np.array([0.3, 0.3, 0.7])  # [m]
-FUTURES, HORIZON, SPREAD, GREED = 16, 8, 0.01, 100.0  # samples, frames, m a frame, 1/m
+FUTURES, HORIZON, SPREAD, GREED = 16, 8, 0.005, 100.0  # samples, frames, m a frame, 1/m
 SCENE = {"cloth.resolution": [7, 7], "tolerance": 1e-3, "rate": 30.0, "gripper.radius": 0.06}
 
 

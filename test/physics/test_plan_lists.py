@@ -37,7 +37,7 @@ def test_the_order_of_locality_is_seen_nowhere_outside():
     files = {"one.obj": MESH, "two.obj": "\n".join(moved).encode()}
     ends = []
     for name, anchor, back in (("one.obj", 3, np.arange(len(order))), ("two.obj", rank[3], rank)):
-        values = {**SHEET, "cloth.mesh": name, "cloth.anchors": [str(anchor)], "grippers": ["one"]}
+        values = {**SHEET, "cloth.mesh": name, "cloth.anchors": [str(anchor)], "grippers": ["one"], "tolerance": 1e-5}
         simulation = Simulation(Scene.from_parameters({**values, "gripper.radius": 0.2}, files=files))
         corner = simulation.positions[back[0]]
         simulation.advance([Target("one", corner)])

@@ -53,7 +53,7 @@ def test_it_says_what_would_run_and_how_fast(tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr().out
     for words in (
         "a grid of 12 x 10: 120 particles, 10 anchored; forces: structural, shear, bend, gravity, drag, grips",
-        "50 frames a second; tolerance 0.0001 m; grippers: left, right",
+        "50 frames a second; tolerance 0.001 m; grippers: left, right",
         "expected real-time factor: ",
         "steps a frame by the stability limit",
         "integrator: extrapolated, ",

@@ -161,7 +161,7 @@ def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
     cells = [line.split("|") for line in section.splitlines() if line.startswith("| `")]
     documented = {name for cell in cells for name in re.findall(r"`(\w+)`", cell[1])}
     documented |= set(re.findall(r"`(energy_\w+)`", section))
-    with ClockedCloth(client, {"diagnostics.energy": True}) as cloth:
+    with ClockedCloth(client, {"diagnostics.energy": True, "tolerance": 1e-4}) as cloth:
         seen: list[DiagnosticStatus] = []
         client.node.create_subscription(
             DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10
@@ -179,7 +179,7 @@ def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
         assert set(values) == documented - {"recording_file", "recording_dropped"} - contact
         assert (values["frame"], values["paused"], values["recording"]) == ("30", "false", "off")
         assert (values["commands_received"], values["commands_refused"]) == ("1", "0")
-        # It falls from flat: what it gains in motion and stretch it has from its height, and the balance closes.
+        # It hangs, and its own weight stretches it: what it gains it has from its height, and the balance closes.
         turned_over = 0.2 * 9.81 * (0.5 - float(cloth.simulation.positions[:, 2].mean() - 0.5))
         assert abs(float(values["energy_balance_j"])) < 1e-3 * max(turned_over, 1e-2)
         assert float(values["energy_dissipated_j"]) > 0.0
