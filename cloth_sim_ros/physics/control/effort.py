@@ -72,14 +72,15 @@ class Effort:
             columns -= 1
         return columns
 
-    def fitted(self, choice: Choice, work: Callable[[int, float], float], ahead: float) -> Choice:
-        """Return what fits the cap of a choice whose work is told, with so much ahead. Explicit steps are given up
-        where the longest stable ones exceed it by more than implicit ones take to finish the frame.
+    def fitted(self, choice: Choice, work: Callable[[int, float], float], ahead: float, kept: int = 0) -> Choice:
+        """Return what fits the cap of a choice whose work is told, with so much ahead, and so much of it done already
+        where it stays as it is. Explicit steps are given up where the longest stable ones exceed the cap by more than
+        implicit ones take to finish the frame.
         """
         columns = self.fewer(choice.columns, lambda count: ahead + work(count, 1.0))
         choice = Choice(columns, choice.refine, choice.judge or columns < choice.columns)
         needed = work(columns, choice.refine)
-        if self.options.tolerance is None or self.affords(ahead + needed):
+        if self.options.tolerance is None or self.affords(ahead + needed - kept):
             return choice
         left = self.cap - self.evaluations - self.calls - ahead
         refine = max(1.0, choice.refine * left / needed)
@@ -87,5 +88,6 @@ class Effort:
         while refine > 1.0 and work(choice.columns, refine) > left + FINISHED:
             refine = max(1.0, 0.5 * refine)
         self.spent = True
-        self.lost = work(choice.columns, refine) > left + FINISHED and self.gives_way
+        done = kept if refine == choice.refine else 0
+        self.lost = work(choice.columns, refine) > left + done + FINISHED and self.gives_way
         return Choice(choice.columns, refine, True)

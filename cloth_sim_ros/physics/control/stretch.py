@@ -279,8 +279,8 @@ class Stretch:
             if sums.error <= rule.budget:
                 return True
             # All parts are judged then: one choice holds for the whole of a stretch. Runs that are kept cost nothing.
-            kept = -columns.evaluations if columns is self._kept else 0
-            self.choice = effort.fitted(Choice(choice.columns, choice.refine, True), self.work, self._ahead + kept)
+            kept = columns.evaluations if columns is self._kept else 0
+            self.choice = effort.fitted(Choice(choice.columns, choice.refine, True), self.work, self._ahead, kept)
             return False
         errors = [self._difference(columns, k) for k in range(1, choice.columns + 1)]
         accepted = sums.error + errors[-1] <= rule.budget or effort.spent
