@@ -115,16 +115,6 @@ class Error(Remembered):
 
 
 @attrs.define
-class Reserve(Remembered):
-    """What is left of the tolerance from frames before."""
-
-    key = "control.reserve"
-
-    #: Error that they might have had and had not [m], see `ReserveRule`.
-    left: float = number(0.0, least=0.0)
-
-
-@attrs.define
 class Touch(Remembered):
     """What is remembered of contact, by scenes with obstacles alone."""
 
@@ -224,7 +214,7 @@ SETTLED = "contact.settled"
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
 #: What step control remembers.
-RULES: tuple[type[Remembered], ...] = (Stability, Error, Reserve, Touch, Precision, Energy, Fallback, Implicit, Choice)
+RULES: tuple[type[Remembered], ...] = (Stability, Error, Touch, Precision, Energy, Fallback, Implicit, Choice)
 #: Names under which versions up to 0.2 kept what other rules remembered: it is not taken over.
 BEFORE = ("stepper", "automatic", "sleep")
 

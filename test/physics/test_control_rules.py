@@ -15,12 +15,11 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.fallback import FINISHED, work_cap
-from cloth_sim_ros.physics.control.reserve import ReserveRule
 from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.integrators.columns import step_counts, weights
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import Error, Fallback, Reserve, Stability
+from cloth_sim_ros.physics.remembered import Error, Fallback, Stability
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 #: Growth of an undamped wave by a step that is let pass.
@@ -227,26 +226,3 @@ def test_what_could_not_be_followed_is_tried_with_half_the_effort() -> None:
         fallen.append((done.integrator, Fallback.of(simulation.state).fallen))
     assert ("implicit", 1.0) in fallen
     assert all(count == 0.0 for name, count in fallen if name != "implicit")
-
-
-@pytest.mark.parametrize("rate", [30, 60, 240])
-@pytest.mark.parametrize("seed", range(4))
-def test_frames_of_any_second_take_no_more_than_its_share(rate: int, seed: int) -> None:
-    random, tolerance, memory = np.random.default_rng(seed), 1e-3, Reserve()
-    taken = []
-    for frame in range(6 * rate):
-        rule = ReserveRule(memory, tolerance, 1.0 / rate)
-        # Calm for a while, then as much as may be, then anything.
-        error = rule.budget * (0.0, 1.0, float(random.uniform()))[frame * 3 // (2 * rate) % 3]
-        rule.took(error)
-        taken.append(error)
-    windows = [sum(taken[begin : begin + rate]) for begin in range(len(taken) - rate + 1)]
-    assert max(windows) <= CONSTANTS.share * tolerance * (1.0 + 1e-12)
-    # What calm frames leave is of use: more than all frames alike would have had.
-    assert max(taken) > 0.1 * CONSTANTS.share * tolerance
-
-
-def test_a_frame_that_took_too_much_leaves_nothing_and_owes_nothing() -> None:
-    memory = Reserve(left=1e-5)
-    ReserveRule(memory, 1e-3, 1.0 / 60.0).took(1e-3)
-    assert memory.left == 0.0

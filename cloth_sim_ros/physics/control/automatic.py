@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, MissedError, UnstableError
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Choice, Reserve, Stability, restart
+from cloth_sim_ros.physics.remembered import Choice, Stability, restart
 from cloth_sim_ros.physics.state import State
 
 if TYPE_CHECKING:
@@ -114,8 +114,6 @@ class Automatic(Integrator):
                 memory.implicit = memory.vain = 1.0
         elif memory.implicit:
             cost = done.evaluations * _iteration(plan)
-            # Implicit frames may take all of their share.
-            Reserve().store(state)
             # A single frame that had to be repeated is no reason to change.
             memory.cost = 0.5 * (memory.cost + cost) if memory.cost else cost
         memory.store(state)

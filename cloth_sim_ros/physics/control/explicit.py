@@ -16,14 +16,13 @@ from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.fallback import finish, part_cost, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
-from cloth_sim_ros.physics.control.reserve import ReserveRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
 from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.integrators.columns import SUMS
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Reserve, Stability, Touch
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 
@@ -60,12 +59,7 @@ class ExplicitAdvance:
             # What the energy asked for is tried with larger steps from time to time.
             error.refine = max(1.0, 0.5 * error.refine)
         judge = options.tolerance is not None and error.wait <= 0.0
-        share = budget = math.inf
-        self._reserve: ReserveRule | None = None
-        if options.tolerance is not None:
-            share = CONSTANTS.share * duration * options.tolerance
-            self._reserve = ReserveRule(Reserve.of(state), options.tolerance, duration)
-            budget = self._reserve.budget
+        budget = math.inf if options.tolerance is None else CONSTANTS.share * duration * options.tolerance
         # A fixed step that goes on was stable once.
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), duration))
@@ -78,7 +72,7 @@ class ExplicitAdvance:
             book=book,
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state)),
-            precision=PrecisionRule(plan, precision, duration, share),
+            precision=PrecisionRule(plan, precision, duration, budget),
             touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
             duration=duration,
             cap=math.inf,
@@ -131,9 +125,6 @@ class ExplicitAdvance:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
-        if self._reserve is not None:
-            self._reserve.took(error)
-            self._reserve.memory.store(state)
         effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
         if self._fallen or effort.finishing:
             Fallback(min(64.0, self._fallen + 1.0) if effort.finishing else 0.0).store(state)
