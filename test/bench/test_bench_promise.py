@@ -251,6 +251,14 @@ def test_forces_that_differ_are_told_as_such(held_scene, monkeypatch):
     assert not judgement.windows
 
 
+def test_a_free_spring_that_drifts_and_turns_keeps_the_promise():
+    # It errs in one direction all the while, and estimates are too low by up to four times.
+    judgement = judge(1, 96, 2)
+    assert judgement.verdict == "kept"
+    assert not judgement.flagged_frames
+    assert max(window.error / window.promised for window in judgement.windows) < 1.0
+
+
 def test_a_linear_regime_is_judged_by_its_exact_solution():
     outcome = judge_regime((REGIMES["spring, undamped"], 1e-3))
     assert outcome.reference < 1e-6
