@@ -287,6 +287,6 @@ def test_a_frame_beyond_its_cap_keeps_to_explicit_steps_that_fit_it() -> None:
     chain = attrs.evolve(REGIMES["chain of 33, joints, undamped"], duration=0.1)
     run = record(drawn(chain, 1e-10))
     advances = [frame.advance for frame in run.frames]
-    assert sum(done.flagged > 0 for done in advances) > 3
+    assert sum(done.flagged > 0 for done in advances) > 2
     assert {done.integrator for done in advances} == {"extrapolated"}
     assert max(done.error for done in advances) < 1e-10

@@ -88,7 +88,7 @@ def test_a_judgement_in_it_tells_the_same_error_within_its_blur() -> None:
     assert compared >= 2
 
 
-@pytest.mark.parametrize(("kick", "doubted"), [(2.0, False), (10.0, True)])
+@pytest.mark.parametrize(("kick", "doubted"), [(1.0, False), (10.0, True)])
 def test_what_misses_the_budget_twice_in_it_is_tried_in_double(kick: float, doubted: bool) -> None:
     plan, state = build()
     for frame in range(6):
