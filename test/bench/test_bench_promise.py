@@ -284,9 +284,9 @@ def test_a_frame_beyond_its_cap_keeps_to_explicit_steps_that_fit_it() -> None:
     """An undamped chain at a tolerance beyond its cap: a frame was given up for implicit steps, centimetres off, as
     whole numbers of steps took a little more than was left.
     """
-    chain = attrs.evolve(REGIMES["chain of 33, joints, undamped"], duration=0.1)
+    chain = attrs.evolve(REGIMES["chain of 33, joints, undamped"], duration=0.2)
     run = record(drawn(chain, 1e-10))
     advances = [frame.advance for frame in run.frames]
-    assert sum(done.flagged > 0 for done in advances) > 2
+    assert sum(done.flagged > 0 for done in advances) > 3
     assert {done.integrator for done in advances} == {"extrapolated"}
     assert max(done.error for done in advances) < 1e-10
