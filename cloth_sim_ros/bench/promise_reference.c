@@ -10,6 +10,7 @@
 #include <string.h>
 
 typedef double Lanes __attribute__((vector_size(LANES * 8), aligned(8), may_alias));
+typedef int64_t Mask __attribute__((vector_size(LANES * 8), aligned(8), may_alias));
 typedef struct {
     Lanes x, y, z;
 } Vec;
@@ -63,9 +64,8 @@ static inline Lanes root(Lanes a) {
 }
 /* 1 / a where a is above a limit, 0 where it is not. */
 static inline Lanes inverse_above(Lanes a, Lanes limit) {
-    Lanes r;
-    for (int l = 0; l < LANES; ++l) r[l] = a[l] > limit[l] ? 1.0 / a[l] : 0.0;
-    return r;
+    const Mask above = a > limit;
+    return (Lanes)((Mask)(1.0 / a) & above);
 }
 
 static void springs(const System *s, const double *x, const double *v, double *f) {
@@ -243,15 +243,12 @@ void accelerations(const System *s, double t, const double *x, const double *v, 
     }
 }
 
-static void slope(const System *s, double t, const double *y, double *k) {
-    const int64_t half = s->particles * 3 * LANES;
-    memcpy(k, y + half, (size_t)half * sizeof(double));
-    accelerations(s, t, y, y + half, k + half);
-}
-
-/* Coefficients of the method, rows of 12: A of stages 1 to 11, B, then the two error estimates' 12; C. */
+/* Coefficients of the method: rows A of stages 1 to 11, B, then the two error estimates' 12; C. A slope's first half is the
+ * stage's velocity, itself a sum of accelerations: so positions need accelerations alone, with the weights that products
+ * with A give. */
 typedef struct {
     double a[12][12], b[12], c[12], third[12], fifth[12];
+    double a_place[12][12], b_place[12], third_place[12], fifth_place[12];
 } Method;
 
 /* Error control of one stretch. */
@@ -265,68 +262,84 @@ typedef struct {
     int64_t most; /* evaluations of one stretch, beyond which it is given up */
 } Control;
 
-/* y += h sum of weights[i] k[i] over the first `count`, into out. */
-static void combine(int64_t size, int count, double h, const double *weights, double *const *k, const double *y, double *out) {
-    double w[12];
+/* Positions and velocities that lie a part `c` of h behind y, by accelerations k weighted for either, into out. */
+static void combine(int64_t half, int count, double h, double c, const double *places, const double *speeds,
+                    double *const *k, const double *y, double *out) {
+    double place[12], speed[12];
     const double *from[12];
     int terms = 0;
     for (int i = 0; i < count; ++i)
-        if (weights[i] != 0.0) w[terms] = h * weights[i], from[terms++] = k[i];
-    for (int64_t e = 0; e < size; e += LANES) {
-        Lanes sum = {0};
-        for (int i = 0; i < terms; ++i) sum += w[i] * *(const Lanes *)(from[i] + e);
-        *(Lanes *)(out + e) = *(const Lanes *)(y + e) + sum;
+        if (places[i] != 0.0 || speeds[i] != 0.0)
+            place[terms] = h * h * places[i], speed[terms] = h * speeds[i], from[terms++] = k[i];
+    for (int64_t e = 0; e < half; e += LANES) {
+        Lanes x = {0}, v = {0};
+        for (int i = 0; i < terms; ++i) {
+            const Lanes acceleration = *(const Lanes *)(from[i] + e);
+            x += place[i] * acceleration;
+            v += speed[i] * acceleration;
+        }
+        const Lanes moving = *(const Lanes *)(y + half + e);
+        *(Lanes *)(out + e) = *(const Lanes *)(y + e) + (c * h * moving + x);
+        *(Lanes *)(out + half + e) = moving + v;
     }
 }
 
-/* The scaled error of a step of which the slopes are k and the result is y. */
-static double error_of(const Method *m, Control *control, int64_t size, double h, double *const *k, const double *y) {
-    double worst3[2][2] = {{0}}, worst5[2][2] = {{0}};
-    for (int part = 0; part < 2; ++part) {
-        Lanes most = {0}, top3 = {0}, top5 = {0};
-        for (int64_t e = part * size / 2; e < (part + 1) * size / 2; e += LANES) {
-            Lanes e3 = {0}, e5 = {0};
-            for (int i = 0; i < 12; ++i) {
-                const Lanes slope = *(const Lanes *)(k[i] + e);
-                e3 += m->third[i] * slope;
-                e5 += m->fifth[i] * slope;
-            }
-            Lanes away = *(const Lanes *)(y + e);
-            /* The first lane as it is, the others as deviations from it. */
-            const double own = away[0], own3 = e3[0], own5 = e5[0];
-            away -= own, e3 -= own3, e5 -= own5;
-            e3[0] = own3, e5[0] = own5;
-            for (int l = 0; l < LANES; ++l) {
-                most[l] = fmax(most[l], fabs(away[l]));
-                top3[l] = fmax(top3[l], fabs(e3[l]));
-                top5[l] = fmax(top5[l], fabs(e5[l]));
-            }
-            if (!(own3 - own3 == 0.0)) return INFINITY;
+static inline Lanes larger(Lanes a, Lanes b) {
+    const Mask first = a > b;
+    return (Lanes)(((Mask)a & first) | ((Mask)b & ~first));
+}
+/* Sizes: of the first lane as it is, of the others' deviations from it. */
+static inline Lanes sizes(Lanes a) {
+    const double own = a[0];
+    a -= own;
+    a[0] = own;
+    return larger(a, (Lanes){0} - a);
+}
+
+/* The scaled error of a step of which the accelerations are k and the result is y. */
+static double error_of(const Method *m, Control *control, int64_t half, double h, double *const *k, const double *y) {
+    Lanes away[2] = {{0}}, top3[2] = {{0}}, top5[2] = {{0}}, bad = {0};
+    for (int64_t e = 0; e < half; e += LANES) {
+        Lanes e3[2] = {{0}}, e5[2] = {{0}};
+        for (int i = 0; i < 12; ++i) {
+            const Lanes acceleration = *(const Lanes *)(k[i] + e);
+            e3[0] += m->third_place[i] * acceleration, e3[1] += m->third[i] * acceleration;
+            e5[0] += m->fifth_place[i] * acceleration, e5[1] += m->fifth[i] * acceleration;
         }
-        double deviation = control->kick;
-        for (int l = 1; l < LANES; ++l) deviation = fmax(deviation, most[l]);
-        control->deviations[part] = fmax(deviation, 0.95 * control->deviations[part]);
-        worst3[part][0] = top3[0] / control->tolerance, worst5[part][0] = top5[0] / control->tolerance;
-        for (int l = 1; l < LANES; ++l) {
-            worst3[part][1] = fmax(worst3[part][1], top3[l] / (control->share * control->deviations[part]));
-            worst5[part][1] = fmax(worst5[part][1], top5[l] / (control->share * control->deviations[part]));
+        bad += 0.0 * e3[1];
+        for (int part = 0; part < 2; ++part) {
+            const Lanes now = *(const Lanes *)(y + part * half + e);
+            away[part] = larger(sizes(now), away[part]);
+            top3[part] = larger(sizes(e3[part]), top3[part]);
+            top5[part] = larger(sizes(e5[part]), top5[part]);
         }
     }
+    if (!(bad[0] == 0.0)) return INFINITY;
     double third = 0.0, fifth = 0.0;
-    for (int part = 0; part < 2; ++part)
-        for (int who = 0; who < 2; ++who) third = fmax(third, worst3[part][who]), fifth = fmax(fifth, worst5[part][who]);
+    for (int part = 0; part < 2; ++part) {
+        /* Errors of positions are one more h. */
+        const double unit = part ? 1.0 : h;
+        double deviation = control->kick;
+        for (int l = 1; l < LANES; ++l) deviation = fmax(deviation, away[part][l]);
+        control->deviations[part] = fmax(deviation, 0.95 * control->deviations[part]);
+        for (int l = 0; l < LANES; ++l) {
+            const double scale = l ? control->share * control->deviations[part] : control->tolerance;
+            third = fmax(third, unit * top3[part][l] / scale);
+            fifth = fmax(fifth, unit * top5[part][l] / scale);
+        }
+    }
     if (fifth == 0.0) return 0.0;
     return h * fifth * fifth / sqrt(fifth * fifth + 0.01 * third * third);
 }
 
-/* Advance y by a duration [s]; work has room for 14 y. 0; 1 where no step is small enough, 2 beyond `most`. */
+/* Advance y by a duration [s]; work has room for 7 y. 0; 1 where no step is small enough, 2 beyond `most`. */
 int advance(const System *s, const Method *m, Control *control, double duration, double *y, double *work) {
-    const int64_t size = s->particles * 6 * LANES;
-    double *k[12], *next = work + 12 * size, *first = work + 13 * size;
-    for (int i = 0; i < 12; ++i) k[i] = work + i * size;
+    const int64_t half = s->particles * 3 * LANES;
+    double *k[12], *next = work + 12 * half;
+    for (int i = 0; i < 12; ++i) k[i] = work + i * half;
     const int64_t end = control->evaluations + control->most;
     double t = 0.0, h = control->step > 0.0 ? control->step : 1e-3 * duration;
-    slope(s, t, y, k[0]);
+    accelerations(s, t, y, y + half, k[0]);
     ++control->evaluations;
     int rejected = 0;
     while (t < duration) {
@@ -336,22 +349,21 @@ int advance(const System *s, const Method *m, Control *control, double duration,
         if (!(step > 1e-13 * duration)) return 1;
         if (control->evaluations > end) return 2;
         for (int i = 1; i < 12; ++i) {
-            combine(size, i, step, m->a[i], k, y, next);
-            slope(s, t + m->c[i] * step, next, k[i]);
+            combine(half, i, step, m->c[i], m->a_place[i], m->a[i], k, y, next);
+            accelerations(s, t + m->c[i] * step, next, next + half, k[i]);
         }
-        combine(size, 12, step, m->b, k, y, next);
+        combine(half, 12, step, 1.0, m->b_place, m->b, k, y, next);
         control->evaluations += 11;
-        const double error = error_of(m, control, size, step, k, next);
+        const double error = error_of(m, control, half, step, k, next);
         if (error < 1.0) {
             double factor = error == 0.0 ? 6.0 : fmin(6.0, 0.9 * pow(error, -0.125));
             if (rejected) factor = fmin(1.0, factor);
             h = step < h ? fmax(factor * step, fmin(h, duration)) : factor * step;
             rejected = 0;
             t = last ? duration : t + step;
-            memcpy(y, next, (size_t)size * sizeof(double));
+            memcpy(y, next, 2 * (size_t)half * sizeof(double));
             if (t < duration) {
-                slope(s, t, y, first);
-                memcpy(k[0], first, (size_t)size * sizeof(double));
+                accelerations(s, t, y, y + half, k[0]);
                 ++control->evaluations;
             }
         } else {

@@ -93,6 +93,10 @@ class _Method(ctypes.Structure):
         ("c", _NUMBER * 12),
         ("third", _NUMBER * 12),
         ("fifth", _NUMBER * 12),
+        ("a_place", _NUMBER * 144),
+        ("b_place", _NUMBER * 12),
+        ("third_place", _NUMBER * 12),
+        ("fifth_place", _NUMBER * 12),
     )
 
 
@@ -146,12 +150,12 @@ def _library() -> ctypes.CDLL:
 def _method() -> _Method:
     from scipy.integrate._ivp import dop853_coefficients as table
 
-    method = _Method()
-    method.a[:] = table.A[:12, :12].ravel().tolist()
-    method.b[:] = table.B.tolist()
+    method, stages = _Method(), table.A[:12, :12]
     method.c[:] = table.C[:12].tolist()
-    method.third[:] = table.E3[:12].tolist()
-    method.fifth[:] = table.E5[:12].tolist()
+    weights = {"a": stages, "b": table.B, "third": table.E3[:12], "fifth": table.E5[:12]}
+    for name, array in weights.items():
+        getattr(method, name)[:] = array.ravel().tolist()
+        getattr(method, f"{name}_place")[:] = (array @ stages).ravel().tolist()
     return method
 
 
@@ -282,7 +286,7 @@ class Integration:
     def __init__(self, system: ReferenceSystem, y: Array, *, tolerance: float, most: int = 1 << 40) -> None:
         self.system, self.y = system, y
         self._control = _Control(tolerance=tolerance, kick=KICK, share=SHARE, most=most)
-        self._work = np.empty(14 * y.size)
+        self._work = np.empty(7 * y.size)
 
     @property
     def evaluations(self) -> int:
