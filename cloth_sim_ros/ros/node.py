@@ -259,6 +259,9 @@ class ClothNode:
             self._frame(due)
 
     def _frame(self, due: Due) -> None:
+        if self.cut_off:
+            # The frame that was left to itself is still at work on the cloth.
+            return
         begun = time.monotonic()
         self._recording.before_frame(due.stamp)
         self._accuracy.before_frame()

@@ -8,12 +8,14 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
+from rclpy.parameter import Parameter
 from std_msgs.msg import Bool
 from support.ros_client import start_cloth
 
@@ -158,6 +160,32 @@ def test_a_job_that_goes_on_is_left(signals: StopSignals) -> None:
         aside.run(endless)
     assert aside.left
     ended.set()
+
+
+def test_no_frame_begins_beside_one_that_is_left(ros_domain: int) -> None:
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    begun: list[Callable[[], Any]] = []
+
+    def left(job: Callable[[], Any]) -> Any:
+        begun.append(job)
+        raise StopRequestedError("SIGINT")
+
+    overrides = [Parameter("cloth.resolution", value=[5, 5]), Parameter("rate", value=1000.0)]
+    cloth = ClothNode(context=context, parameter_overrides=overrides, aside=left, stopped=str)
+    try:
+        cloth.start()
+        deadline = time.monotonic() + LIMIT
+        while not cloth.cut_off and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert cloth.cut_off
+        # Further frames are due meanwhile, and the thread that runs them lives.
+        time.sleep(0.2)
+        assert len(begun) == 1
+    finally:
+        cloth.close()
+        cloth.node.destroy_node()
+        rclpy.shutdown(context=context)
 
 
 @pytest.mark.parametrize("rate", [60.0, 1000.0])
