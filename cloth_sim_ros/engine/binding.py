@@ -20,10 +20,15 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 11
+ABI = 12
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE = 4
+#: A plan that is at work serves no second call.
+AT_WORK = (
+    "this plan is at work already, for another thread or for a force that asks it while it is asked; compile the model "
+    "once more for a second call at the same time"
+)
 #: Runs of one frame at most; see frame.hpp.
 MOST_RUNS = 8
 #: Numbers that a frame tells of its combination; see `told` in frame.hpp.
@@ -212,8 +217,11 @@ def check(status: int) -> None:
 
     Raises:
         MemoryError: where memory did not suffice.
+        RuntimeError: where the plan is at work for another call.
         EngineError: for any other trouble.
     """
+    if status == 5:
+        raise RuntimeError(AT_WORK)
     if status == 2:
         raise MemoryError("the engine could not get the memory that this cloth needs")
     if status:

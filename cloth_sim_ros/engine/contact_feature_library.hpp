@@ -7,7 +7,7 @@
 /// The surface that points and edges of obstacles are kept out of: triangles (count, 3), its shortest edge at rest [m].
 /// Particles stand where cloth_plan_order put them.
 CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::FeatureContact contact;
         cloth::Surface& s = contact.surface;
         s.count = plan->count;
@@ -37,7 +37,7 @@ CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std:
 /// None where the cloth has no surface that can be pushed.
 CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std::int64_t points, const double* places,
                                   std::int64_t edges, const std::int64_t* ends, double radius) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         if (!plan->features) return;
         cloth::Features features;
         features.radius = radius;
@@ -53,7 +53,7 @@ CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std:
 /// Whether runs over a duration may leave them out, see FeatureRest.
 CLOTH_API int cloth_features_rest(cloth::Plan* plan, double t, double duration, const double* x, const double* v,
                                   std::int64_t* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::FeatureRest rest(*plan, t, duration, x, v);
         *out = plan->features_act() ? 0 : 1;
     });
@@ -61,7 +61,7 @@ CLOTH_API int cloth_features_rest(cloth::Plan* plan, double t, double duration, 
 /// Squared frequency and damping rate, see feature_ahead, and the number of pairs that it looked at. Three numbers.
 CLOTH_API int cloth_features_ahead(cloth::Plan* plan, double t, double duration, double expected, const double* x,
                                    const double* v, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::SelfRates r =
             plan->features ? cloth::feature_ahead(*plan, t, duration, expected, x, v) : cloth::SelfRates{};
         out[0] = r.omega2;
@@ -75,18 +75,18 @@ CLOTH_API int cloth_features_ahead(cloth::Plan* plan, double t, double duration,
 /// Whether any passes through the cloth on straight ways from x0 at time t to x1, a duration later.
 CLOTH_API int cloth_features_cross(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,
                                    std::int64_t* out) {
-    return guarded([&] { *out = plan->features && cloth::features_cross(*plan, t, duration, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = plan->features && cloth::features_cross(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
 /// Of each pinch, whether its pads do, see pads_cross.
 CLOTH_API int cloth_pads_cross(cloth::Plan* plan, double t, const double* x, const double* ways, std::int64_t* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         std::fill(out, out + plan->contacts.pinches.size(), std::int64_t{0});
         if (plan->features) cloth::pads_cross(*plan, t, x, ways, out);
     });
 }
 /// What passes through the cloth, see features_pierce: three numbers.
 CLOTH_API int cloth_features_pierce(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         std::fill(out, out + 3, std::int64_t{-1});
         if (plan->features) cloth::features_pierce(*plan, t, x, out);
     });

@@ -5,6 +5,7 @@
 // before; arrays are (3, n) doubles by component unless said otherwise. Every call returns a Status.
 
 #include "frame.hpp"
+#include "guard.hpp"
 #include "measures.hpp"
 #include "paths.hpp"
 
@@ -14,27 +15,8 @@
 
 using cloth::Plan;
 
-namespace {
-
-enum Status : int { well = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4 };
-
-template <class F>
-int guarded(F&& work) {
-    try {
-        const cloth::Ieee rounding;
-        work();
-        return well;
-    } catch (const std::bad_alloc&) {
-        return no_memory;
-    } catch (...) {
-        return failed;
-    }
-}
-
-}  // namespace
-
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 11; }
+CLOTH_API int cloth_engine_abi() { return 12; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -64,7 +46,7 @@ CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
 
 /// Families as rows of present, k_s, rest length, damping, border, parity.
 CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::Grid grid;
         grid.rows = rows;
         grid.columns = columns;
@@ -78,10 +60,10 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
 }
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
                               const double* common) {
-    return guarded([&] { plan->lists.emplace_back(static_cast<cloth::Kind>(kind), count, corners, params, common); });
+    return guarded(plan, [&] { plan->lists.emplace_back(static_cast<cloth::Kind>(kind), count, corners, params, common); });
 }
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         std::copy(gravity, gravity + 3, plan->gravity);
         std::copy(wind, wind + 3, plan->wind);
         plan->drag = drag;
@@ -89,23 +71,23 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
 }
 /// Coefficients and wind of the panels, the only list that has numbers in common.
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         for (cloth::List& list : plan->lists)
             if (!list.numbers) std::copy(common, common + 5, list.common);
     });
 }
 /// Place of each particle inside runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
-    return guarded([&] { plan->rank.assign(rank, rank + plan->count); });
+    return guarded(plan, [&] { plan->rank.assign(rank, rank + plan->count); });
 }
 CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
-    return guarded([&] { plan->callback = callback; });
+    return guarded(plan, [&] { plan->callback = callback; });
 }
 /// What grippers hold; cloth_plan_paths tells how they move.
 CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                               const std::int64_t* owners, const double* offsets, const double* stiffness,
                               const double* damping) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});
         std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return particles[a] < particles[b]; });
@@ -127,7 +109,7 @@ CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, std::int64_t co
 CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
     const double* const end = paths + plan->held.grippers * cloth::path_numbers;
     if (!std::all_of(paths, end, [](double a) { return std::isfinite(a); })) return not_finite;
-    return guarded([&] { plan->held.paths.assign(paths, end); });
+    return guarded(plan, [&] { plan->held.paths.assign(paths, end); });
 }
 
 /// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;
@@ -135,7 +117,7 @@ CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
 CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
                                  const double* radii, const double* frictions, const double* paths, double thickness,
                                  double damping, double frequency) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::Contacts contacts;
         for (std::int64_t k = 0; k < count; ++k)
             contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
@@ -155,20 +137,20 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
 /// The mesh that an obstacle is: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
 CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* places,
                               std::int64_t triangles, const std::int64_t* corners) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, places, triangles, corners);
     });
 }
 /// New paths for the same obstacles.
 CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
-    return guarded([&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
+    return guarded(plan, [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
 }
 
 /// Which obstacles are pads of grippers that pinch, two of each, that on the closing axis' positive side first. Numbers of
 /// each: present, closed, mass [kg], force [N], speed [m/s], half the way between the faces of open pads and half a pad's
 /// extent [m]. Pads are open at first.
 CLOTH_API int cloth_plan_pinches(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
         contacts.pinches.clear();
         for (std::int64_t k = 0; k < count; ++k) {
@@ -188,11 +170,11 @@ CLOTH_API int cloth_plan_pinches(Plan* plan, std::int64_t count, const std::int6
 }
 /// Where pads are at the start of runs, (pinches, pinch_numbers).
 CLOTH_API int cloth_contact_pinched(Plan* plan, const double* pinched) {
-    return guarded([&] { std::copy_n(pinched, plan->contacts.pinched.size(), plan->contacts.pinched.data()); });
+    return guarded(plan, [&] { std::copy_n(pinched, plan->contacts.pinched.size(), plan->contacts.pinched.data()); });
 }
 /// Accelerations of half the ways between pads.
 CLOTH_API int cloth_pinch_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         std::vector<double> felt(plan->contacts.pinches.size(), 0.0);
         if (plan->features) cloth::feature_openings(*plan, t, x, v, felt);
         cloth::pinch_accelerations(*plan, t, x, v, felt, out);
@@ -201,14 +183,14 @@ CLOTH_API int cloth_pinch_accelerations(Plan* plan, double t, const double* x, c
 
 CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
     int status = well;
-    const int other = guarded([&] {
+    const int other = guarded(plan, [&] {
         if (cloth::make_frame(*plan, *frame) != cloth::Done::well) status = callback_failed;
     });
     return other ? other : status;
 }
 CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     int status = well;
-    const int other = guarded([&] {
+    const int other = guarded(plan, [&] {
         if (cloth::accelerations(*plan, t, x, v, out) != cloth::Done::well) status = callback_failed;
     });
     return other ? other : status;
@@ -216,7 +198,7 @@ CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const d
 
 /// Kinetic and potential energy [J] into two numbers; v may be null.
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
         out[0] = e.kinetic;
         out[1] = e.potential;
@@ -224,14 +206,14 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
 }
 /// Power lost to damping and drag, and given by the wind [W]; the joints of grippers aside.
 CLOTH_API int cloth_powers(Plan* plan, const double* x, const double* v, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         out[0] = out[1] = 0.0;
         cloth::powers(*plan, x, v, out[0], out[1]);
     });
 }
 /// Adds to (grippers, booked_numbers) times the weight.
 CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const std::size_t size = plan->held.grippers * cloth::booked_numbers;
         std::vector<double> rates(size, 0.0);
         cloth::grip_rates(*plan, t, x, v, rates.data());
@@ -241,20 +223,20 @@ CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, cons
 /// Adds to (obstacles, booked_numbers) times the weight.
 CLOTH_API int cloth_contact_rates(Plan* plan, double t, const double* x, const double* v, double weight,
                                   double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::contact_rates(*plan, t, x, v, weight, out);
         if (plan->features) cloth::feature_rates(*plan, t, x, v, weight, out);
     });
 }
 /// Number of particles in contact, and the least gap [m], of each obstacle.
 CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::contact_gaps(*plan, t, x, out);
         if (plan->features) cloth::feature_gaps(*plan, t, x, out);
     });
 }
 CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::add_contact_bounds(*plan, t, x, stiff, damp);
         if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
     });
@@ -263,7 +245,7 @@ CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double
 /// all obstacles, of those with friction. Three numbers.
 CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, const double* x, const double* v,
                                   double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::Visits visits;
         out[0] = cloth::contact_ahead(*plan, t, duration, x, v, &visits);
         out[1] = static_cast<double>(visits.all);
@@ -272,12 +254,12 @@ CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, c
 }
 /// Anchors that runs start with, as `Contacts` has them.
 CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
-    return guarded([&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
+    return guarded(plan, [&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
 }
 /// Anchors after runs that ended with some of their own, see settle_anchors.
 CLOTH_API int cloth_contact_settle(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
                                    const double* weights, const double* ends, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::settle_anchors(*plan, t, x, v, runs, weights, ends, out);
         cloth::settle_self(*plan, x, v, runs, weights, ends, out);
     });
@@ -285,37 +267,37 @@ CLOTH_API int cloth_contact_settle(Plan* plan, double t, const double* x, const 
 /// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
 CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration, const double* x0, const double* x1,
                                     std::int64_t* out) {
-    return guarded([&] { *out = cloth::contact_crosses(*plan, t, duration, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = cloth::contact_crosses(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
 /// Squared frequency and damping rate of contact that has taken up so much.
 CLOTH_API int cloth_contact_limits(const Plan* plan, double reached, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::ContactLimits limits(plan->contacts, reached);
         out[0] = limits.omega2;
         out[1] = limits.damping;
     });
 }
 CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp);
         out[0] = r.omega2;
         out[1] = r.damping;
     });
 }
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {
-    return guarded([&] { cloth::add_bounds(*plan, x, stiff, damp); });
+    return guarded(plan, [&] { cloth::add_bounds(*plan, x, stiff, damp); });
 }
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
     return guarded([&] { cloth::eigenvalues(blocks, n, out); });
 }
 CLOTH_API int cloth_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
                             const double* dv, double* out) {
-    return guarded([&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
+    return guarded(plan, [&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
 }
 /// Blocks of a list of springs or joints, in its own order; see pair_blocks.
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {
-    return guarded([&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+    return guarded(plan, [&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
 }
 /// Paths over a frame, see path_to, of so many poses (count, 7), twists (count, 6), displacements and turns of the frame
 /// before (count, 6), and targets (count, 7): the paths, the twists at their end, the displacements and turns, and by how

@@ -4,6 +4,7 @@
 // A scene as the engine sees it: particles, and parts whose forces, bounds, energies and costs add up.
 #pragma once
 
+#include <atomic>
 #include <optional>
 
 #include "contact.hpp"
@@ -62,6 +63,8 @@ struct Plan {
 
     Rooms<double> rooms;
     Rooms<float> narrow_rooms;
+    /// Whether a call is at work.
+    mutable std::atomic_flag at_work;
 
     template <class T>
     Rooms<T>& room() {

@@ -7,7 +7,7 @@
 /// The surface that is not to pass through itself: triangles (count, 3), its shortest edge at rest [m]. It keeps the
 /// thickness of cloth_plan_contact. Particles stand where cloth_plan_order put them.
 CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         cloth::SelfContact self;
         cloth::Surface& s = self.surface;
         s.count = plan->count;
@@ -30,7 +30,7 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
 }
 /// Coefficients of friction between layers, at rest and in motion. The next cloth_plan_contact makes room for its anchors.
 CLOTH_API int cloth_self_friction(cloth::Plan* plan, double still, double sliding) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         plan->self->rough = {still, sliding};
         plan->own.resize(plan->count);
         for (std::int64_t i = 0; i < plan->count; ++i) plan->own[plan->rank[i]] = i;
@@ -38,27 +38,27 @@ CLOTH_API int cloth_self_friction(cloth::Plan* plan, double still, double slidin
 }
 /// Power that friction between layers takes [W].
 CLOTH_API int cloth_self_rubbed(cloth::Plan* plan, const double* x, const double* v, double* out) {
-    return guarded([&] { *out = cloth::self_rubbed(*plan, x, v); });
+    return guarded(plan, [&] { *out = cloth::self_rubbed(*plan, x, v); });
 }
 /// Whether pairs that may come near are kept from one evaluation to the next. No bit depends on it.
 CLOTH_API int cloth_self_keeps(cloth::Plan* plan, std::int64_t keeps) {
-    return guarded([&] { plan->self->keeps = keeps != 0; });
+    return guarded(plan, [&] { plan->self->keeps = keeps != 0; });
 }
 /// Adds blocks that bound stiffness and damping.
 CLOTH_API int cloth_self_bounds(cloth::Plan* plan, const double* x, double* stiff, double* damp) {
-    return guarded([&] { cloth::add_self_bounds(*plan, x, stiff, damp); });
+    return guarded(plan, [&] { cloth::add_self_bounds(*plan, x, stiff, damp); });
 }
 /// Number of contacts and the least gap [m].
 CLOTH_API int cloth_self_gaps(cloth::Plan* plan, const double* x, double* out) {
-    return guarded([&] { cloth::self_gaps(*plan, x, out); });
+    return guarded(plan, [&] { cloth::self_gaps(*plan, x, out); });
 }
 /// The first edge that passes through a triangle, see self_pierced.
 CLOTH_API int cloth_self_pierced(cloth::Plan* plan, const double* x, std::int64_t* out) {
-    return guarded([&] { cloth::self_pierced(*plan, x, out); });
+    return guarded(plan, [&] { cloth::self_pierced(*plan, x, out); });
 }
 /// Whether runs over a duration may leave it out, see SelfRest.
 CLOTH_API int cloth_self_rests(cloth::Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::SelfRest rest(*plan, duration, x, v);
         *out = plan->self_rests ? 1 : 0;
     });
@@ -66,7 +66,7 @@ CLOTH_API int cloth_self_rests(cloth::Plan* plan, double duration, const double*
 /// Squared frequency and damping rate, see self_ahead, and the number of pairs that it looked at. Three numbers.
 CLOTH_API int cloth_self_ahead(cloth::Plan* plan, double duration, double expected, const double* x, const double* v,
                                double* out) {
-    return guarded([&] {
+    return guarded(plan, [&] {
         const cloth::SelfRates r = cloth::self_ahead(*plan, duration, expected, x, v);
         out[0] = r.omega2;
         out[1] = r.damping;
@@ -76,5 +76,5 @@ CLOTH_API int cloth_self_ahead(cloth::Plan* plan, double duration, double expect
 }
 /// Whether anything passes through anything on straight ways from x0 to x1.
 CLOTH_API int cloth_self_crosses(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
-    return guarded([&] { *out = cloth::self_crosses(*plan, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = cloth::self_crosses(*plan, x0, x1) ? 1 : 0; });
 }

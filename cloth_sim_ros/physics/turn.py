@@ -12,6 +12,8 @@ import threading
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
+from cloth_sim_ros.engine.binding import AT_WORK
+
 
 class Taken(Protocol):
     """An object that allows one call at a time; the lock is held during a call."""
@@ -36,10 +38,7 @@ def one_at_a_time(
     @functools.wraps(method)
     def alone(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         if not self.turn.acquire(blocking=False):
-            raise RuntimeError(
-                "this plan is at work already, for another thread or for a force that asks it while it is asked; "
-                "compile the model once more for a second call at the same time"
-            )
+            raise RuntimeError(AT_WORK)
         try:
             return method(self, *arguments, **named)
         finally:

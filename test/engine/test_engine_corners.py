@@ -16,6 +16,8 @@ from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
 
 REST = {"right": 0.01, "down": 0.01, "diagonal": 0.014, "antidiagonal": 0.014, "right2": 0.02, "down2": 0.02}
 
@@ -117,3 +119,37 @@ def test_a_plan_at_work_refuses_a_second_run():
         plan.runs(0.0, 0.01, (x, v), [3])
     # The refusal leaves it as it was.
     assert np.isfinite(plan.runs(0.0, 0.01, (x, v), [3])[0][0].x).all()
+
+
+QUESTIONS = {
+    "rates": lambda plan, x, v: plan.rates(x),
+    "energy": lambda plan, x, v: plan.energies(0.0, x, v),
+    "powers": lambda plan, x, v: plan.powers(0.0, x, v),
+    "bounds": lambda plan, x, v: plan.add_bounds(x, np.zeros((6, 16)), np.zeros((6, 16))),
+    "gaps": lambda plan, x, v: plan.contact.own_gaps(x),
+    "ahead": lambda plan, x, v: plan.contact.own_ahead(0.0, 0.01, x, v),
+    "rest": lambda plan, x, v: plan.contact.rests(0.01, x, v),
+}
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+def test_a_plan_at_work_refuses_every_question(name):
+    # Answers would overwrite what the run keeps: which parts of the cloth are near each other, for one.
+    scene = Scene.from_parameters({"cloth.resolution": [4, 4], "contact.self": True, "contact.thickness": 0.01})
+    model = scene.model()
+    x, v = State(scene.sheet.positions()).x, np.zeros((3, 16))
+    asked = []
+
+    class Asks(Force):
+        name = "asks"
+
+        def add_force(self, t, x, v, f):
+            if not asked:
+                asked.append(t)
+                QUESTIONS[name](plan, x.copy(), v.copy())
+
+    plan = compile(Model(model.masses, [*model.forces, Asks()], anchors=model.anchors))
+    with pytest.raises(RuntimeError, match="at work already"):
+        plan.runs(0.0, 0.01, (x, v), [3])
+    assert asked
+    QUESTIONS[name](plan, x, v)
