@@ -32,6 +32,29 @@ _WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 _CANDIDATES = itertools.cycle([(_WORKER * _DOMAINS // _WORKERS + i) % _DOMAINS + 1 for i in range(_DOMAINS)])
 
 
+#: Where Fast DDS keeps a segment for each port that something hears on, and what the first number of a whole one is.
+_SEGMENTS, _WHOLE = Path("/dev/shm"), (2).to_bytes(4, sys.byteorder)
+#: Ports of domain 0 begin there, and those of each further domain so many behind (the RTPS specification's PB and DG).
+_PORTS, _PORTS_EACH = 7400, 250
+
+
+def remove_half_made_ports(domain: int) -> None:
+    """Remove what a process left that was killed while it made a port of a domain: whoever opens it waits for ever.
+
+    The segment is then empty, or its first number is not yet what Boost.Interprocess writes at the end.
+    """
+    first = _PORTS + _PORTS_EACH * domain
+    for path in _SEGMENTS.glob("fastrtps_port*"):
+        number = re.fullmatch(r"fastrtps_port(\d+)", path.name)
+        if number is None or not first <= int(number[1]) < first + _PORTS_EACH:
+            continue
+        with contextlib.suppress(FileNotFoundError):
+            with path.open("rb") as file:
+                whole = file.read(4) == _WHOLE
+            if not whole:
+                path.unlink()
+
+
 def _reserve_domain() -> tuple[int, socket.socket]:
     """A ROS domain that no other test process on this machine uses, and the socket that reserves it.
 
@@ -47,6 +70,7 @@ def _reserve_domain() -> tuple[int, socket.socket]:
         except OSError:
             reservation.close()
         else:
+            remove_half_made_ports(domain)
             return domain, reservation
     raise RuntimeError(f"all ROS domains 1 to {_DOMAINS} are reserved by other tests on this machine; end some of them")
 
@@ -179,6 +203,7 @@ class RunningProcess:
         """End it and its children at once."""
         self.send_signal(signal.SIGKILL)
         self.popen.wait()
+        remove_half_made_ports(int(os.environ["ROS_DOMAIN_ID"]))
 
 
 def _stop(process: RunningProcess) -> None:

@@ -54,8 +54,7 @@ class Actors:
         self._processes[name].send_signal(number)
 
     def kill(self, name: str) -> None:
-        self.signal(name, signal.SIGKILL)
-        self._processes[name].wait()
+        self._processes[name].kill()
 
     def interrupt(self, name: str) -> int:
         return int(self._processes[name].interrupt())
@@ -131,6 +130,8 @@ def test_everyone_dies_at_once_and_returns_in_reverse(grasp: tuple[Actors, Clien
     actors, client = grasp
     for name in ("node", "gripper", "subscriber"):
         actors.signal(name, signal.SIGKILL)
+    for name in ("node", "gripper", "subscriber"):
+        actors.kill(name)
     for name in ("gripper", "subscriber"):
         actors.start(name)
     actors.start("node")
@@ -196,6 +197,15 @@ def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> N
     actors.kill("subscriber")
     assert actors.interrupt("node") == 0
     assert "Traceback" not in actors.output("node")
+
+
+def test_a_port_that_was_left_half_made_hinders_nobody(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    # The last port of the domain, which no test comes to.
+    port = Path("/dev/shm") / f"fastrtps_port{7400 + 250 * ros_domain + 249}"
+    port.write_bytes(b"")
+    stuck = start_process([sys.executable, "-c", "pass"])
+    stuck.kill()
+    assert not port.exists()
 
 
 def hear_again(actors: Actors, client: Client) -> None:
