@@ -23,7 +23,7 @@ Indices = NDArray[np.int64]
 ABI = 12
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
-NOT_FINITE = 4
+NOT_FINITE, _BUSY = 4, 5
 #: A plan that is at work serves no second call.
 AT_WORK = (
     "this plan is at work already, for another thread or for a force that asks it while it is asked; compile the model "
@@ -220,7 +220,7 @@ def check(status: int) -> None:
         RuntimeError: where the plan is at work for another call.
         EngineError: for any other trouble.
     """
-    if status == 5:
+    if status == _BUSY:
         raise RuntimeError(AT_WORK)
     if status == 2:
         raise MemoryError("the engine could not get the memory that this cloth needs")

@@ -107,9 +107,15 @@ CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, std::int64_t co
 
 /// Paths of the grippers, if all their numbers are finite.
 CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
-    const double* const end = paths + plan->held.grippers * cloth::path_numbers;
-    if (!std::all_of(paths, end, [](double a) { return std::isfinite(a); })) return not_finite;
-    return guarded(plan, [&] { plan->held.paths.assign(paths, end); });
+    int status = well;
+    const int other = guarded(plan, [&] {
+        const double* const end = paths + plan->held.grippers * cloth::path_numbers;
+        if (std::all_of(paths, end, [](double a) { return std::isfinite(a); }))
+            plan->held.paths.assign(paths, end);
+        else
+            status = not_finite;
+    });
+    return other ? other : status;
 }
 
 /// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;

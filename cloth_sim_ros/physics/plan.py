@@ -276,7 +276,6 @@ class Plan:
     def _threads(self) -> int:
         return available() if self._long else 1
 
-    @one_at_a_time
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""
         self._sync()
