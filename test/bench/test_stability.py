@@ -62,6 +62,8 @@ def test_the_scan_is_as_large_as_it_should_be() -> None:
         (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
         # All waves at once and in step: their swing must not be locked in by a change of the step.
         (Case("grid", "stretched x 3", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
+        # Nor by longer steps that are tried after shorter ones.
+        (Case("altitude", "crumpled", 1e4, 0.0, 60.0, "fixed"), "leapfrog"),
         # Nor by stretches of one frame, each with a step of its own, that the work does not suffice for.
         (Case("crossed", "inverted cell", 100.0, 0.0, 60.0, "auto"), "extrapolated"),
     ],

@@ -7,7 +7,8 @@ E swings by that with the motion and comes back. What makes this energy grow is 
 pushed nearly to a point within the run turned faster than the step follows. Smaller steps follow it.
 
 The swing itself is harmless while the step stays. Where it changes, E goes on from where the swing has brought it, for
-good. So the first run, which may begin with all fast waves at once and in step, may not swing far either.
+good. So the first run, which may begin with all fast waves at once and in step, may not swing far either; nor may one
+that tries longer steps than those before.
 """
 
 from __future__ import annotations
@@ -35,28 +36,30 @@ class EnergyRule:
     Args:
         plan: equations of motion.
         memory: of the rule.
+        settled: refinement of the steps of the advance before, where longer ones may be tried.
     """
 
-    def __init__(self, plan: Plan, memory: Energy) -> None:
-        self._plan, self.memory = plan, memory
+    def __init__(self, plan: Plan, memory: Energy, settled: float = 0.0) -> None:
+        self._plan, self.memory, self._settled = plan, memory, settled
         self._begins = memory.softest < 0.0
 
-    def looks(self, before: float, after: float, *, varied: bool) -> bool:
-        """Whether the energy of a run whose error is unknown is looked at: a single run's only where stiffness changed
-        or may have.
+    def looks(self, before: float, after: float, *, varied: bool, refine: float) -> bool:
+        """Whether the energy of a run whose error is unknown is looked at: a single run's only where it begins, and
+        where stiffness changed or may have.
 
         Args:
             before: bound of the squared frequency at its start [1/s^2].
             after: the same at its end.
             varied: whether it is a combination of runs, or other stretches of the advance take other steps.
+            refine: refinement of its steps.
         """
         memory = self.memory
         least, most = min(before, after), max(before, after)
         memory.softest = least if memory.softest < 0.0 else min(memory.softest, least)
         stiffened = most > CONSTANTS.stiffened * memory.softest
-        return varied or self._begins or stiffened
+        return varied or self._starts(refine) or stiffened
 
-    def exceeds(self, start: Moment, end: Moment, step: float, work: float) -> bool:
+    def exceeds(self, start: Moment, end: Moment, step: float, work: float, *, refine: float) -> bool:
         """Book a run with steps of a length [s]; return whether it made more energy than it may.
 
         Args:
@@ -64,6 +67,7 @@ class EnergyRule:
             end: where it ended.
             step: length of its steps [s].
             work: done by grippers and moving air over the run [J].
+            refine: refinement of its steps.
         """
         memory = self.memory
         before = self._own(start, step)
@@ -73,12 +77,16 @@ class EnergyRule:
         made, most = max(0.0, memory.made + rise), CONSTANTS.gain * moved + little
         if not np.isfinite(rise):
             return True
-        if self._begins and self._energy(end) - self._energy(start) - work > CONSTANTS.swing * moved + little:
+        if self._starts(refine) and self._energy(end) - self._energy(start) - work > CONSTANTS.swing * moved + little:
             return True
         if rise > 0.0 and made > most:
             return True
-        memory.made, self._begins = made, False
+        memory.made, self._begins, self._settled = made, False, 0.0
         return False
+
+    def _starts(self, refine: float) -> bool:
+        """Whether a run is a first one, as one is whose steps are longer than those before."""
+        return self._begins or refine < self._settled
 
     def _noise(self, x: Array) -> float:
         """Energy [J] of a sheet at rest that rounding of its coordinates leaves: w^2 / 2 times their squares."""

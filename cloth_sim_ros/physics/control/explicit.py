@@ -52,12 +52,12 @@ class ExplicitAdvance:
         if abs(error.part - duration) > 1e-6 * duration:
             # What was known is of frames of another length.
             error, precision = Error(columns=error.columns, refine=error.refine, part=duration), Precision()
-        columns = options.columns
+        columns, settled = options.columns, 0.0
         if options.tolerance is not None:
             columns = min(int(error.columns), columns)
         elif error.wait <= 0.0:
             # What the energy asked for is tried with larger steps from time to time.
-            error.refine = max(1.0, 0.5 * error.refine)
+            settled, error.refine = error.refine, max(1.0, 0.5 * error.refine)
         judge = options.tolerance is not None and error.wait <= 0.0
         budget = math.inf if options.tolerance is None else CONSTANTS.share * duration * options.tolerance
         # A fixed step that goes on was stable once.
@@ -71,7 +71,7 @@ class ExplicitAdvance:
             state=state,
             book=book,
             stability=memory,
-            energy=EnergyRule(plan, Energy.of(state)),
+            energy=EnergyRule(plan, Energy.of(state), settled),
             precision=PrecisionRule(plan, precision, duration, budget),
             touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
             duration=duration,

@@ -202,14 +202,14 @@ class Stretch:
         # Where the error vouches for nothing, energy might come from nowhere.
         unknown = options.tolerance is None or self._sums.error > self.rule.budget
         varied = choice.columns > 1 or self._halvings > 0
-        if unknown and effort.energy.looks(memory.omega2, after, varied=varied):
+        if unknown and effort.energy.looks(memory.omega2, after, varied=varied, refine=choice.refine):
             end = state.share()
             columns.pass_on(choice.columns, end)
             # A combination's energy does not swing, and from steps of one length to another the swing stays behind.
             step = 0.0 if varied else self.finest
             work, evaluations = put_in(effort.plan, state, columns, t, choice.columns)
             effort.evaluations += evaluations
-            exceeds = effort.energy.exceeds((t, state), (t + length, end), step, work)
+            exceeds = effort.energy.exceeds((t, state), (t + length, end), step, work, refine=choice.refine)
             if effort.plan.contact is not None:
                 effort.plan.contact.take(state)
             if exceeds:
