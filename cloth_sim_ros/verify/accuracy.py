@@ -31,7 +31,7 @@ from cloth_sim_ros.verify.fine import distance
 from cloth_sim_ros.verify.independent import frame_by_dop853
 from cloth_sim_ros.verify.motion import Equations, FrameWatch, RunFrame, starting_state
 from cloth_sim_ros.verify.run import Verdict, verify
-from cloth_sim_ros.verify.truth import Told, Truth, frame_truth
+from cloth_sim_ros.verify.truth import Told, Truth, frame_truth, later_growth
 
 #: Length of a window [s].
 WINDOW = 1.0
@@ -63,6 +63,7 @@ def certify(
     """
     watch = _Accuracy(judged, particles, every_sample)
     verdict = verify(paths, watch=watch)
+    watch.end()
     certificate = watch.certificate
     certificate.name, certificate.seconds = verdict.name, watch.seconds
     verdict.seconds -= watch.seconds
@@ -83,6 +84,8 @@ class _Accuracy:
         self._last = -1
         self._window: Window | None = None
         self._of_window: Truth | None = None
+        #: Frames of the window.
+        self._frames: list[RunFrame] = []
         self._of_session: Truth | None = None
         self._session_start = 0.0
         self._growth = 0.0
@@ -113,10 +116,22 @@ class _Accuracy:
             self._judged()
         self._altered = False
 
+    def end(self) -> None:
+        """Judge what the session ended in."""
+        begun = time.perf_counter()
+        self._end_window()
+        self.seconds += time.perf_counter() - begun
+
+    def _end_window(self) -> None:
+        """Where kicks at its beginning do not explain its error, look at later ones: the promise counts those too."""
+        window, self._window = self._window, None
+        if window is not None and window.verdict == "not kept" and not window.standing_out:
+            window.later = later_growth(self._equations, self._frames)
+
     def _judge(self, frame: RunFrame) -> None:
         start = starting_state(frame)
         if frame.reset or frame.before.frame != self._last:
-            self._window = None
+            self._end_window()
             self._begin_session(frame, start)
         self._last = frame.index
         # What comes out again to the last bit began with the very state that was recorded.
@@ -124,9 +139,10 @@ class _Accuracy:
         if self._window is None:
             self._window = Window(number=len(self.certificate.windows), start=frame.t)
             self.certificate.windows.append(self._window)
-            self._of_window, self._growth = Truth(start, seed=frame.index), 0.0
+            self._of_window, self._growth, self._frames = Truth(start, seed=frame.index), 0.0, []
             self._off_at_start = off
         window = self._window
+        self._frames.append(frame)
         assert self._of_window is not None
         exact = self._again and not self._altered
         # What was recorded: the state it came to, or where that is another one, the positions that are in the file.
@@ -161,7 +177,7 @@ class _Accuracy:
         if self._every_sample or (window.frames == 1 + window.number % 7 and _is_sampled(window.number)):
             self._sample(frame, start, true, found)
         if frame.t + 1.5 * frame.duration > window.start + WINDOW:
-            self._window = None
+            self._end_window()
 
     def _in_file(self) -> Array | None:
         """The recorded positions, shape (3, n) [m]; None where there are none."""

@@ -87,7 +87,7 @@ def _window_row(window: Window) -> dict[str, str]:
         "flagged": f"{window.flagged}/{window.frames}",
         "error [m]": f"{window.error:.2e}",
         "allowed [m]": f"{window.promise:.2e}",
-        "growth": f"{window.growth:.3g}",
+        "growth": f"{max(window.growth, window.later):.3g}",
         "own error [m]": f"{window.own:.1e}",
         "rounding [m]": f"{window.floor:.1e}",
         "promise": window.verdict + (f" in {window.standing_out} alone" if window.standing_out else ""),

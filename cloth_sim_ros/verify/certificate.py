@@ -81,6 +81,9 @@ class Window:
     worst: int = 0
     """Number of the frame that has it."""
     growth: float = 0.0
+    """Of kicks at its beginning."""
+    later: float = 0.0
+    """Of kicks made later in it, which is looked at where those at its beginning do not explain its error."""
     own: float = 0.0
     floor: float = 0.0
     judged: bool = True
@@ -108,7 +111,7 @@ class Window:
     @property
     def promise(self) -> float:
         """What the error may be [m]; nan where there is no tolerance."""
-        return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth)
+        return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth, self.later)
 
     @property
     def verdict(self) -> Verdict:

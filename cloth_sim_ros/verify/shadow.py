@@ -27,7 +27,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.certificate import FrameAccuracy, Window
 from cloth_sim_ros.verify.fine import distance
 from cloth_sim_ros.verify.motion import Equations, FrameWatch, RunFrame, starting_state
-from cloth_sim_ros.verify.truth import Truth
+from cloth_sim_ros.verify.truth import Truth, later_growth
 
 #: How much is left to others: the cloth itself comes first.
 _NICENESS = 10
@@ -79,6 +79,8 @@ def judge(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest:
     if window.tolerance is not None and not window.error <= window.tolerance:
         # Only now it matters how much kicks grow.
         window = _window(ran, kicks=True)
+        if window.verdict == "not kept":
+            window.later = later_growth(Equations(), ran)
     return {
         "start": window.start,
         "end": window.end,

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import attrs
 import numpy as np
@@ -12,14 +13,16 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.verify.fine import FINE, FINER, ROUNDING, FineSteps, amplification, distance, follow
-from cloth_sim_ros.verify.motion import Equations, Motion, RunFrame, take_hold
+from cloth_sim_ros.verify.motion import Equations, Motion, RunFrame, starting_state, take_hold
 
 #: Largest kick of a particle's position [m], and of its velocity [m/s].
 KICK = 1e-9
 #: Part of the tolerance that the fine motion may lose in a second.
 PART_OF_TOLERANCE = 0.01
-#: What counts as the tolerance where none is set [m].
-WITHOUT_TOLERANCE = 1e-6
+#: What counts as the tolerance of a run that has none [m]: it was asked for fixed steps, which may be far finer.
+_FINE_ANYHOW = 1e-6
+#: Parts of a window at whose borders kicks are made too.
+_PARTS = 8
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -90,7 +93,7 @@ class Truth:
 
 def fine_rate(tolerance: float | None) -> float:
     """Return what the fine motion may lose in a second [m/s]."""
-    return PART_OF_TOLERANCE * (tolerance or WITHOUT_TOLERANCE)
+    return PART_OF_TOLERANCE * (tolerance or _FINE_ANYHOW)
 
 
 def random_kick(x: Array, free: np.ndarray, random: np.random.Generator, *, smooth: bool) -> Array:
@@ -120,3 +123,19 @@ def frame_truth(equations: Equations, frame: RunFrame, state: State) -> Array:
     steps = FineSteps(fine_rate(frame.tolerance))
     now, _ = steps.frame(plan, frame.t, frame.duration, motion.now, frame.step)
     return now.x
+
+
+def later_growth(equations: Equations, frames: Sequence[RunFrame]) -> float:
+    """Return by what factor kicks grow that are made within a window, up to any later frame of it.
+
+    A motion may damp a kick at the window's beginning and still amplify a later one: a strip that falls and then
+    buckles.
+    """
+    most = 0.0
+    for begin in sorted({part * len(frames) // _PARTS for part in range(1, _PARTS)} - {0}):
+        truth = Truth(starting_state(frames[begin]), seed=frames[begin].index)
+        for frame in frames[begin:]:
+            if frame.reset and frame is not frames[begin]:
+                break
+            most = max(most, truth.frame(equations, frame).growth)
+    return most

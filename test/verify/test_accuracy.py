@@ -25,7 +25,7 @@ from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, Moving, distance, 
 from cloth_sim_ros.verify.independent import dop853, frame_by_dop853
 from cloth_sim_ros.verify.main import NOT_KEPT, main
 from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, RunFrame, starting_state
-from cloth_sim_ros.verify.truth import KICK, Truth, random_kick
+from cloth_sim_ros.verify.truth import KICK, Truth, later_growth, random_kick
 
 SMALL = {"cloth.resolution": [8, 9], "cloth.size": [0.4, 0.45], "material.stretch_modulus": 100.0,
          "material.shear_modulus": 10.0, "bending.stiffness": 0.5, "tolerance": 1e-4}  # fmt: skip
@@ -342,6 +342,50 @@ def _frame(*, error: float, own: float, flagged: bool) -> FrameAccuracy:
         session_growth=2.0,
         session_own=own,
     )
+
+
+def test_kicks_made_later_count_where_those_at_the_start_do_not_explain_an_error() -> None:
+    window = Window(number=0, start=0.0)
+    window.add(_frame(error=9e-3, own=1e-9, flagged=False))
+    assert (window.verdict, window.promise) == ("not kept", pytest.approx(2e-4))
+    window.later = 100.0
+    assert (window.verdict, window.promise) == ("kept", pytest.approx(1e-2))
+
+
+def test_growth_of_later_kicks_is_the_most_from_any_eighth_on() -> None:
+    """A sheet that falls and is pulled taut by its upper edge: of a kick at the start less is left than of one amid."""
+    simulation = Simulation(Scene.from_parameters(SMALL | {"material.damping": 1.0, "air.drag": 20.0}))
+    frames, equations = _run_frames(simulation, [[]] * 8), Equations()
+    expected = 0.0
+    for begin in range(1, 8):
+        truth = Truth(frames[begin].before, seed=frames[begin].index)
+        expected = max(expected, *(truth.frame(equations, frame).growth for frame in frames[begin:]))
+    assert later_growth(equations, frames) == expected > 0.0
+    assert later_growth(equations, frames[:1]) == 0.0
+
+
+def test_a_window_that_later_kicks_explain_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cloth_sim_ros.scene import scene as scene_module
+    from cloth_sim_ros.verify import accuracy
+
+    real, asked = scene_module.make_integrator, []
+
+    def grown(_equations: Equations, frames: list[RunFrame]) -> float:
+        asked.append([frame.index for frame in frames])
+        return 1e9
+
+    monkeypatch.setattr(
+        scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
+    )
+    monkeypatch.setattr(accuracy, "WINDOW", 0.1)
+    monkeypatch.setattr(accuracy, "later_growth", grown)
+    # Of the windows alone is spoken here.
+    monkeypatch.setattr(FrameAccuracy, "stands_out", property(lambda _frame: False))
+    maker = _make(tmp_path, frames=9, tolerance=1e-6)
+    _, certificate = certify(maker.paths)
+    assert asked == [list(range(1, 7)), list(range(7, 10))]
+    assert [window.later for window in certificate.windows] == [1e9, 1e9]
+    assert certificate.kept
 
 
 def test_a_loose_simulation_that_says_it_is_tight_is_found_out(
