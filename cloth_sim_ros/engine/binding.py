@@ -285,8 +285,8 @@ def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.
     """
     try:
         given = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} is {value!r}; it must be numbers") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} is {value!r:.80}; it must be numbers") from error
     if given.shape != shape and (given.ndim or not one_for_all):
         single = ", or one number" if shape and one_for_all else ""
         raise ValueError(f"{name} has shape {given.shape}; it must be {shape or 'one number'}{single}")

@@ -11,8 +11,9 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cloth_sim_ros.engine.binding import finite
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator
+from cloth_sim_ros.physics.integrators.base import TOLERANCE, Advance, Integrator
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.state import State
@@ -40,7 +41,7 @@ def simulate(
     until: float,
     *,
     save_at: ArrayLike | None = None,
-    tolerance: float | None = 1e-4,
+    tolerance: float | None = TOLERANCE,
     integrator: Integrator | None = None,
 ) -> Motion:
     """Let a model move from time 0 until a later one; the state moves with it.
@@ -51,7 +52,8 @@ def simulate(
         until: time to end at [s].
         save_at: times to keep positions and velocities of [s], ascending, from 0 to `until`; the end alone where left
         out.
-        tolerance: largest particle position error [m]; see docs/time_stepping.md. None takes steps by stability alone.
+        tolerance: over every second positions stay within it [m], times the growth of a small kick in that second (at
+        least 1), of the exact motion; docs/time_stepping.md. None takes steps by stability alone.
         integrator: how to step; chosen by stiffness and tolerance where left out.
 
     Raises:
@@ -62,12 +64,19 @@ def simulate(
 
     plan = model if isinstance(model, Plan) else compile(model)
     if state.particle_count != plan.model.particle_count:
-        raise ValueError(f"the state has {state.particle_count} particles, the model {plan.model.particle_count}")
-    if not (math.isfinite(until) and until > 0.0):
-        raise ValueError(f"until is {until} s; it must be finite and above 0")
-    times = np.array([until] if save_at is None else save_at, dtype=np.float64).reshape(-1)
-    if not np.isfinite(times).all() or (np.diff(times) < 0.0).any() or times.min() < 0.0 or times.max() > until:
-        raise ValueError(f"save_at is {times.tolist()} s; its times must ascend from 0 to until, {until} s")
+        raise ValueError(
+            f"the state has {state.particle_count} particles, the model {plan.model.particle_count}: make the state of as "
+            "many positions as the model has masses"
+        )
+    until = float(finite("until", until, ()))
+    if not until > 0.0:
+        raise ValueError(f"until is {until} s; it must be above 0")
+    if not (integrator is None or isinstance(integrator, Integrator)):
+        raise ValueError(f"integrator is {integrator!r}; it must be an object such as Leapfrog(step=1e-4)")
+    wanted = [until] if save_at is None else save_at
+    times = finite("save_at", wanted, (np.size(wanted),))
+    if (np.diff(times) < 0.0).any() or not times.size or times[0] < 0.0 or times[-1] > until:
+        raise ValueError(f"save_at is {times.tolist()} s; it must hold times that ascend from 0 to until, {until} s")
     steps = integrator or make_integrator("auto", tolerance=tolerance)
     positions, velocities, advances = [], [], list[Advance]()
     now = 0.0

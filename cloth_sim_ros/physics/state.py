@@ -24,7 +24,7 @@ _CLOTH = "cloth"
 
 
 class State:
-    """Positions, velocities, the frame number and the memory of controllers, grips and terms.
+    """Positions, velocities, the frame number and the memory of controllers and grips.
 
     Args:
         positions: particle positions [m], shape (particle_count, 3).
@@ -62,6 +62,8 @@ class State:
         #: Velocities [m/s], component-major, shape (3, particle_count).
         # Without any the system need not give memory to zeros that are never written.
         self.v: Array = np.zeros(self.x.shape) if velocities is None else np.array(velocity.T, order="C")
+        if frame < 0:
+            raise ValueError(f"frame is {frame}; it must be a number of frames, at least 0")
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
         self.cloth = cloth

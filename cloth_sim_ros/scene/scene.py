@@ -15,7 +15,7 @@ import numpy as np
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Integrator
+from cloth_sim_ros.physics.integrators.base import TOLERANCE, WORK_LIMIT, Integrator
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.sheets.grid import GridSheet
@@ -111,10 +111,11 @@ class Scene:
     )
     tolerance: float = parameter(
         "double",
-        1e-3,
-        "Over every second positions stay within this, times what a small kick grows by in it, of the exact motion; "
-        "frames that miss their share are flagged. 0 holds none. The default is what a swung cloth of 30 x 30 keeps at "
-        "60 frames a second on two cores: at 1e-4 frames in which a fold snaps take longer than 1/60 s there",
+        TOLERANCE,
+        "Over every second, started from the full state, positions stay within this times max(1, g) of the exact motion, "
+        "g being how much a small kick of position or velocity grows in that second; frames that miss their share are "
+        "flagged. 0 holds none. At 1e-4 frames of a swung cloth of 30 x 30 in which a fold snaps take longer than 1/60 s "
+        "on two cores",
         unit="m",
         least=0.0,
         most=1.0,

@@ -13,7 +13,14 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.fallback import within_reach
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, MissedError, UnstableError
+from cloth_sim_ros.physics.integrators.base import (
+    WORK_LIMIT,
+    Advance,
+    Integrator,
+    MissedError,
+    UnstableError,
+    refuse_boundless,
+)
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Choice, Stability, restart
@@ -61,13 +68,12 @@ class Automatic(Integrator):
     read.
 
     Args:
-        tolerance: largest particle position error in a second [m]; None holds the stability limit alone.
+        tolerance: of positions [m], see docs/time_stepping.md; None holds the stability limit alone.
         work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
     """
 
     name = "auto"
     order = 2
-    evaluations_per_step = 1
     suits = "any scene"
 
     def __init__(self, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
@@ -155,6 +161,7 @@ def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> floa
     """
     known = Stability.of(state)
     rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
+    refuse_boundless(*rates)
     steps = max(1.0, duration / (CONSTANTS.safety * leapfrog_limit(*rates)))
     cost = steps * plan.step_cost * plan.model.particle_count
     return cost + steps * plan.contact_cost(t, duration, state)

@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
 from cloth_sim_ros.physics.control.touch import TouchRule
-from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_boundless, refuse_unstable
 from cloth_sim_ros.physics.integrators.columns import SUMS
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability, Touch
@@ -46,6 +46,7 @@ class ExplicitAdvance:
         self._known = Stability.key in state.memory
         self._memory = memory = Stability.of(state)
         stability = StabilityRule(plan, memory, state, duration)
+        refuse_boundless(memory.omega2, memory.damping)
         #: Longest stable step, contact aside [s].
         self._bare = limit = options.step_limit(memory.omega2, memory.damping)
         error, precision = Error.of(state), Precision.of(state)
@@ -111,8 +112,7 @@ class ExplicitAdvance:
             most = effort.cap / whole.work(columns, 1.0) / CONSTANTS.finer
             whole.choice = Choice(columns, max(1.0, min(whole.choice.refine, most)), True)
         if whole.choice.judge and not effort.lost:
-            step = CONSTANTS.safety * self._limit
-            effort.evaluations += effort.precision.measure(self._t, state, step, whole.choice)
+            effort.evaluations += effort.precision.measure(self._t, state, whole.longest, whole.choice)
             if fits:
                 whole.choice = effort.fitted(whole.choice, whole.work, 0.0)
         error = self._cover()

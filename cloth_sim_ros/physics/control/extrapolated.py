@@ -26,8 +26,8 @@ class Extrapolated(Integrator):
     One column is the leapfrog itself, of order 2; K columns have order K + 1. The columns are ordinary leapfrog runs,
     so they cost what the fused loop costs, and the stable step is the leapfrog's. With a tolerance the columns and
     steps are chosen by the error: the difference of the combinations of K + 1 and of K columns estimates the error of
-    the latter. A further column is run at least every 16 frames, after every event and whenever the motion becomes
-    livelier; in between the difference of the columns at hand is scaled by what the last judgement said. Without
+    the latter. A further column is run at least every 16 frames, or 64 where the error is far below its budget, after
+    every event and whenever the motion becomes livelier; in between the difference of the columns at hand is scaled by what the last judgement said. Without
     damping, modes near the step limit grow slowly under extrapolation: there the estimate grows with them and makes
     the steps smaller.
 
@@ -35,7 +35,7 @@ class Extrapolated(Integrator):
     damping up to critical.
 
     Args:
-        tolerance: largest particle position error in a second [m]; None takes fixed columns and steps.
+        tolerance: of positions [m], see docs/time_stepping.md; None takes fixed columns and steps.
         step: largest step of the first column without a tolerance [s]; None takes 0.96 of the stability limit.
         columns: most columns, 1 to 4; without a tolerance, the columns.
         work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
@@ -65,7 +65,6 @@ class Extrapolated(Integrator):
         self.step, self.work = check_step(step), check_work(work)
         self.columns = columns
         self.order = columns + 1
-        self.evaluations_per_step = columns
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return leapfrog_limit(omega2, damping_rate)

@@ -32,7 +32,7 @@ class Leapfrog(Integrator):
 
     Args:
         step: fixed largest step [s]; None takes 0.96 of the stability limit.
-        tolerance: largest particle position error in a second [m]: the step follows the error, which a
+        tolerance: of positions [m], see docs/time_stepping.md: the step follows the error, which a
             second run with smaller steps judges every few frames.
         work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
 
@@ -42,7 +42,6 @@ class Leapfrog(Integrator):
 
     name = "leapfrog"
     order = 2
-    evaluations_per_step = 1
     suits = "loose tolerances, long undamped runs; explicit, damping well below critical"
     columns = 1
 

@@ -30,6 +30,8 @@ class MissedError(UnstableError):
 BINDING = ("accuracy", "stability", "frame", "step", "work", "rest")
 #: Most work of a frame, where nothing else is asked for: in real time by the plan's estimated cost.
 WORK_LIMIT = 10.0
+#: What positions are held within, where nothing else is asked for [m]: see `tolerance` of the scene.
+TOLERANCE = 1e-3
 
 
 class Advance(NamedTuple):
@@ -63,7 +65,6 @@ class Integrator(ABC):
     name: str
     #: Order of the error in the step, damping and nonlinearity included.
     order: int
-    evaluations_per_step: int
     #: What it is for, in a line: damping and stiffness.
     suits: str = ""
 
@@ -118,6 +119,23 @@ def check_tolerance(tolerance: float | None) -> float | None:
 
 class StepLimitError(UnstableError, ValueError):
     """A fixed step is above the stability limit: at the start, or because the motion stiffened."""
+
+
+def refuse_boundless(omega2: float, damping: float) -> None:
+    """Refuse a motion that no step follows.
+
+    Args:
+        omega2: bound of the squared frequency [1/s^2].
+        damping: bound of the damping rate [1/s].
+
+    Raises:
+        UnstableError: if a bound, or the square of the second, is beyond all numbers.
+    """
+    if not omega2 + damping * damping < math.inf:
+        raise UnstableError(
+            f"no step is short enough: the highest frequency is bounded by {math.sqrt(omega2):.3g} 1/s, the damping "
+            f"rate by {damping:.3g} 1/s; take less stiffness, damping or drag, or larger masses"
+        )
 
 
 def refuse_unstable(step: float, limit: float, name: str) -> None:

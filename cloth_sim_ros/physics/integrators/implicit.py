@@ -25,7 +25,7 @@ class Implicit(Integrator):
 
     Stages at t + gamma h and t + h, the second being the new state: stiffly accurate. Order 2, L-stable, and
     algebraically stable, so that no step makes energy from nowhere. Each stage solves ``M (v - V) = d f(t, X + d v,
-    v)``, d = gamma h, by Newton's iteration with a matrix M + d^2 K + d D that is assembled from the terms and
+    v)``, d = gamma h, by Newton's iteration with a matrix M + d^2 K + d D that is assembled from the forces and
     factorised anew each time: stiff springs that turn by a thousandth make an old one useless. Compression's negative
     stiffness is left out of the matrix, not of the force.
 
@@ -36,7 +36,7 @@ class Implicit(Integrator):
 
     Args:
         step: fixed largest step [s].
-        tolerance: largest particle position error in a second [m]. Without either a frame is one step.
+        tolerance: of positions [m], see docs/time_stepping.md. Without either a frame is one step.
         work: most work of a frame, in real time by the estimated cost; 0 for no limit.
 
     Raises:
@@ -45,7 +45,6 @@ class Implicit(Integrator):
 
     name = "implicit"
     order = 2
-    evaluations_per_step = 6
     suits = "any stiffness and damping: sheets too stiff for real time by explicit steps"
 
     def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:

@@ -30,7 +30,6 @@ class SymplecticEuler(Integrator):
 
     name = "symplectic_euler"
     order = 1
-    evaluations_per_step = 1
     suits = "a baseline to compare with; any damping within its limit"
 
     def __init__(self, step: float | None = None) -> None:

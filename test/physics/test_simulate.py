@@ -1,0 +1,78 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `simulate` takes and refuses, and motions without any force that could bound a step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Drag, Force, Gravity, Model, PairSprings, Scene, Simulation, State, simulate
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.scene.scene import Scene as NodeScene
+
+
+def pair(k_s: float = 10.0) -> Model:
+    return Model([1.0, 1.0], [PairSprings([[0, 1]], 1.0, k_s, 0.0)])
+
+
+def apart() -> State:
+    return State([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("until", "options", "words"),
+    [
+        (0.5, {"save_at": []}, "save_at is []"),
+        (0.5, {"save_at": "abc"}, "save_at is 'abc'"),
+        (0.5, {"save_at": [0.2, 0.1]}, "ascend"),
+        (0.5, {"save_at": [0.6]}, "from 0 to until, 0.5 s"),
+        (0.5, {"save_at": [np.nan]}, "finite"),
+        (0.5, {"integrator": "auto"}, "integrator is 'auto'"),
+        (None, {}, "until is nan"),
+        (-1.0, {}, "until is -1.0 s; it must be above 0"),
+        (10**400, {}, "until is 1000"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_told(until: Any, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words.replace("[", r"\[").replace("]", r"\]")):
+        simulate(pair(), apart(), until, **options)
+
+
+def test_a_state_stands_at_a_frame_from_0_on() -> None:
+    with pytest.raises(ValueError, match="frame is -5"):
+        State([[0.0, 0.0, 0.0]], frame=-5)
+
+
+def test_what_no_step_can_follow_is_told_by_its_bounds() -> None:
+    with pytest.raises(UnstableError, match="no step is short enough: the highest frequency"):
+        simulate(pair(1e160), apart(), 0.1)
+    with pytest.raises(UnstableError, match="take less stiffness, damping or drag"):
+        simulate(Model([1.0], [Drag(1e300)]), State([[0.0, 0.0, 0.0]]), 0.1)
+
+
+@pytest.mark.parametrize(("forces", "fallen"), [([], 0.0), ([Gravity()], 0.5 * 9.81 * 0.05**2)])
+def test_a_particle_alone_moves_though_nothing_bounds_its_step(forces: list[Force], fallen: float) -> None:
+    # Within the default tolerance in so many frames, and far below it.
+    motion = simulate(Model([1.0], forces), State([[0.0, 0.0, 0.0]]), 0.05)
+    np.testing.assert_allclose(motion.positions[-1], [[0.0, 0.0, -fallen]], rtol=0, atol=1e-6)
+
+
+def test_a_cloth_that_can_move_nowhere_stays_there() -> None:
+    held = ["top", "bottom", *map(str, range(4, 12))]
+    values = {"cloth.size": [0.3, 0.3], "cloth.resolution": [4, 4], "cloth.anchors": held}
+    simulation = Simulation(Scene.from_parameters(values))
+    before = simulation.positions
+    for _ in range(3):
+        simulation.advance()
+    assert np.array_equal(simulation.positions, before)
+
+
+def test_the_library_and_the_node_hold_the_same_tolerance() -> None:
+    motions = []
+    for options in ({}, {"tolerance": NodeScene().tolerance}):
+        motion = simulate(pair(), apart(), 0.5, **options)
+        motions.append(motion.positions)
+    assert np.array_equal(*motions)
