@@ -13,6 +13,7 @@ from cloth_sim_ros.physics.forces.contact import OwnSurface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import nearest_points
 from cloth_sim_ros.physics.owner import Owner
+from cloth_sim_ros.physics.powers import in_rows
 
 #: A cloth may start as near to itself as this share of the thickness. Nearer, contact holds more than 96 times the
 #: energy that stops 35 m/s.
@@ -79,7 +80,7 @@ def _nearest(owner: Owner, surface: OwnSurface, x: Array) -> str:
     for particle in order[:_LOOKED_AT].tolist():
         with np.errstate(invalid="ignore"):  # of a triangle without area
             away = points[particle] - nearest_points(points[particle][None], points[triangles])[0]
-        square = np.nan_to_num((away * away).sum(axis=1), nan=np.inf)
+        square = np.nan_to_num(in_rows((away * away).T), nan=np.inf)
         square[(triangles == particle).any(axis=1)] = np.inf
         nearest = int(np.argmin(square))
         best = min(best, (float(square[nearest]), particle, nearest))

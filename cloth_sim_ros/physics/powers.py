@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from functools import reduce
 from operator import add
 
+import numpy as np
+
 
 def power(base: float, exponent: int) -> float:
     """Return base to a whole exponent of at least 0, by as many multiplications."""
@@ -27,6 +29,13 @@ def in_order(numbers: Iterable[float], start: float = 0.0) -> float:
     version.
     """
     return reduce(add, numbers, start)
+
+
+def in_rows(rows: np.ndarray) -> np.ndarray:
+    """Return the sum of the rows of an array, each added to what those before came to: numpy's own sum of many rows
+    goes pairwise, in blocks that depend on its version.
+    """
+    return reduce(add, rows, np.zeros(rows.shape[1:]))
 
 
 def root(value: float, degree: int) -> float:

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.powers import in_order
+from cloth_sim_ros.physics.powers import in_order, in_rows
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
@@ -277,7 +277,7 @@ def _hinge_springs(
     if model == "opposite":
         hinges = sheet.surface.hinges
         ends = rest[hinges[:, 1]] - rest[hinges[:, 0]]
-        options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(np.sum(ends * ends, axis=1))
+        options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(in_rows((ends * ends).T))
     elif isinstance(sheet, GridSheet):
         # Not one triangulation's: the hinges of both, so that the sheet bends alike both ways and does not twist.
         hinges = grid_hinges(sheet.rows, sheet.columns)

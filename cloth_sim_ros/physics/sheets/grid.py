@@ -79,7 +79,7 @@ class GridSheet:
     def families(
         self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0
     ) -> dict[str, list[GridFamily]]:
-        """Springs by direction, for each of the terms `structural`, `shear` and, with bending threads, `bend`.
+        """Springs by direction, for each of `structural`, `shear` and, with bending threads, `bend`.
 
         Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet,
         so that it scales with the border's half stiffness and half mass as the springs do; with a retardation time [s]

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.powers import in_order, in_rows
 from cloth_sim_ros.physics.sheets.surface import Surface, SurfaceError
 
 #: A triangle whose height over its longest side is below this share of that side has no area.
@@ -126,11 +127,11 @@ def _fan_corner(corners: Array) -> int | None:
         arms = np.roll(corners, -begin, axis=0)[1:] - corners[begin]
         with np.errstate(invalid="ignore", over="ignore"):
             areas = np.cross(arms[:-1], arms[1:])
-            whole = areas.sum(axis=0)
-            size = whole @ whole
+            whole = in_rows(areas)
+            size = in_order((whole * whole).tolist())
         if not (0 < size < np.inf):
             return 0  # without an area or not finite: the check of the triangles names the place
-        share = float((areas @ whole).min() / size)
+        share = float(in_rows((areas * whole).T).min() / size)
         if share > FLATNESS:
             return begin
         if share > best_share + FLATNESS:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.powers import in_rows
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
@@ -69,7 +70,7 @@ class RawSprings:
                     f"there are {count}, counted from 0"
                 )
         away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-        rest = _numbers("rest_lengths", tables.get("rest_lengths", np.sqrt(np.sum(away * away, axis=1))), len(pairs))
+        rest = _numbers("rest_lengths", tables.get("rest_lengths", np.sqrt(in_rows((away * away).T))), len(pairs))
         k_s = _numbers("stiffness", tables["stiffness"], len(pairs))
         stiffness = k_s / np.where(rest > 0.0, rest, 1.0)
         if "k_d" in tables and "k_d0" in tables:
