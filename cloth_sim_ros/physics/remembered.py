@@ -215,7 +215,7 @@ SETTLED = "contact.settled"
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
 #: What step control remembers.
 RULES: tuple[type[Remembered], ...] = (Stability, Error, Touch, Precision, Energy, Fallback, Implicit, Choice)
-#: Names under which versions up to 0.2 kept what other rules remembered: it is not taken over.
+#: Names under which versions up to 0.1 kept what other rules remembered: it is not taken over.
 BEFORE = ("stepper", "automatic", "sleep")
 
 

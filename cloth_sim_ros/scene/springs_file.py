@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Springs files: the tables of `physics.raw_springs` as YAML, or as the arrays of an .npz."""
+"""Springs files: the tables of `physics.sheets.raw` as YAML, or as the arrays of an .npz."""
 
 from __future__ import annotations
 
