@@ -65,8 +65,8 @@ def simulate(
     plan = model if isinstance(model, Plan) else compile(model)
     if state.particle_count != plan.model.particle_count:
         raise ValueError(
-            f"the state has {state.particle_count} particles, the model {plan.model.particle_count}: make the state of as "
-            "many positions as the model has masses"
+            f"the state has {state.particle_count} particles, the model {plan.model.particle_count}: make the "
+            "state of as many positions as the model has masses"
         )
     until = float(finite("until", until, ()))
     if not until > 0.0:

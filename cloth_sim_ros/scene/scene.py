@@ -112,10 +112,10 @@ class Scene:
     tolerance: float = parameter(
         "double",
         TOLERANCE,
-        "Over every second, started from the full state, positions stay within this times max(1, g) of the exact motion, "
-        "g being how much a small kick of position or velocity grows in that second; frames that miss their share are "
-        "flagged. 0 holds none. At 1e-4 frames of a swung cloth of 30 x 30 in which a fold snaps take longer than 1/60 s "
-        "on two cores",
+        "Over every second, started from the full state, positions stay within this times max(1, g) of the exact "
+        "motion, g being how much a small kick of position or velocity grows in that second; frames that miss their "
+        "share are flagged. 0 holds none. At 1e-4 frames of a swung cloth of 30 x 30 in which a fold snaps take longer "
+        "than 1/60 s on two cores",
         unit="m",
         least=0.0,
         most=1.0,

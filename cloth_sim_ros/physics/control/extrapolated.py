@@ -27,9 +27,9 @@ class Extrapolated(Integrator):
     so they cost what the fused loop costs, and the stable step is the leapfrog's. With a tolerance the columns and
     steps are chosen by the error: the difference of the combinations of K + 1 and of K columns estimates the error of
     the latter. A further column is run at least every 16 frames, or 64 where the error is far below its budget, after
-    every event and whenever the motion becomes livelier; in between the difference of the columns at hand is scaled by what the last judgement said. Without
-    damping, modes near the step limit grow slowly under extrapolation: there the estimate grows with them and makes
-    the steps smaller.
+    every event and whenever the motion becomes livelier; in between the difference of the columns at hand is scaled by
+    what the last judgement said. Without damping, modes near the step limit grow slowly under extrapolation: there the
+    estimate grows with them and makes the steps smaller.
 
     Order 2 to 5. Force evaluations a step of the first column: 1, 2.25, 3.75, 5.75 for 1, 2, 3, 4 columns. For
     damping up to critical.
