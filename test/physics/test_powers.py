@@ -22,8 +22,8 @@ FOREIGN = {
     *("einsum", "dot", "vdot", "inner", "matmul", "tensordot", "norm", "eigh", "eigvalsh", "svd", "inv"),
     *("lstsq", "det", "qr", "sum", "mean", "average", "prod", "cumsum", "cumprod", "fsum", "interp", "std", "var"),
 }
-#: Uses of these functions that do no harm: refusals of meshes and messages about them, the side of a mesh that a point is
-#: on, exact fractions, whole numbers, sums of arrays one by one, and squares, which numpy computes as a product.
+#: Uses of these functions that do no harm: refusals of meshes and messages about them, the side of a mesh that a point
+#: is on, exact fractions, whole numbers, sums of arrays one by one, and squares, which numpy computes as a product.
 HARMLESS = {
     ("physics/sheets/meshes.py", "norm"),
     ("physics/sheets/meshes.py", "sum"),

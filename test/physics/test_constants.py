@@ -1,0 +1,76 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""No tuned number of step control and sleep stands outside the table of constants."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[2] / "cloth_sim_ros"
+#: Nothing, one, halving and doubling need no reason.
+PLAIN = {0.0, 0.5, 1.0, 2.0}
+#: Every other number, and why it is not tuned.
+REASONS = {
+    "automatic.py": {1e9: "nanoseconds a second"},
+    "choice.py": {0.99: "says in words that a step is shorter than the one asked for; decides nothing"},
+    "ending.py": {0.25: "quarters of the last half step", 0.75: "the same", 4.0: "fourth difference", 6.0: "the same"},
+    "energy.py": {1e-12: "rounding of a sum of energies", 8.0: "roundings", 0.125: "h^2/8 v'Kv of the leapfrog"},
+    "error.py": {
+        3.0: "order of a single run's error in a frame: h^3 x'''",
+        4.0: "roundings; frames without a judgement where the error is far below, as the table says of `wait`",
+        1e3: "a prediction that is off by more leads to a judgement whatever the margin",
+    },
+    "explicit.py": {1e-6: "two lengths of frames that differ by rounding", 64.0: "a cap divided by 2^64 is none"},
+    "fallback.py": {
+        1e-9: "nanoseconds",
+        4e3: "four calls, in nanoseconds by microseconds",
+        10.0: "evaluations that a step of the implicit method takes at most: two stages of five iterations",
+        64.0: "a cap divided by 2^64 is none",
+    },
+    "precision.py": {24.0: "bits of single precision"},
+    "stability.py": {
+        6.0: "by the eigenvalues of the combinations (test_control_rules.py)",
+        0.125: "the same",
+        0.25: "the same",
+        0.75: "the same",
+    },
+    "stretch.py": {24.0: "halvings down to a ten thousandth of a microsecond", 3.0: "order of a missed jump's error"},
+    "sleep.py": {4.0: "roundings", 53.0: "whole numbers that float64 holds", 16.0: "root of a quadratic equation"},
+}
+FILES = [*sorted((PACKAGE / "physics" / "control").glob("*.py")), PACKAGE / "simulation" / "sleep.py"]
+
+
+def numbers(tree: ast.AST) -> set[float]:
+    """Numbers of a file, but for places in sequences, what text is formatted by, and sizes of caches."""
+    left_out = set[int]()
+    for node in ast.walk(tree):
+        inner: list[ast.AST] = []
+        if isinstance(node, ast.Subscript):
+            inner = [node.slice]
+        elif isinstance(node, ast.JoinedStr):
+            inner = [node]
+        elif isinstance(node, ast.keyword) and node.arg in ("start", "axis", "maxsize"):
+            inner = [node.value]
+        left_out.update(id(each) for part in inner for each in ast.walk(part))
+    return {
+        float(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, int | float)
+        and not isinstance(node.value, bool)
+        and id(node) not in left_out
+    }
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_numbers_outside_the_table_have_a_reason(path: Path) -> None:
+    found = numbers(ast.parse(path.read_bytes())) - PLAIN
+    assert found == set(REASONS.get(path.name, {}))
+
+
+def test_a_number_is_found_wherever_it_stands() -> None:
+    source = "LEAST = 7.0\ndef f(x=3):\n    return x[5] + 0.9 * x if x > -4e2 else f'{x:.6f}'\n"
+    assert numbers(ast.parse(source)) == {7.0, 3.0, 0.9, 400.0}
