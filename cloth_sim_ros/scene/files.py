@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from cloth_sim_ros.scene.parameters import ParameterError
 
@@ -16,6 +17,8 @@ NAMES = ("cloth.mesh", "cloth.springs", "initial_state")
 _OF_OBSTACLES = ".mesh"
 #: A file larger than this is a mistake [bytes].
 MOST_BYTES = 1 << 30
+#: What is read at a time where a file holds more than it claims [bytes].
+_PIECE = 1 << 20
 
 
 def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
@@ -40,13 +43,32 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
 
 
 def _content(parameter: str, path: Path) -> bytes:
+    content = None
     try:
-        size = path.stat().st_size
-        if size <= MOST_BYTES:
-            return path.read_bytes()
+        status = path.stat()
+        # To open a pipe would wait for its writer, and a device may never end. A folder says so when it is opened.
+        on_disk = stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)
+        if on_disk and status.st_size <= MOST_BYTES:
+            with path.open("rb") as file:
+                content = _bounded(file, status.st_size)
     except ValueError as error:
         # A null character, or one that the file system's encoding lacks.
         raise ParameterError(f"{parameter} {str(path)!r} is no file name: {error}") from error
     except OSError as error:
         raise ParameterError(f"{parameter}: cannot read '{path}': {error.strerror}") from error
+    if content is not None:
+        return content
+    if not on_disk:
+        raise ParameterError(f"{parameter} '{path}' is a device or a pipe; name a file on disk")
+    size = str(status.st_size) if status.st_size > MOST_BYTES else f"more than {MOST_BYTES}"
     raise ParameterError(f"{parameter} '{path}' has {size} bytes; at most {MOST_BYTES} are read")
+
+
+def _bounded(file: BinaryIO, size: int) -> bytes | None:
+    """All of a file that claims so many bytes; None where it holds more than are read, whatever it claims."""
+    pieces = [file.read(size + 1)]
+    count = len(pieces[0])
+    while count <= MOST_BYTES and (piece := file.read(_PIECE)):
+        pieces.append(piece)
+        count += len(piece)
+    return b"".join(pieces) if count <= MOST_BYTES else None

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Container, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -20,6 +21,10 @@ from cloth_sim_ros.session.writer import FORMAT_VERSION, METADATA_NAME, SCENE_NA
 def open_file(path: Path) -> BinaryIO:
     """Open a file to read. Raises SessionError with the reason where it cannot be."""
     try:
+        mode = path.stat().st_mode
+        # To open a pipe would wait for its writer, and a device may never end.
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise SessionError(f"{path} is a device or a pipe; give a file on disk")
         return path.open("rb")
     except FileNotFoundError:
         raise SessionError(f"{path} does not exist") from None
