@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cloth_sim_ros.session.cdr import decode_cloud, decode_surface
-from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.reader import SessionReader, read_frame
 from cloth_sim_ros.session.words import counted
 
@@ -119,7 +119,7 @@ def render(reader: SessionReader, summary: SessionSummary) -> str:
         lines.append(f"... {len(reader.parts) - 3} more files")
     lines += [
         _line("state", "complete" if reader.missing is None else reader.missing),
-        _line("ends", reader.parts[-1].end_notes.get("reason", "cut off")),
+        _line("ends", _end(reader.parts[-1])),
         _line("recorded", _when(summary)),
         _line("size", f"{size / 1e6:,.1f} MB{_per_hour(size, summary.seconds)}"),
         _line("by", ", ".join(f"{key} {value}" for key, value in _shown(reader.metadata).items())),
@@ -173,6 +173,13 @@ def _line(label: str, text: str) -> str:
 def _words(event: Mapping[str, Any]) -> str:
     text = " ".join(f"{key}={value}" for key, value in event.items() if key != "kind")
     return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _end(part: SessionPart) -> str:
+    reason = part.end_notes.get("reason")
+    if reason is not None:
+        return reason
+    return "not yet: it is still being recorded" if part.is_being_written() else "cut off"
 
 
 def _when(summary: SessionSummary) -> str:
