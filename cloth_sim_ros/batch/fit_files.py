@@ -16,6 +16,7 @@ from cloth_sim_ros.batch.fit_parameters import scene_with
 from cloth_sim_ros.batch.fit_recording import visible
 from cloth_sim_ros.batch.fit_text import verdict
 from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.session.outputs import written_whole
 
 
 def write_json(fit: Fit, path: Path) -> None:
@@ -59,7 +60,8 @@ def write_json(fit: Fit, path: Path) -> None:
             "after": fit.after.tolist(),
         },
     }
-    path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    with written_whole(path) as place:
+        place.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_parameters(fit: Fit, path: Path) -> list[str]:
@@ -77,7 +79,8 @@ def write_parameters(fit: Fit, path: Path) -> list[str]:
             lines.append(f"#   {estimate.parameter.name}: {estimate.value:.6g}, 95 % {low:.4g} to {high:.4g}")
         else:
             lines.append(f"#   {estimate.parameter.name}: not told by these clouds; the scene's value is kept")
-    path.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
+    with written_whole(path) as place:
+        place.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
     return [estimate.parameter.name for estimate in told]
 
 
@@ -116,7 +119,8 @@ def write_plot(fit: Fit, path: Path) -> None:
     else:
         below.plot(fit.seconds, 1e3 * fit.after, "C0.")
         below.set(xlabel="time of the cloud [s]", ylabel="distance from the surface, rms [mm]")
-    figure.savefig(path, dpi=120, format="png")
+    with written_whole(path) as place:
+        figure.savefig(place, dpi=120, format="png")
 
 
 def _plain(value: Any) -> Any:

@@ -38,8 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from cloth_sim_ros.batch.fit_parameters import FitError
     from cloth_sim_ros.scene.parameters import ParameterError
     from cloth_sim_ros.session.errors import SessionError
+    from cloth_sim_ros.session.outputs import check_outputs
 
     try:
+        check_outputs(
+            {"--write": options.write, "--json": options.json, "--plot": options.plot},
+            [*options.session, *([] if options.scene is None else [options.scene])],
+            endings={"--plot": ".png"},
+        )
         fit = _fit(options)
         _tell(fit, options)
     except (SessionError, FitError, ParameterError) as error:
@@ -126,9 +132,6 @@ def _fit(options: argparse.Namespace) -> Fit:
         raise FitError(f"--every is {options.every}; every first cloud or fewer can be taken: give 1 or more")
     if options.until is not None and not options.until > 0.0:
         raise FitError(f"--until is {options.until:g} s; it must be above 0")
-    for path in (options.write, options.json, options.plot):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise FitError(f"{path}: there is no folder {path.absolute().parent}")
     names = [name.strip() for name in options.parameters.split(",") if name.strip()]
     start = {name: _number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
     recording = _recording(options).part(until=options.until, every=options.every)
@@ -149,6 +152,7 @@ def _recording(options: argparse.Namespace) -> Recording:
     from cloth_sim_ros.batch.fit_parameters import FitError
     from cloth_sim_ros.batch.fit_recording import read_session
     from cloth_sim_ros.scene.scene import Scene
+    from cloth_sim_ros.session.opening import open_file
 
     scene = None if options.scene is None else Scene.from_file(options.scene)
     poses = _pairs(options.pose, "--pose")
@@ -162,6 +166,9 @@ def _recording(options: argparse.Namespace) -> Recording:
         raise FitError(
             f"{options.session[0]} was not recorded by cloth_sim, so it holds no scene; describe the cloth by --scene"
         )
+    for path in options.session[1:]:
+        # The first has been looked at; to open a pipe would wait for its writer.
+        open_file(path).close()
     return read_bag(
         options.session,
         scene,

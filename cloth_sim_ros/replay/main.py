@@ -17,6 +17,8 @@ from cloth_sim_ros.session.errors import SessionError
 DONE, CANNOT, WRONG = 0, 1, 2
 
 _LARGEST_SIZE = 8192
+#: The viewer counts nanoseconds, in 64 bits [s].
+_LONGEST = 9e9
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,8 +30,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("cloth_replay needs the Rerun viewer: pip install 'cloth_sim_ros[replay]'", file=sys.stderr)
         return CANNOT
     from cloth_sim_ros.replay import show
+    from cloth_sim_ros.session.outputs import check_outputs
 
     try:
+        check_outputs(
+            {"--save": options.save, "--screenshot": options.screenshot},
+            options.session,
+            endings={"--screenshot": ".png"},
+        )
         if options.screenshot is not None:
             show.save_picture(
                 options.session,
@@ -113,6 +121,8 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--screenshot shows one moment: it takes --at, not --follow or --every")
     if options.at is not None and options.screenshot is None:
         parser.error("--at is the time of a picture: it needs --screenshot")
+    if options.at is not None and not abs(options.at) <= _LONGEST:
+        parser.error(f"--at {options.at:g}: it must be a number of seconds, at most {_LONGEST:g}")
 
 
 def _size(text: str) -> tuple[int, int]:

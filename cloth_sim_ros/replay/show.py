@@ -21,6 +21,7 @@ from cloth_sim_ros.replay.stream import Stream
 from cloth_sim_ros.replay.survey import Survey, survey
 from cloth_sim_ros.replay.viewer import check_screen, executable, save_screenshot
 from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.outputs import written_whole
 from cloth_sim_ros.session.reader import SessionReader
 
 if TYPE_CHECKING:
@@ -42,13 +43,16 @@ def save_recording(
     follow: bool = False,
     accuracy: bool = False,
 ) -> None:
-    """Write a session as a Rerun recording. Raises SessionError or OSError with the reason."""
+    """Write a session as a Rerun recording. Raises SessionError or OSError with the reason.
+
+    It appears once it is complete; one that follows what is still being recorded can be seen as it grows.
+    """
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         seen = _look(reader, strain_limit, follow)
-        _check_writable(out)
+        place = out if follow else stack.enter_context(written_whole(out))
         seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
         recording = _recording(reader)
-        recording.save(out, default_blueprint=blueprint_of(seen))
+        recording.save(place, default_blueprint=blueprint_of(seen))
         _play(reader, Stream(recording, seen, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
         _tell_missing(reader)
@@ -103,7 +107,7 @@ def save_picture(
         contextlib.ExitStack() as stack,
     ):
         seen = survey(reader, strain_limit=strain_limit)
-        _check_writable(out)
+        picture = stack.enter_context(written_whole(out))
         seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
         rrd = Path(folder) / "picture.rrd"
         recording = _recording(reader)
@@ -115,7 +119,7 @@ def save_picture(
         _tell_missing(reader)
         if not stream.clouds_seen:
             raise SessionError(f"{paths[0]} holds no clouds: there is nothing to paint")
-        save_screenshot(rrd, out, at=stream.time if at is None else at, size=size)
+        save_screenshot(rrd, picture, at=stream.time if at is None else at, size=size)
 
 
 @contextlib.contextmanager
@@ -177,15 +181,6 @@ def _recording(reader: SessionReader) -> rr.RecordingStream:
     recording = rr.RecordingStream(APPLICATION)
     recording.send_recording_name(reader.parts[0].session)
     return recording
-
-
-def _check_writable(out: Path) -> None:
-    """Raise OSError for a place where no file can be written, before the work is done."""
-    existed = out.exists()
-    with out.open("ab"):
-        pass
-    if not existed:
-        out.unlink()
 
 
 def _tell_missing(reader: SessionReader) -> None:

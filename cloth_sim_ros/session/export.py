@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import io
-import os
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.outputs import written_whole
 from cloth_sim_ros.session.reader import RecordedCloud, SessionReader
 
 if TYPE_CHECKING:
@@ -65,21 +65,19 @@ def export(
         raise SessionError(f"cannot export to {target.name}: the name must end in {' or '.join(writers)}")
     if target.exists():
         raise SessionError(f"{target} exists; give another name")
+    if not target.absolute().parent.is_dir():
+        raise SessionError(f"there is no folder '{target.absolute().parent}' for {target.name}; make it first")
     if every < 1:
         raise SessionError(f"every {every}th frame cannot be taken; give 1 or more")
 
     def frames() -> Iterator[_Frame]:
         return _frames(reader, every, start, end, progress)
 
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.unfinished")
     try:
-        count = writers[target.suffix](unfinished, frames, reader)
-        os.link(unfinished, target)
+        with written_whole(target, replace=False) as unfinished:
+            return writers[target.suffix](unfinished, frames, reader)
     except FileExistsError:
         raise SessionError(f"{target} exists; give another name") from None
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return count
 
 
 def _frames(
@@ -119,7 +117,7 @@ def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: Sessi
         raise SessionError("the session has no clouds in that span")
     shape = (len(table), table[0][3], 3)
     surface = reader.topology()
-    with zipfile.ZipFile(path, "x", zipfile.ZIP_STORED, allowZip64=True) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         columns: dict[str, NDArray[Any]] = {
             "frame": np.array([row[0] for row in table], np.int64),
             "time": np.array([row[1] for row in table], np.float64),

@@ -11,6 +11,7 @@ from typing import Any
 
 import attrs
 
+from cloth_sim_ros.session.outputs import written_whole
 from cloth_sim_ros.verify.certificate import Certificate
 
 
@@ -24,7 +25,8 @@ def write_json(certificate: Certificate, path: Path) -> None:
     for told, sample in zip(content["samples"], certificate.samples, strict=True):
         told["agrees"] = sample.agrees
     content["kept"] = certificate.kept
-    path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    with written_whole(path) as place:
+        place.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_plot(certificate: Certificate, path: Path) -> None:
@@ -61,7 +63,8 @@ def write_plot(certificate: Certificate, path: Path) -> None:
     for axes in (above, below):
         axes.grid(which="both", alpha=0.2)
         axes.legend(fontsize=7)
-    figure.savefig(path, dpi=120, format="png")
+    with written_whole(path) as place:
+        figure.savefig(place, dpi=120, format="png")
 
 
 def _plain(value: Any) -> Any:

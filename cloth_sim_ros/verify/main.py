@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.outputs import OutputError, check_outputs, written_whole
 from cloth_sim_ros.session.reader import SessionReader, by_session
 from cloth_sim_ros.session.words import counted
 
@@ -50,8 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     _add_accuracy(parser)
     options = parser.parse_args(arguments)
+    _check_accuracy(parser, options)
     sessions = list(by_session(options.session))
-    _check_accuracy(parser, options, len(sessions))
+    _check_one_session(parser, options, len(sessions))
     status = SAME
     try:
         for paths in sessions:
@@ -88,17 +90,29 @@ def _add_accuracy(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace, sessions: int) -> None:
-    files = {name: getattr(options, name) for name in ("json", "plot", "particles")}
-    for name, path in files.items():
-        if path is None:
-            continue
-        if not options.accuracy:
-            parser.error(f"--{name} is of the accuracy: it needs --accuracy")
-        if sessions > 1:
-            parser.error(f"--{name} takes the accuracy of one session; {sessions} are given")
+def _outputs(options: argparse.Namespace) -> dict[str, Path]:
+    """The files to write, by option."""
+    given = {f"--{name}": getattr(options, name) for name in ("json", "plot", "particles")}
+    return {option: path for option, path in given.items() if path is not None}
+
+
+def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Before anything is read: measuring may take hours."""
+    outputs = _outputs(options)
+    if outputs and not options.accuracy:
+        parser.error(f"{next(iter(outputs))} is of the accuracy: it needs --accuracy")
+    try:
+        check_outputs(outputs, options.session, endings={"--plot": ".png"})
+    except OutputError as error:
+        parser.error(str(error))
     if options.plot is not None and importlib.util.find_spec("matplotlib") is None:
         parser.error("--plot needs matplotlib: pip install 'cloth_sim_ros[bench]'")
+
+
+def _check_one_session(parser: argparse.ArgumentParser, options: argparse.Namespace, sessions: int) -> None:
+    outputs = _outputs(options)
+    if outputs and sessions > 1:
+        parser.error(f"{next(iter(outputs))} takes the accuracy of one session; {sessions} are given")
 
 
 def status_of(verdict: Verdict) -> int:
@@ -157,7 +171,10 @@ def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdic
     from cloth_sim_ros.verify.accuracy import certify
 
     with contextlib.ExitStack() as stack:
-        particles = None if options.particles is None else stack.enter_context(options.particles.open("wb"))
+        particles = None
+        if options.particles is not None:
+            place = stack.enter_context(written_whole(options.particles))
+            particles = stack.enter_context(place.open("wb"))
         bar = stack.enter_context(
             tqdm(total=_frames_in(paths), unit="frame", desc="accuracy", delay=1.0, disable=None, leave=False)
         )

@@ -252,6 +252,9 @@ def test_another_failure_is_told_as_it_is(tmp_path: Path, monkeypatch: pytest.Mo
         (["--size", "big", "--screenshot", "a.png"], "1600x900"),
         (["--size", "10x10", "--screenshot", "a.png"], "200"),
         (["--at", "1.0"], "--screenshot"),
+        (["--at", "nan", "--screenshot", "a.png"], "number of seconds"),
+        (["--at=-inf", "--screenshot", "a.png"], "number of seconds"),
+        (["--at", "1e300", "--screenshot", "a.png"], "at most 9e+09"),
         (["--screenshot", "a.png", "--follow"], "one moment"),
         (["--save", "a.rrd", "--screenshot", "a.png"], "not allowed"),
         (["--strain-limit", "-1"], "strain-limit"),
@@ -274,7 +277,7 @@ def test_what_is_no_session_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     assert "is not an MCAP file" in errors
     assert "does not exist" in errors
     session = make_grasp(tmp_path, seconds=0.1, cloth__resolution=[5, 5])
-    assert main([str(session), "--save", str(tmp_path / "nowhere" / "out.rrd")]) == 1
+    assert main([str(session), "--save", str(tmp_path / "nowhere" / "out.rrd")]) == 2
     assert "nowhere" in capsys.readouterr().err
 
 

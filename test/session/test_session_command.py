@@ -178,7 +178,7 @@ def test_wrong_arguments_get_one_line(session: Path, tmp_path: Path, capsys: pyt
         (["export", str(session), "-o", str(tmp_path / "out.csv")], "must end in .npz or .parquet"),
         (["export", str(session), "--every", "0"], "every 0th"),
         (["export", str(session), "--start", "100"], "no clouds in that span"),
-        (["export", str(session), "-o", str(tmp_path / "absent" / "out.npz")], "No such file"),
+        (["export", str(session), "-o", str(tmp_path / "absent" / "out.npz")], "there is no folder"),
         (["recover", str(session)], "nothing to recover"),
     ]:
         assert main(arguments) == 2

@@ -1,0 +1,56 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What `cloth_fit` writes: never over what it reads, refused before it fits."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from cloth_sim_ros.batch import fit_bag, fit_main
+
+pytest.importorskip("mcap")
+
+SESSION = b"\x89MCAP0\r\n and the rest"
+
+
+@pytest.mark.parametrize("option", ["--json", "--write", "--plot"])
+def test_what_is_read_is_no_output(
+    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if option == "--plot":
+        pytest.importorskip("matplotlib")
+    monkeypatch.setattr(fit_main, "_fit", lambda _: pytest.fail("a session was read"))
+    session, link, scene, other = (tmp_path / name for name in ("s.mcap", "link.png", "scene.png", "o.mcap"))
+    session.write_bytes(SESSION)
+    other.write_bytes(SESSION)
+    link.symlink_to(session)
+    scene.write_text("/**: {ros__parameters: {}}")
+    for out in (session, link, scene, other):
+        was = out.read_bytes()
+        arguments = [str(session), "--scene", str(scene), "--parameters", "stretch", option, str(out)]
+        assert fit_main.main(arguments) == fit_main.REFUSED
+        assert capsys.readouterr().err.startswith(f"cloth_fit: {option} is '{out}', ")
+        assert out.read_bytes() == was
+
+
+def test_a_picture_is_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    arguments = [str(tmp_path / "s.mcap"), "--parameters", "stretch", "--plot", str(tmp_path / "x.xyz")]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    assert "end the name in .png" in capsys.readouterr().err
+
+
+def test_a_pipe_among_recordings_is_refused_and_not_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, pipe, scene = tmp_path / "a.mcap", tmp_path / "b.mcap", tmp_path / "scene.yaml"
+    scene.write_text("/**: {ros__parameters: {}}")
+    os.mkfifo(pipe)
+    monkeypatch.setattr(fit_bag, "is_session", lambda _: False)
+    monkeypatch.setattr(fit_bag, "read_bag", lambda *_, **__: pytest.fail("a pipe was opened"))
+    arguments = [str(first), str(pipe), "--scene", str(scene), "--parameters", "stretch"]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    assert "b.mcap is a device or a pipe" in capsys.readouterr().err
