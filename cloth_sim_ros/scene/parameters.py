@@ -78,13 +78,14 @@ class Parameter:
         listed = isinstance(value, Sequence) or hasattr(value, "__array__")
         if not listed or isinstance(value, str | bytes) or getattr(value, "ndim", 1) != 1:
             raise ParameterError(f"{self.name} is {value!r}; it must be an array of {self.element}")
-        values = tuple(self._check_one(_item(entry)) for entry in value)
+        values = tuple(self._check_one(entry) for entry in value)
         if self.length is not None and len(values) != self.length:
             raise ParameterError(f"{self.name} has {len(values)} entries, {list(values)}; it must have {self.length}")
         return values
 
     def _check_one(self, value: Any) -> Any:
         kind = KINDS[self.element]
+        value = _item(value)
         if type(value) is int and not -_INT_END <= value < _INT_END:
             # The value is not shown: Python refuses to print integers of more than a few thousand digits.
             raise ParameterError(f"{self.name} is a whole number of {value.bit_length()} bits; it must fit into 64")

@@ -1,0 +1,39 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Values of parameters: which Python and numpy values are taken for which."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+
+
+def test_scalars_of_numpy_are_the_numbers_that_they_are() -> None:
+    values = {
+        "rate": np.float64(50.0),
+        "tolerance": np.float32(0.5),
+        "points.velocity": np.bool_(True),
+        "frame_id": np.str_("table"),
+        "work_limit": np.array(2.0),
+        "cloth.resolution": np.array([3, 4]),
+    }
+    found = Scene.from_parameters(values).parameters()
+    assert {name: found[name] for name in values} == {
+        "rate": 50.0,
+        "tolerance": 0.5,
+        "points.velocity": True,
+        "frame_id": "table",
+        "work_limit": 2.0,
+        "cloth.resolution": (3, 4),
+    }
+    assert all(type(found[name]) in (float, bool, str, tuple) for name in values)
+    with pytest.raises(ParameterError, match="rate is the whole number 60; it is a double"):
+        Scene.from_parameters({"rate": np.int64(60)})
+
+
+def test_a_whole_number_of_numpy_is_taken_for_one() -> None:
+    entry = next(entry for entry in Scene.declared() if entry.kind == "int")
+    assert type(entry.check(np.int64(entry.default))) is int
