@@ -1,23 +1,29 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameter files without ROS: `/**` and `<node>: ros__parameters:` are read, other wildcards are refused."""
+"""ROS parameter files without ROS: what they set for a node, as the node itself would read it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.scene import ros_sections, ros_yaml
 from cloth_sim_ros.scene.parameters import ParameterError
-
-_KEY = "ros__parameters"
 
 
 def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
-    """Return the parameters that a file sets for a node, by full name; `/**` first, the node's own over it.
+    """Return the parameters that a file sets for a node, by full name, as ROS reads it.
+
+    Sections count that have the node's name, namespace included, or a wildcard for it. Those of one name are one, from
+    where the first begins; of several that set a parameter the last counts, the node's own or not.
+
+    Args:
+        path: of the file.
+        node: name of the node with its namespace, e.g. ``/left/towel``.
 
     Raises:
-        ParameterError: for a file that can't be read, is no YAML or no parameter file.
+        ParameterError: for a file that can't be read, is no YAML, no parameter file, or one that sets nothing for this
+            node, but something for its namesakes in other namespaces.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -31,24 +37,26 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text") -> dict[s
     import yaml
 
     try:
-        tree = ros_yaml.load(text)
+        sections = ros_sections.read(text, source=source)
     except yaml.YAMLError as error:
         raise ParameterError(f"'{source}' is not YAML: {error}") from error
-    if not isinstance(tree, dict):
-        raise ParameterError(f"'{source}' is no parameter file; it needs '/**:' or '{node}:' with '{_KEY}:' below")
-    values: dict[str, Any] = {}
-    own: dict[str, Any] = {}
-    for key, content in tree.items():
-        name = str(key).strip("/")
-        if "*" in name and name != "**":
-            raise ParameterError(f"'{source}' has the wildcard '{key}'; only '/**' and node names are read")
-        if not isinstance(content, dict) or not isinstance(content.get(_KEY), dict):
-            raise ParameterError(f"'{source}' has no '{_KEY}:' below '{key}:'")
-        if name == "**":
-            values = _flat(content[_KEY])
-        elif name.split("/")[-1] == node.strip("/").split("/")[-1]:
-            own = _flat(content[_KEY])
-    return {**values, **own}
+    full = f"/{node.strip('/') or 'cloth_sim'}"
+    found = [content for name, content in sections.items() if ros_sections.matches(name, full)]
+    if sections and not found:
+        _refuse_namesakes(list(sections), full, source)
+    return {name: value for content in found for name, value in content.items()}
+
+
+def _refuse_namesakes(sections: list[str], node: str, source: str) -> None:
+    """Refuse to take a file as one that sets nothing, where it means a node of the same name in another namespace."""
+    last = node.rpartition("/")[2]
+    full = [f"/{name.removeprefix('/')}" for name in sections if "*" not in name]
+    others = [name for name in dict.fromkeys(full) if name.rpartition("/")[2] == last]
+    if others:
+        raise ParameterError(
+            f"'{source}' sets nothing for the node {node}, but for {', '.join(others)}: give the node's full name, "
+            f"--node {others[0]} or node='{others[0]}'"
+        )
 
 
 def dump(values: dict[str, Any], *, node: str = "/**") -> str:
@@ -60,14 +68,4 @@ def dump(values: dict[str, Any], *, node: str = "/**") -> str:
         for part in sections:
             branch = branch.setdefault(part, {})
         branch[last] = list(value) if isinstance(value, tuple) else value
-    return ros_yaml.dump({node: {_KEY: tree}})
-
-
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            values.update(_flat(value, f"{prefix}{key}."))
-        else:
-            values[f"{prefix}{key}"] = value
-    return values
+    return ros_yaml.dump({node: {ros_sections.KEY: tree}})

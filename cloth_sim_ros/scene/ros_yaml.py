@@ -9,6 +9,7 @@ must mean the same with and without ROS.
 from __future__ import annotations
 
 import functools
+import math
 import re
 from typing import Any
 
@@ -21,6 +22,13 @@ _FLOAT = re.compile(
     r"|[-+]?0[0-9]*[89][0-9]*"
     r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
 )
+#: What else C makes a number of: whole numbers beyond 64 bits, hexadecimal ones with an exponent, names.
+_DECIMAL = re.compile(r"[-+]?[0-9]+(?:[eE][-+]?[0-9]+)?")
+_HEXADECIMAL = re.compile(r"[-+]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][-+]?[0-9]+)?")
+_NAMED = re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE)
+_INT_END = 1 << 63
+#: No whole number of 64 bits has as many, unless it begins with noughts.
+_MOST_DIGITS = 1000
 _RESOLVED = {
     "tag:yaml.org,2002:bool": (_BOOL, "yYnNtTfFoO"),
     "tag:yaml.org,2002:int": (_INT, "-+0123456789"),
@@ -32,11 +40,45 @@ def load(text: str) -> Any:
     """Return what a text holds, in plain Python values.
 
     Raises:
-        yaml.YAMLError: if it is no YAML.
+        yaml.YAMLError: if it is no YAML, or nested too deeply.
     """
     import yaml
 
-    return yaml.load(text, Loader=_loader())
+    try:
+        return yaml.load(text, Loader=_loader())
+    except RecursionError:
+        raise yaml.YAMLError("it is nested too deeply to be read") from None
+
+
+def plain(text: str) -> bool | int | float | str:
+    """Return what ROS makes of a value that is not quoted; `null` and `~` are texts."""
+    if _BOOL.fullmatch(text):
+        return text.lower() in _TRUE
+    if _INT.fullmatch(text):
+        value = _whole(text)
+        if -_INT_END <= value < _INT_END:
+            return value
+    if _HEXADECIMAL.fullmatch(text):
+        try:
+            return float.fromhex(text)
+        except OverflowError:
+            return text
+    if _FLOAT.fullmatch(text) and "." in text and text.strip("+-.").lower() in ("inf", "nan"):
+        return float(text.replace(".", ""))
+    if _FLOAT.fullmatch(text) or _DECIMAL.fullmatch(text):
+        number = float(text)
+        # Beyond the largest number strtod fails, which leaves the text.
+        return text if math.isinf(number) else number
+    return float(text) if _NAMED.fullmatch(text) else text
+
+
+def _whole(text: str) -> int:
+    """A whole number as strtoll reads it; one of very many digits as one of 65 bits, for Python reads no more."""
+    digits = text.lstrip("+-")
+    if len(digits) > _MOST_DIGITS:
+        return _INT_END << 1
+    base = 16 if digits[:2].lower() == "0x" else 8 if digits.startswith("0") else 10
+    return int(text, base)
 
 
 def dump(content: Any) -> str:
@@ -69,7 +111,11 @@ def _dumper() -> Any:
     import yaml
 
     class Dumper(yaml.SafeDumper):
-        """A SafeDumper that quotes every text that some reader would take for something else."""
+        """A SafeDumper that quotes every text that some reader would take for something else, and writes no aliases."""
+
+        def ignore_aliases(self, data: Any) -> bool:
+            # ROS reads none.
+            return True
 
     for tag, (pattern, first) in _RESOLVED.items():
         Dumper.add_implicit_resolver(tag, pattern, list(first))

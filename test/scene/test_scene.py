@@ -96,9 +96,9 @@ def test_a_nodes_own_section_goes_over_the_common_one():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a: [", "is not YAML"),
+        ("/**: {ros__parameters: {a: [", "is not YAML"),
         ("just words", "is no parameter file"),
-        ("/*/cloth_sim:\n  ros__parameters: {}", "wildcard"),
+        ("/n*/cloth_sim:\n  ros__parameters: {}", "wildcard"),
         ("cloth_sim:\n  rate: 3.0", "no 'ros__parameters:'"),
     ],
 )

@@ -1,0 +1,213 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The sections of a ROS parameter file, one for each name of a node, read as ROS's own parser reads them.
+
+That parser (rcl_yaml_param_parser) looks at a file's events one after another: sections of one name are one, whatever
+stands between them; a name that is given twice is set twice, and no document, alias or tag ends or replaces anything.
+What it reads as something that nobody can have meant is refused here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.scene.parameters import ParameterError
+
+KEY = "ros__parameters"
+#: No parameter's name has so many parts.
+_DEEPEST = 100
+_PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|\*\*?)"
+#: What ROS takes as the name of a section.
+_NAME = re.compile(rf"/?(?:{_PART}/)*{_PART}")
+#: ROS's words for types of Python.
+_TYPES = {"float": "double", "str": "string"}
+#: ROS keeps one value of each type for a name, and looks at them in this order.
+_KINDS = ("bool", "int", "float", "str", "bool[]", "int[]", "float[]", "str[]")
+
+
+def matches(section: str, node: str) -> bool:
+    """Whether a section's name, wildcards included, is that of a node, whose name is full but for a / before it."""
+    pattern = f"/{section.removeprefix('/')}".replace("/*", r"(/\w+)")
+    return re.fullmatch(pattern, f"/{node.strip('/')}", re.ASCII) is not None
+
+
+def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each section by full name, in the order in which the sections begin.
+
+    An empty list, which sets nothing in ROS, is [] where nothing else sets the name.
+
+    Raises:
+        ParameterError: for what ROS refuses, or reads otherwise than it is written.
+        yaml.YAMLError: if the text is no YAML.
+    """
+    return _Reader(text, source).sections()
+
+
+class _Section:
+    """What a section sets, with the types that names had before."""
+
+    def __init__(self) -> None:
+        self._entries: list[tuple[str, dict[str, Any]]] = []
+        self._first: dict[str, dict[str, Any]] = {}
+        self._groups: set[str] = set()
+
+    def clashes(self, name: str, *, group: bool) -> bool:
+        """Whether a name is both a value and a group of names, once this is taken in."""
+        if group:
+            self._groups.add(name)
+            return name in self._first
+        return name in self._groups
+
+    def entry(self, name: str, *, nested: bool) -> dict[str, Any]:
+        """Return where the values of a name go, by type: ROS finds an earlier one only if the name is not nested."""
+        if nested or name not in self._first:
+            self._entries.append((name, {}))
+            self._first.setdefault(name, self._entries[-1][1])
+            return self._entries[-1][1]
+        return self._first[name]
+
+    def values(self) -> dict[str, Any]:
+        return {name: next((kinds[kind] for kind in _KINDS if kind in kinds), []) for name, kinds in self._entries}
+
+
+class _Reader:
+    def __init__(self, text: str, source: str) -> None:
+        import yaml
+
+        self._events: Iterator[Any] = yaml.parse(text, Loader=yaml.SafeLoader)
+        self._event: Any = None
+        self._source = source
+        self._sections: dict[str, _Section] = {}
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        for _ in self._until("StreamEnd"):
+            if self._is("DocumentStart"):
+                self._next()
+                if not self._is("MappingStart"):
+                    raise self._no_file()
+                self._names(())
+        return {name: section.values() for name, section in self._sections.items()}
+
+    def _next(self) -> Any:
+        self._event = next(self._events)
+        if self._is("Alias"):
+            raise self._trouble("an alias, which ROS does not read: write out what it stands for")
+        return self._event
+
+    def _until(self, end: str) -> Iterator[Any]:
+        """The events up to the one that ends what is open; what an event begins is taken by who looks at it."""
+        self._next()
+        while not self._is(end):
+            yield self._event
+            self._next()
+
+    def _is(self, kind: str) -> bool:
+        return type(self._event).__name__ == f"{kind}Event"
+
+    def _key(self) -> str:
+        key = _scalar_text(self._event) if self._is("Scalar") else ""
+        if not key:
+            raise self._trouble("a key that is no name; write 'name: value'")
+        return key
+
+    def _names(self, above: tuple[str, ...]) -> None:
+        """Take a mapping of names of namespaces and nodes."""
+        ended = False
+        for _ in self._until("MappingEnd"):
+            key = self._key()
+            path = (*above, key)
+            if ended:
+                raise self._trouble(f"'{key}:' behind the '{KEY}:' of '{'/'.join(above)}:'; begin a section of its own")
+            if key.startswith(KEY):
+                if not above:
+                    raise self._no_file()
+                self._begin(above)
+                ended = True
+                continue
+            if above and "/" in key:
+                raise self._trouble(
+                    f"the name '{key}' with a / within '{'/'.join(above)}:'; write the whole name as one"
+                )
+            self._next()
+            if not self._is("MappingStart"):
+                raise self._trouble(f"no '{KEY}:' below '{'/'.join(above or path)}:'")
+            if len(path) > _DEEPEST:
+                raise self._too_deep()
+            self._names(path)
+
+    def _begin(self, path: tuple[str, ...]) -> None:
+        name = "/".join(path)
+        if not _NAME.fullmatch(name):
+            what = "the wildcard" if "*" in name else "the node name"
+            raise self._trouble(
+                f"{what} '{name}:'; names are of letters, digits and _, with / between them; * stands for one, ** for "
+                "any number"
+            )
+        section = self._sections.setdefault(name, _Section())
+        self._next()
+        if not self._is("MappingStart"):
+            raise self._trouble(f"no parameters below the '{KEY}:' of '{name}:'; write 'name: value' there, or {{}}")
+        self._parameters(section, ())
+
+    def _parameters(self, section: _Section, above: tuple[str, ...]) -> None:
+        """Take a mapping of parameters, and of groups of them."""
+        empty = True
+        for _ in self._until("MappingEnd"):
+            empty = False
+            key = self._key()
+            path = (*above, key)
+            name = ".".join(path)
+            self._next()
+            group = self._is("MappingStart")
+            if section.clashes(name, group=group):
+                raise self._trouble(f"'{name}' both as a value and as a group of parameters; take one of them out")
+            if not group:
+                self._value(section.entry(name, nested=bool(above)), name)
+            elif len(path) >= _DEEPEST:
+                raise self._too_deep()
+            else:
+                self._parameters(section, path)
+        if empty and above:
+            raise self._trouble(f"no parameter below '{'.'.join(above)}:'; give one, or leave '{above[-1]}:' out")
+
+    def _value(self, kinds: dict[str, Any], name: str) -> None:
+        if self._is("Scalar"):
+            value = self._scalar(name)
+            kinds[type(value).__name__] = value
+            return
+        values = [self._scalar(name) for _ in self._until("SequenceEnd")]
+        types = list(dict.fromkeys(type(value).__name__ for value in values))
+        if len(types) > 1:
+            found = " and ".join(_TYPES.get(kind, kind) for kind in types)
+            raise self._trouble(f"entries of {name} of different types, {found}; give all one type, as in [1.0, 2.5]")
+        if types:
+            kinds[f"{types[0]}[]"] = values
+
+    def _scalar(self, name: str) -> Any:
+        if not self._is("Scalar"):
+            raise self._trouble(f"a list or group within the list {name}; ROS has lists of plain values only")
+        if not self._event.value and self._event.style not in ("'", '"'):
+            raise self._trouble(f"no value for {name}; give one, or leave '{name.rpartition('.')[2]}:' out")
+        text = _scalar_text(self._event)
+        # Of all tags ROS minds only this one.
+        is_text = self._event.style in ("'", '"') or self._event.tag == "tag:yaml.org,2002:str"
+        return text if is_text else ros_yaml.plain(text)
+
+    def _no_file(self) -> ParameterError:
+        return ParameterError(
+            f"'{self._source}' is no parameter file; it needs '/**:' or 'cloth_sim:' with '{KEY}:' below"
+        )
+
+    def _too_deep(self) -> ParameterError:
+        return self._trouble(f"names nested more than {_DEEPEST} deep; no parameter's name has so many parts")
+
+    def _trouble(self, what: str) -> ParameterError:
+        return ParameterError(f"'{self._source}' has {what} (line {self._event.start_mark.line + 1})")
+
+
+def _scalar_text(event: Any) -> str:
+    """The text of a scalar; in C it ends at a null character."""
+    return str(event.value).partition("\0")[0]

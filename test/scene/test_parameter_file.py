@@ -1,0 +1,143 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files: which sections count, in which order, and what is refused with a sentence."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from cloth_sim_ros.scene import parameter_file, ros_yaml
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+
+
+def sections(*named: tuple[str, str]) -> str:
+    return "".join(f"{name}:\n  ros__parameters: {content}\n" for name, content in named)
+
+
+def test_sections_of_one_name_are_one() -> None:
+    text = sections(("/**", "{rate: 30.0, step: 0.01}"), ("/**", "{rate: 20.0}"))
+    assert parameter_file.parse(text) == {"rate": 20.0, "step": 0.01}
+
+
+def test_a_group_that_is_given_twice_is_one() -> None:
+    text = "/**:\n  ros__parameters:\n    cloth: {mesh: a}\n    rate: 3.0\n    cloth: {springs: b}\n"
+    assert parameter_file.parse(text) == {"cloth.mesh": "a", "rate": 3.0, "cloth.springs": "b"}
+
+
+def test_the_section_that_begins_last_counts_the_nodes_own_or_not() -> None:
+    assert parameter_file.parse(sections(("cloth_sim", "{rate: 1.0}"), ("/**", "{rate: 2.0}")))["rate"] == 2.0
+    text = sections(("/**", "{rate: 1.0}"), ("cloth_sim", "{rate: 2.0}"), ("/**", "{rate: 3.0}"))
+    assert parameter_file.parse(text)["rate"] == 2.0
+
+
+def test_a_section_is_that_of_a_full_name() -> None:
+    text = sections(("/left/towel", "{rate: 1.0}"), ("/right/towel", "{rate: 2.0}"))
+    assert parameter_file.parse(text, node="/left/towel") == {"rate": 1.0}
+    assert parameter_file.parse(text, node="right/towel") == {"rate": 2.0}
+    text = sections(("cloth_sim", "{rate: 1.0}"), ("/ns/cloth_sim", "{rate: 2.0}"))
+    assert parameter_file.parse(text) == {"rate": 1.0}
+    assert parameter_file.parse(text, node="/ns/cloth_sim") == {"rate": 2.0}
+    assert parameter_file.parse("ns: {cloth_sim: {ros__parameters: {rate: 3.0}}}", node="/ns/cloth_sim")["rate"] == 3.0
+    # A file of other nodes sets nothing, as in ROS.
+    assert parameter_file.parse(sections(("other", "{rate: 1.0}"))) == {}
+
+
+def test_a_namesake_in_another_namespace_is_named() -> None:
+    text = sections(("/left/towel", "{rate: 1.0}"), ("/right/towel", "{rate: 2.0}"))
+    with pytest.raises(ParameterError) as caught:
+        parameter_file.parse(text, node="towel", source="a.yaml")
+    assert str(caught.value) == (
+        "'a.yaml' sets nothing for the node /towel, but for /left/towel, /right/towel: give the node's full name, "
+        "--node /left/towel or node='/left/towel'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "/**: {ros__parameters: &a {b: *a}}",
+            "an alias, which ROS does not read: write out what it stands for (line 1)",
+        ),
+        ("/**: {ros__parameters: " + "{a: " * 3000 + "1" + "}" * 3001 + "}", "names nested more than 100 deep"),
+        ("{a: " * 3000 + "1" + "}" * 3000, "names nested more than 100 deep"),
+        (
+            "/**:\n  ros__parameters:\n    cloth:\n    rate: 1.0\n",
+            "no value for cloth; give one, or leave 'cloth:' out",
+        ),
+        (
+            "/**:\n  ros__parameters: {cloth: {}}\n",
+            "no parameter below 'cloth:'; give one, or leave 'cloth:' out (line 2)",
+        ),
+        ("/**:\n  ros__parameters:\n", "no parameters below the 'ros__parameters:' of '/**:'"),
+        ("/**:\n  ros__parameters: {a: 1, a: {b: 2}}\n", "'a' both as a value and as a group"),
+        ("/**:\n  ros__parameters: {a: {b: 2}, a: 1}\n", "'a' both as a value and as a group"),
+        (
+            "/**:\n  ros__parameters: {a: [1, 2.0, x]}\n",
+            "different types, int and double and string; give all one type",
+        ),
+        ("/**:\n  ros__parameters: {a: [[1], [2]]}\n", "a list or group within the list a"),
+        ("/**:\n  ros__parameters: {a: [{b: 1}]}\n", "a list or group within the list a"),
+        ("/**:\n  ros__parameters: {}\n  rate: 1.0\n", "'rate:' behind the 'ros__parameters:' of '/**:'"),
+        ("ros__parameters: {rate: 1.0}\n", "is no parameter file"),
+        ("2x: {ros__parameters: {rate: 1.0}}\n", "the node name '2x:'; names are of letters"),
+        ("ns: {a/b: {ros__parameters: {rate: 1.0}}}\n", "with a / within 'ns:'; write the whole name as one"),
+        ("? [a]\n: {ros__parameters: {rate: 1.0}}\n", "a key that is no name"),
+        ("/**: {ros__parameters: {rate: [1.0", "is not YAML"),
+    ],
+)
+def test_what_ros_refuses_or_reads_otherwise_than_it_stands_is_refused_with_the_line(text: str, words: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        parameter_file.parse(text)
+    assert words in str(caught.value)
+
+
+def test_other_yaml_that_is_nested_too_deeply_is_no_yaml() -> None:
+    import yaml
+
+    with pytest.raises(yaml.YAMLError, match="nested too deeply"):
+        ros_yaml.load("[" * 3000 + "]" * 3000)
+
+
+def test_what_is_set_twice_is_written_out_twice() -> None:
+    names = ["left", "right"]
+    text = parameter_file.dump({"grippers": names, "cloth.anchors": names})
+    assert parameter_file.parse(text) == {"grippers": names, "cloth.anchors": names}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("null", "null"),
+        ("0x1F", 31),
+        ("-0x1f", -31),
+        ("017", 15),
+        ("08", 8.0),
+        ("99999999999999999999", 1e20),
+        ("9" * 5000, "9" * 5000),
+        ("1e400", "1e400"),
+        ("0x1p3", 8.0),
+        ("1_000", "1_000"),
+        ("-.inf", -math.inf),
+        ("Infinity", math.inf),
+        ("-.nan", "-.nan"),
+        ("On", True),
+        ("oN", "oN"),
+    ],
+)
+def test_a_plain_value_is_what_c_makes_of_it(text: str, value: object) -> None:
+    found = ros_yaml.plain(text)
+    assert (found, type(found)) == (value, type(value))
+
+
+def test_a_text_ends_at_a_null_character() -> None:
+    assert parameter_file.parse('/**: {ros__parameters: {frame_id: "a\\0b"}}') == {"frame_id": "a"}
+
+
+def test_a_shipped_file_that_names_another_is_found_from_anywhere(tmp_path: Path) -> None:
+    path = Path(__file__).parents[2] / "config" / "stack.yaml"
+    assert Scene.from_file(path).files.keys() == {"stack.obj"}
