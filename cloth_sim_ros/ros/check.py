@@ -8,9 +8,10 @@ import statistics
 import sys
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.ros import node_refusals
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.options import parser
@@ -50,17 +51,22 @@ def check(path: str, *, node: str) -> int:
     Returns:
         Exit status: 0, or 1 where the node would refuse it, with the node's words.
     """
+    values: dict[str, Any] = {}
     try:
         values = parameter_file.read(path, node=node)
+        node_refusals.refuse_values(values)
         known = {entry.name for entry in Scene.declared_for(values)}
         own = {name: value for name, value in values.items() if name in known}
         scene = Scene.from_parameters(own, files=session_state(str(own.get("initial_state", ""))))
+        node_refusals.refuse_scene(scene, node=node)
         simulation = Simulation(scene)
         refuse_endless_frames(scene, simulation)
         cost = try_frames(scene)
     except (ParameterError, ValueError) as error:
-        print(f"cloth_sim: {error}", file=sys.stderr)
+        print(f"cloth_sim: {error}{node_refusals.hint_at_folder(error, values, path)}", file=sys.stderr)
         return 1
+    if not values:
+        print(f"warning: '{path}' sets nothing for the node /{node.strip('/')}: all has its default")
     for sentence in [*unknown([name for name in values if name not in known], known), *without_effect(scene, own)]:
         print(f"warning: {sentence}")
     _print_cloth(scene, simulation)

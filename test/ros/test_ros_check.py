@@ -78,8 +78,14 @@ def test_it_needs_no_ros(tmp_path: Path) -> None:
 def test_another_nodes_parameters_are_read_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "cloths.yaml"
     path.write_text("/left/towel:\n  ros__parameters:\n    cloth: {resolution: [4, 6]}\n")
-    assert check(str(path), "--node", "towel") == 0
+    assert check(str(path), "--node", "/left/towel") == 0
     assert "a grid of 4 x 6" in capsys.readouterr().out
+    assert check(str(path), "--node", "towel") == 1
+    assert "sets nothing for the node /towel, but for /left/towel: give the node's full name" in capsys.readouterr().err
+    assert check(str(path)) == 0
+    assert (
+        "warning: " + f"'{path}' sets nothing for the node /cloth_sim: all has its default" in capsys.readouterr().out
+    )
 
 
 def test_what_has_no_effect_is_told_as_the_node_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,6 +115,25 @@ def test_what_has_no_effect_is_told_as_the_node_tells_it(tmp_path: Path, capsys:
         ({"material.stretch_modulus": 1e9, "material.density": 1e-6, "integrator": "leapfrog"}, "a frame would take"),
         ({"cloth.mesh": "nowhere.obj"}, "cannot read 'nowhere.obj'"),
         ({"initial_state": "nowhere.mcap@3"}, "nowhere.mcap"),
+        ({"grippers": []}, "grippers is an empty list, [], whose type ROS can't know; for none write ['']"),
+        (
+            {"table.size": [], "table.shape": "box"},
+            "table.size is an empty list, [], whose type ROS can't know; it must",
+        ),
+        ({"foo": []}, "foo is an empty list, [], whose type ROS can't know; leave it out"),
+        ({"use_sim_time": []}, "use_sim_time is an empty list, [], whose type ROS can't know; it must be bool"),
+        ({"use_sim_time": "false"}, "use_sim_time is 'false'; it must be true or false, without quotes"),
+        ({"frame_id": "\0"}, "frame_id is empty"),
+        (
+            {"record.enabled": True, "record.folder": __file__},
+            "test_ros_check.py: it is, or lies under, a file; set rec",
+        ),
+        (
+            {"record.enabled": True, "record.folder": f"{__file__}/sub/one"},
+            "sub/one: it is, or lies under, a file; set",
+        ),
+        ({"record.enabled": True, "record.folder": "n" * 300}, "File name too long"),
+        ({"grippers": ["a" * 230]}, "has 230 letters; the topics of /cloth_sim leave room for 229: shorten it"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -120,6 +145,33 @@ def test_what_the_node_refuses_is_refused(
     assert said.err.startswith("cloth_sim: ")
     assert words in said.err
     assert said.out == ""
+
+
+def test_the_longest_name_that_a_topic_takes_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "not" / "there"
+    values = {"cloth.resolution": [3, 3], "grippers": ["a" * 229], "record.enabled": True, "record.folder": str(folder)}
+    assert check(written(tmp_path, values)) == 0
+    # What would be recorded into is not made.
+    assert not folder.parent.exists()
+    assert "grippers: aaa" in capsys.readouterr().out
+
+
+def test_a_file_name_starts_where_the_nodes_would(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, here = Path(__file__).parents[2] / "config", tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    assert check(str(config / "stack.yaml")) == 1
+    assert capsys.readouterr().err.endswith(
+        f"; the node looks for relative names in the folder that it is started in, {here}: start it in {config}, or "
+        f"give cloth.mesh as {config / 'stack.obj'}\n"
+    )
+    assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj"})) == 1
+    assert capsys.readouterr().err.endswith(f" that it is started in, {here}: give the whole path\n")
+    # Another fault is told without it.
+    assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj", "rate": -1.0})) == 1
+    assert "the node looks" not in capsys.readouterr().err
 
 
 def test_a_file_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

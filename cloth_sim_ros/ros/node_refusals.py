@@ -1,0 +1,89 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What of a parameter file only the running node refuses: said of a file without ROS, in the node's words."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from cloth_sim_ros.scene import files
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+
+_SIM_TIME = "use_sim_time"
+#: Longest full name of a topic in ROS 2 (rmw's RMW_TOPIC_MAX_NAME_LENGTH).
+MOST_TOPIC = 247
+#: The longest of the last parts of topics below a gripper's or an obstacle's name.
+_LEAF = "/wrench"
+
+
+def refuse_values(values: Mapping[str, Any]) -> None:
+    """Refuse values that have no type in ROS, or a wrong one for what rclpy declares by itself.
+
+    Raises:
+        ParameterError: naming each.
+    """
+    kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {_SIM_TIME: "bool"}
+    empty = [name for name, value in values.items() if value == [] and isinstance(value, list)]
+    if empty:
+        raise ParameterError("; ".join(f"{name} is an empty list, [], {_remedy(name, kinds)}" for name in empty))
+    follows = values.get(_SIM_TIME, False)
+    if not isinstance(follows, bool):
+        raise ParameterError(f"{_SIM_TIME} is {follows!r}; it must be true or false, without quotes")
+
+
+def _remedy(name: str, kinds: Mapping[str, str]) -> str:
+    why = "whose type ROS can't know; "
+    if name not in kinds:
+        return f"{why}leave it out"
+    return why + ("for none write ['']" if kinds[name] == "string[]" else f"it must be {kinds[name]}")
+
+
+def refuse_scene(scene: Scene, *, node: str) -> None:
+    """Refuse names that are too long for topics, and a folder that nothing can be recorded into.
+
+    Raises:
+        ParameterError: naming the name or the folder.
+    """
+    most = MOST_TOPIC - len(f"/{node.strip('/')}/{_LEAF}")
+    for kind, names in (("gripper", scene.gripper_names), ("obstacle", [*scene.obstacle_names, *scene.described])):
+        for name in names:
+            if len(name) > most:
+                raise ParameterError(
+                    f"{kind} name '{name[:20]}...' has {len(name)} letters; the topics of /{node.strip('/')} leave "
+                    f"room for {most}: shorten it"
+                )
+    if scene.record.enabled:
+        _refuse_folder(Path(scene.record.folder).expanduser())
+
+
+def _refuse_folder(folder: Path) -> None:
+    """Refuse a folder as the recorder does that would make it, and make none."""
+    try:
+        there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    except (OSError, ValueError) as error:
+        raise ParameterError(f"cannot record into {str(folder)!r}: {error}; set record.folder") from error
+    if not there.is_dir():
+        raise ParameterError(f"cannot record into {folder}: it is, or lies under, a file; set record.folder")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise ParameterError(f"cannot write into {there}: permission denied; set record.folder")
+
+
+def hint_at_folder(error: Exception, values: Mapping[str, Any], path: str | Path) -> str:
+    """Say, of an error that names a relative file that is not there, where such names start; of others nothing."""
+    for parameter, value in values.items():
+        named = (parameter in files.NAMES or parameter.endswith(".mesh")) and isinstance(value, str) and value
+        if not named or os.path.isabs(value) or f"'{value}'" not in str(error):
+            continue
+        name = value.rpartition("@")[0] if ".mcap@" in value else value
+        if os.path.exists(name):
+            continue
+        start = f"; the node looks for relative names in the folder that it is started in, {Path.cwd()}"
+        beside = Path(path).absolute().parent
+        if os.path.exists(beside / name):
+            return f"{start}: start it in {beside}, or give {parameter} as {beside / value}"
+        return f"{start}: give the whole path"
+    return ""
