@@ -5,11 +5,19 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics.forces.force import Array
 
 #: Particles of a mesh.
 COUNTS = (40, 1500)
+
+
+def drawn_alike(numbers: ArrayLike) -> Array:
+    """Numbers to a thousand millionth: what sines, norms and products of matrices leave in the last bits differs from
+    machine to machine, and a scene of a seed is to be the same on all of them.
+    """
+    return np.round(np.asarray(numbers, dtype=np.float64), 9)
 
 
 def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:
@@ -32,6 +40,7 @@ def outline_with_a_hole(rng: np.random.Generator, count: int, size: float) -> tu
 def _triangulated(points: Array, size: float, *, hole: bool = False) -> tuple[bytes, Array]:
     from scipy.spatial import Delaunay
 
+    points = drawn_alike(points)
     triangles = Delaunay(points).simplices
     corners = points[triangles]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

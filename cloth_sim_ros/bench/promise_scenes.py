@@ -11,7 +11,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.bench.promise_meshes import random_mesh
+from cloth_sim_ros.bench.promise_meshes import drawn_alike, random_mesh
 from cloth_sim_ros.bench.promise_reference import ReferenceSystem
 from cloth_sim_ros.bench.promise_script import Script
 from cloth_sim_ros.physics.forces.force import Array
@@ -240,7 +240,7 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
         # The others move as they began to.
         velocities[[int(name) for name in anchors if name]] = 0.0
     tables = {
-        "positions": positions.tolist(),
+        "positions": drawn_alike(positions).tolist(),
         "velocities": velocities.tolist(),
         "masses": masses.tolist(),
         "springs": [[k, k + 1] for k in range(count - 1)],
@@ -263,7 +263,8 @@ def _gravity(rng: np.random.Generator) -> list[float]:
 def _hanging(rng: np.random.Generator) -> list[float]:
     """The sheet upright, turned about the vertical: the default orientation after a yaw."""
     half, root = rng.uniform(0.0, math.pi), math.sqrt(0.5)
-    return [root * math.cos(half), root * math.sin(half), root * math.sin(half), root * math.cos(half)]
+    sine, cosine = drawn_alike([root * math.sin(half), root * math.cos(half)]).tolist()
+    return [cosine, sine, sine, cosine]
 
 
 def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
@@ -274,8 +275,8 @@ def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
     rest = state.positions
     size = float(np.ptp(rest, axis=0).max())
     free = scene.model().inverse_masses > 0.0
-    state.x += 0.05 * share * size * smooth_field(rng, rest).T * free
-    state.v += rng.uniform(0.0, share) * smooth_field(rng, rest).T * free
+    state.x += drawn_alike(0.05 * share * size * smooth_field(rng, rest).T * free)
+    state.v += drawn_alike(rng.uniform(0.0, share) * smooth_field(rng, rest).T * free)
     return state
 
 
@@ -290,5 +291,5 @@ def smooth_field(rng: np.random.Generator, rest: Array) -> Array:
 
 
 def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
-    """A number whose logarithm is uniform."""
-    return float(np.exp(rng.uniform(math.log(least), math.log(most))))
+    """A number whose logarithm is uniform, to nine digits: the last bits of exp differ from machine to machine."""
+    return float(f"{np.exp(rng.uniform(math.log(least), math.log(most))):.9g}")

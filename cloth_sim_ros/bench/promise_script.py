@@ -9,6 +9,7 @@ import math
 import attrs
 import numpy as np
 
+from cloth_sim_ros.bench.promise_meshes import drawn_alike
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised, product
 from cloth_sim_ros.scene.scene import Scene
@@ -111,7 +112,7 @@ class Player:
 
     def _target(self, gripper: str, place: Array) -> Target:
         self._places[gripper] = place
-        return Target(gripper, tuple(place), tuple(self._orientations[gripper]))
+        return Target(gripper, drawn_alike(place), drawn_alike(self._orientations[gripper]))
 
     def _follow(self, hold: Hold, frame: int) -> Target:
         place = self._places[hold.gripper]

@@ -16,6 +16,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.bench.case_pool import Done, run_missing
+from cloth_sim_ros.bench.promise_meshes import drawn_alike
 from cloth_sim_ros.bench.promise_scenes import DENSITIES, log_uniform
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.physics.integrators.base import UnstableError
@@ -154,7 +155,7 @@ def _events(simulation: Simulation, rng: np.random.Generator, frame: int, held: 
         leap = rng.normal(size=3)
         leap *= rng.uniform(0.0, size / 3.0) / np.linalg.norm(leap)
         turn = rng.normal(size=4) if rng.random() < 0.2 else None
-        events.append(Target(name, tuple(pose[:3] + leap), None if turn is None else tuple(turn)))
+        events.append(Target(name, drawn_alike(pose[:3] + leap), None if turn is None else drawn_alike(turn)))
     return events
 
 
