@@ -18,6 +18,7 @@ from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
+from cloth_sim_ros.ros.qos_overrides import check_overrides
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
@@ -25,8 +26,6 @@ from cloth_sim_ros.scene.scene import Scene
 STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: For what is said once: those who come later hear it too.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: What rclpy raises for overrides of the wrong kind, or that no middleware has.
-_BAD_PROFILE = (RuntimeError, AssertionError, AttributeError, TypeError, ValueError)
 #: How long the node waits at its end for subscribers to receive the last messages.
 _FLUSH = Duration(seconds=0.2)
 
@@ -55,6 +54,7 @@ class Output:
         self._kind, self._node = kind, node
         self._tape = tape
         self._droppable = droppable
+        check_overrides(node, topic)
         # A profile of its own: rclpy writes the overrides of a topic into the very object that it is given.
         own = QoSProfile(depth=qos.depth, reliability=qos.reliability, durability=qos.durability)
         try:
@@ -67,11 +67,10 @@ class Output:
                 # waits for costs the executor time in every turn.
                 event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             )
-        except _BAD_PROFILE as error:
-            name, reason = node.resolve_topic_name(topic), str(error) or type(error).__name__
+        except RuntimeError as error:
+            name = node.resolve_topic_name(topic)
             raise ParameterError(
-                f"qos_overrides.{name}.publisher: {reason}; reliability is reliable or best_effort, "
-                "history keep_last or keep_all, depth a whole number"
+                f"qos_overrides.{name}.publisher: {error}; the middleware takes no such profile"
             ) from error
         #: Under the node's own name, whatever the topic is remapped to: a session looks the same everywhere.
         self.topic = node.resolve_topic_name(topic, only_expand=True)

@@ -132,11 +132,24 @@ def test_profiles_are_reliable_and_each_may_be_overridden_by_itself(client: Clie
 
 @pytest.mark.parametrize(
     ("policy", "value"),
-    [("reliability", "sometimes"), ("reliability", 1), ("history", "none"), ("depth", "many"), ("depth", -1)],
+    [
+        ("reliability", "sometimes"),
+        ("reliability", 1),
+        ("history", "none"),
+        ("depth", "many"),
+        ("depth", True),
+        ("depth", -1),
+        ("depth", 2**31),
+    ],
 )
 def test_a_senseless_profile_is_refused(client: Client, policy: str, value: Any) -> None:
     name = f"qos_overrides./cloth_sim/points.publisher.{policy}"
-    words = r"qos_overrides\./cloth_sim/points\.publisher: .*; reliability is reliable or best_effort"
+    right = {
+        "reliability": "system_default, reliable, best_effort or best_available",
+        "history": "system_default, keep_last or keep_all",
+        "depth": "a whole number from 0 to 2147483647",
+    }
+    words = re.escape(f"{name} is {value!r}; it must be {right[policy]}")
     with pytest.raises(ParameterError, match=words), ClockedCloth(client, {name: value}):
         pass
 
