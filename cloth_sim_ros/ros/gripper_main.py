@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import attrs
 import rclpy
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
 from cloth_sim_ros.ros.gripper_hand import Hold
 from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
+from cloth_sim_ros.ros.sim_time import SimTimeNode
 from cloth_sim_ros.ros.stopping import StopSignals
 from cloth_sim_ros.scene.locations import config_file
 from cloth_sim_ros.session.words import counted
@@ -56,7 +56,7 @@ def _play(options: argparse.Namespace) -> int:
             return _refuse(f"{names.count(name)} scripts are for the gripper '{name}'; a gripper plays one")
     signals = StopSignals()
     signals.install()
-    node = Node("cloth_gripper")
+    node = SimTimeNode("cloth_gripper")
     player = GripperPlayer(node, scripts, target=options.node, proceed=lambda: signals.requested is None)
     log = node.get_logger()
     named = f"gripper{'s' if names[1:] else ''} {', '.join(map(repr, names))} of {options.node}"

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -15,6 +15,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from cloth_sim_ros.ros.initial_state import session_state
+from cloth_sim_ros.ros.qos_overrides import override_names
+from cloth_sim_ros.ros.sim_time import SIM_TIME, SimTimeNode, check_sim_time
 from cloth_sim_ros.scene import obstacles
 from cloth_sim_ros.scene.parameters import Parameter, ParameterError
 from cloth_sim_ros.scene.scene import Scene
@@ -31,10 +33,6 @@ _TYPES = {
     "double[]": RosParameter.Type.DOUBLE_ARRAY,
     "string[]": RosParameter.Type.STRING_ARRAY,
 }
-_SIM_TIME = "use_sim_time"
-#: Quality of service of a topic that the node publishes, and what of it may be overridden.
-_PROFILE = "qos_overrides.{topic}.publisher.{policy}"
-_POLICIES = ("reliability", "history", "depth")
 
 
 class UnknownParametersError(ParameterNotDeclaredException):
@@ -48,23 +46,29 @@ class UnknownParametersError(ParameterNotDeclaredException):
         return "; ".join(self._sentences)
 
 
-class SceneNode(Node):
+class SceneNode(SimTimeNode):
     """rclpy's node, with words for what rclpy refuses without a name."""
 
     def __init__(self, name: str, **options: Any) -> None:
         """As rclpy's, with the overrides declared.
 
         Raises:
-            ParameterError: for an empty list, which has no type in ROS.
+            ParameterError: for an empty list, which has no type in ROS, and for a use_sim_time that is neither true nor
+                false.
         """
-        try:
-            super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
-        except ValueError as error:
-            if "PARAMETER_NOT_SET" not in str(error):
-                raise
-            raise ParameterError(_empty_lists(name, options)) from error
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         #: Whether parameters are only being declared, so that what listens to changes lets them pass.
         self.declaring = False
+
+    def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
+        """As rclpy's, which declares the overrides by it before it looks at any of them: the place to refuse them."""
+        listed = list(parameters)
+        given = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
+        if empty := [name for name, value in given.items() if value is None]:
+            raise ParameterError(_empty_lists(empty, given))
+        if SIM_TIME in given:
+            check_sim_time(given[SIM_TIME])
+        return super().declare_parameters(namespace, listed, *arguments, **options)
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together or not at all, as rclpy's method does.
@@ -97,26 +101,16 @@ class SceneNode(Node):
         return result
 
 
-def _empty_lists(name: str, options: dict[str, Any]) -> str:
-    """Say which parameters were given as [], and what to write instead."""
-    # Of the same name, so that the same overrides reach it; a second log of that name would be warned of.
-    probe = Node(name, **(options | {"enable_rosout": False}))
-    try:
-        given = []
-        for entry in Scene.declared():
-            # Of dynamic type, so that an override of any type is accepted. An empty list then shows as None.
-            descriptor = ParameterDescriptor(dynamic_typing=True)
-            if probe.declare_parameter(entry.name, "no override", descriptor).value is None:
-                given.append(entry)
-    finally:
-        probe.destroy_node()
-    if not given:
-        return "a parameter is an empty list, [], whose type ROS can't know; leave it out"
-    return "; ".join(
-        f"{entry.name} is an empty list, [], whose type ROS can't know; "
-        + ("for none write ['']" if entry.kind == "string[]" else f"it must be {entry.kind}")
-        for entry in given
-    )
+def _empty_lists(names: list[str], given: Iterable[str]) -> str:
+    """Say which of the given parameters are [], and what to write instead."""
+    kinds = {entry.name: entry.kind for entry in Scene.declared_for(given)} | {SIM_TIME: "bool"}
+
+    def remedy(name: str) -> str:
+        if name not in kinds:
+            return "leave it out"
+        return "for none write ['']" if kinds[name] == "string[]" else f"it must be {kinds[name]}"
+
+    return "; ".join(f"{name} is an empty list, [], whose type ROS can't know; {remedy(name)}" for name in names)
 
 
 def declare(node: Node) -> Scene:
@@ -208,6 +202,11 @@ class LiveParameters:
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._take_over)
 
+    @property
+    def accepted(self) -> Scene:
+        """The scene as the parameters show it: in force, or with the next frame."""
+        return self._accepted
+
     def return_to(self, scene: Scene) -> None:
         """Show the values of a scene: a change that was accepted could not take effect after all."""
         before, now = self._accepted.parameters(), scene.parameters()
@@ -229,8 +228,8 @@ class LiveParameters:
 
     def _judge(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for change in changes:
-            if change.name == _SIM_TIME and change.value != self._node.get_parameter(_SIM_TIME).value:
-                reason = f"{_SIM_TIME} can't change while the cloth runs; set it at start"
+            if change.name == SIM_TIME and change.value != self._node.get_parameter(SIM_TIME).value:
+                reason = f"{SIM_TIME} can't change while the cloth runs; set it at start"
                 return SetParametersResult(successful=False, reason=reason)
         values = self._values(changes)
         if not values or self._passes:
@@ -274,9 +273,7 @@ def _profiles(node: Node, scene: Scene) -> list[str]:
     topics += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     if scene.described or scene.pinching:
         topics += ["~/obstacles", *(f"~/{name}/wrench" for name in scene.described)]
-    return [
-        _PROFILE.format(topic=node.resolve_topic_name(topic), policy=policy) for topic in topics for policy in _POLICIES
-    ]
+    return [name for topic in topics for name in override_names(node, topic)]
 
 
 def _warn_of_unknown(node: Node, known: Sequence[str]) -> None:

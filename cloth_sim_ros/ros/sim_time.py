@@ -1,0 +1,91 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated time as a node is told it: `use_sim_time`, what comes on /clock, and what if nothing does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.messages import SECOND, read_stamp
+from cloth_sim_ros.scene.parameters import ParameterError
+
+#: The parameter.
+SIM_TIME = "use_sim_time"
+#: Of a stamp: its seconds have 31 bits [ns].
+_LATEST = 2**31 * SECOND - 1
+#: Without a word from /clock for this long a node says so [s].
+_PATIENCE = 5.0
+#: What does not change is told again after so long [s].
+_AGAIN = 60.0
+
+
+def check_sim_time(value: Any) -> None:
+    """Refuse what is neither true nor false: rclpy would log that, and take the wall's time.
+
+    Raises:
+        ParameterError: says what it must be.
+    """
+    if not isinstance(value, bool):
+        raise ParameterError(f"{SIM_TIME} is {value!r}; it must be true or false, without quotes: {SIM_TIME}:=true")
+
+
+class SimTimeNode(Node):
+    """rclpy's node, where a message on /clock that holds no time changes nothing.
+
+    rclpy's own reader of /clock raises for times before 0, and takes times for which no stamp has a place.
+    """
+
+    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
+        """As rclpy's; it subscribes to /clock by this method too."""
+        if msg_type is Clock and not options.get("raw"):
+            callback = _only_times(callback, ThrottledLog(self.get_logger(), seconds=_AGAIN))
+        return super().create_subscription(msg_type, topic, callback, *arguments, **options)
+
+
+def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Clock], Any]:
+    """Return a callback that passes on the messages whose time a stamp can hold, and warns of others."""
+
+    def only_times(message: Clock) -> Any:
+        if 0 <= (now := read_stamp(message.clock)) <= _LATEST:
+            return take(message)
+        kind = "before 0" if now < 0 else "too late"
+        log.warn(
+            kind,
+            f"a message on /clock is left out: its time is {now / SECOND:.9g} s (sec {message.clock.sec}, nanosec "
+            f"{message.clock.nanosec}), and must be at least 0 and below {2**31} s; look at who publishes /clock",
+        )
+        return None
+
+    return only_times
+
+
+class ClockSilence:
+    """Says that nothing comes on /clock, after a while, and once a minute from then on.
+
+    Args:
+        log: a node's logger.
+        seconds: a clock that never stops nor goes back [s].
+    """
+
+    def __init__(self, log: Any, *, seconds: Callable[[], float] = time.monotonic) -> None:
+        self._log = log
+        self._seconds = seconds
+        self._began = seconds()
+        self._due = self._began + _PATIENCE
+
+    def look(self) -> None:
+        """Say so, if it is time to; call it now and then, while nothing has come."""
+        now = self._seconds()
+        if now <= self._due:
+            return
+        self._due = now + _AGAIN
+        self._log.warning(
+            f"{SIM_TIME} is set, and for {now - self._began:.0f} s nothing has come on /clock: the cloth waits; start "
+            f"what publishes it, or start the cloth with {SIM_TIME}:=false"
+        )

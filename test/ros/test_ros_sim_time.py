@@ -1,0 +1,87 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is said to a node about simulated time, and is wrong or missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from support.ros_client import Client, stamp_of, start_cloth
+
+from cloth_sim_ros.ros.sim_time import ClockSilence
+
+SMALL = "cloth.resolution:=[5, 5]"
+#: Last second that a stamp can hold.
+LAST = 2**31 - 1
+#: Times that are none: sec, nanosec, and what is said.
+NO_TIMES = [
+    (-1, 0, "its time is -1 s (sec -1, nanosec 0), and must be at least 0 and below 2147483648 s"),
+    (LAST, 2**32 - 1, f"(sec {LAST}, nanosec {2**32 - 1}), and must be at least 0 and below 2147483648 s"),
+]
+
+
+def test_a_message_on_clock_that_holds_no_time_is_left_out(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    process = start_cloth(start_process, "use_sim_time:=true", SMALL, wait="Hz of /clock")
+    with Client() as client:
+        clock = client.publisher(Clock, "/clock")
+
+        def set_time(sec: int, nanosec: int = 0) -> None:
+            clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+
+        def shows(sec: int) -> bool:
+            # Best effort, and a queue of one: what was lost is said again.
+            set_time(sec)
+            client.executor.spin_once(timeout_sec=0.02)
+            return bool(client.clouds) and stamp_of(client.clouds[-1]) == sec * 1_000_000_000
+
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", client.clouds.append, 1000)
+        client.spin_until(lambda: shows(10), what="the cloud of 10 s")
+        for sec, nanosec, words in NO_TIMES:
+            before = len(client.clouds)
+
+            def told(sec: int = sec, nanosec: int = nanosec, words: str = words) -> bool:
+                set_time(sec, nanosec)
+                return words in process.output
+
+            client.spin_until(told, what=f"'{words}' in the log")
+            assert len(client.clouds) == before
+        client.spin_until(lambda: shows(11), what="the cloud of 11 s")
+        # The last time that is one.
+        client.spin_until(lambda: shows(LAST), what="the cloud of the last second")
+        client.spin_until(lambda: shows(12), what="the cloud after it")
+    assert process.interrupt() == 0
+    assert "Traceback" not in process.output
+
+
+def test_gripper_leaves_it_out_too(ros_domain: int, start_process: Callable[..., Any]) -> None:
+    command = ["-m", "cloth_sim_ros.ros.gripper_main", "--node", "/nowhere", "--wait", "60"]
+    gripper = start_process([*command, "--ros-args", "-p", "use_sim_time:=true"])
+    with Client() as client:
+        clock = client.publisher(Clock, "/clock")
+
+        def told() -> bool:
+            clock.publish(Clock(clock=Time(sec=-1)))
+            return "a message on /clock is left out: its time is -1 s" in gripper.output
+
+        client.spin_until(told, what="a warning")
+    gripper.interrupt()
+    assert "Traceback" not in gripper.output
+
+
+def test_a_silent_clock_is_told_of_once_a_minute() -> None:
+    now, told = [100.0], []
+
+    class Log:
+        def warning(self, text: str) -> None:
+            told.append((now[0], text))
+
+    silence = ClockSilence(Log(), seconds=lambda: now[0])
+    for quarter in range(4 * 130):
+        now[0] = 100.0 + quarter / 4
+        silence.look()
+    assert [when for when, _ in told] == [105.25, 165.5, 225.75]
+    assert told[1][1].startswith("use_sim_time is set, and for 66 s nothing has come on /clock")
