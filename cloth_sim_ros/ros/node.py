@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
@@ -33,13 +32,13 @@ from cloth_sim_ros.ros.recording import (
     RecordingNotInstalledError,
     RecordingUnavailableError,
     SessionRecording,
-    save_state,
     tell_end,
 )
 from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report, introduction
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.shut_down import unless_shut_down
+from cloth_sim_ros.ros.sim_time import SIM_TIME, ClockSilence
 from cloth_sim_ros.ros.states import States
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
@@ -56,8 +55,6 @@ if TYPE_CHECKING:
 _HOUSEKEEPING = 0.25
 #: A paused cloth is shown this often, so that those who come later see it, and no disk fills with the same picture [s].
 _PAUSED_PERIOD = 1.0
-#: Without a word from /clock for this long the node says so [s].
-_CLOCK_PATIENCE = 5.0
 
 
 class ClothNode:
@@ -101,7 +98,11 @@ class ClothNode:
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, aside=aside)
-        self._recording = SessionRecording(node_name=self.node.get_fully_qualified_name(), simulation=self._simulation)
+        self._recording = SessionRecording(
+            node_name=self.node.get_fully_qualified_name(),
+            simulation=self._simulation,
+            settings=lambda: self._parameters.accepted.record,
+        )
         self._outputs = Outputs(self.node, scene, self._recording)
         self._states = States(self.node, self._simulation, self._recording)
         self._broadcaster = FrameBroadcaster(self.node, self._simulation, self._recording)
@@ -123,7 +124,7 @@ class ClothNode:
             queue=self._queue,
             paused=lambda: self._simulation.paused,
             record=self._record,
-            save_state=self._save_state,
+            save_state=self._recording.save_state,
             seconds=time.monotonic,
             turn=self._turn,
         )
@@ -155,7 +156,8 @@ class ClothNode:
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
         self._overheard = Overheard(self.node, self._recording, self._turn)
         self._pacer: Pacer | None = None
-        self._started = self._report_due = time.monotonic()
+        self._report_due = time.monotonic()
+        self._silence = ClockSilence(self.node.get_logger())
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
         #: Whether a signal came before a frame ended, which goes on alone: the cloth is not to be read.
@@ -197,7 +199,7 @@ class ClothNode:
         self._services.serve()
         if self._serves_parameters:
             ParameterService(self.node)
-        self._follows_clock = bool(self.node.get_parameter("use_sim_time").value)
+        self._follows_clock = bool(self.node.get_parameter(SIM_TIME).value)
         self._relief.live = not self._follows_clock
         if self._follows_clock:
             self._pacer = ClockPacer(
@@ -214,8 +216,8 @@ class ClothNode:
         self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if not self._follows_clock:
             self._forecaster.tell()
-        self._started = time.monotonic()
-        self._report_due = self._started + diagnostics.PERIOD
+        self._silence = ClockSilence(self.node.get_logger())
+        self._report_due = time.monotonic() + diagnostics.PERIOD
         self.tally.begin()
         # Last: who hears it may rely on all else.
         self._states.start(now)
@@ -363,15 +365,12 @@ class ClothNode:
         def told(status: RecorderStatus) -> None:
             if status.state == "recording":
                 self.node.get_logger().info(f"recording into {status.path}")
-                answer(True, str(status.path))
-            else:
+            elif status.state == "closed":
                 tell_end(self.node.get_logger(), status)
-                answer(not begin and status.state == "closed", status.error or str(status.path))
+            # Why it failed, the housekeeping logs, whether or not somebody waits for an answer.
+            answer(status.state == ("recording" if begin else "closed"), status.error or str(status.path))
 
         self._recording.tell(told)
-
-    def _save_state(self) -> Path:
-        return save_state(self._simulation, self.node.get_fully_qualified_name())
 
     # Once in a while
 
@@ -385,14 +384,12 @@ class ClothNode:
                 self._diagnostics.send()
             self._services.give_up_waiting()
             self._overheard.listen()
-            reason = self._recording.poll()
+            trouble = self._recording.poll()
             self._accuracy.follow()
             if self._changed:
                 self._changed = False
                 self._forecaster.tell()
-        if reason:
-            self.node.get_logger().error(f"the recording ended: {reason}")
+        if trouble:
+            self.node.get_logger().error(trouble)
         if isinstance(self._pacer, ClockPacer) and not self._pacer.has_clock:
-            silent = time.monotonic() - self._started
-            if silent > _CLOCK_PATIENCE:
-                self._log.warn("clock", f"use_sim_time is set, and for {silent:.0f} s nothing has come on /clock")
+            self._silence.look()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import importlib
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.scene.sections import Record as RecordSettings
     from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
     from cloth_sim_ros.session.writer import Snapshot
 
@@ -41,11 +43,15 @@ class SessionRecording:
     Args:
         node_name: the node's full name, e.g. ``/cloth_sim``.
         simulation: what is recorded.
+        settings: how and where to, asked for when a recording begins; by default what is in force in the simulation.
     """
 
-    def __init__(self, *, node_name: str, simulation: Simulation) -> None:
+    def __init__(
+        self, *, node_name: str, simulation: Simulation, settings: Callable[[], RecordSettings] | None = None
+    ) -> None:
         self._node_name = node_name
         self._simulation = simulation
+        self._settings = settings or (lambda: simulation.scene.record)
         self._recorder: Recorder | None = None
         self._closing: Recorder | None = None
         self._last: RecorderStatus | None = None
@@ -73,7 +79,7 @@ class SessionRecording:
 
         Raises:
             RecordingNotInstalledError: if the libraries for it are missing.
-            RecordingUnavailableError: if one runs already.
+            RecordingUnavailableError: if one runs already, or the folder has no place.
         """
         if self._recorder is not None:
             raise RecordingUnavailableError(f"recording already, into {self._recorder.status().path}")
@@ -82,12 +88,11 @@ class SessionRecording:
         self._check_libraries()
         from cloth_sim_ros.session.recorder import Recorder, session_stem
 
-        name = self._node_name.strip("/").replace("/", "_")
         self._recorder = Recorder(
-            Path(self._simulation.scene.record.folder).expanduser(),
+            _folder(self._settings()),
             snapshot=self._snapshot(),
             log_time=stamp,
-            stem=session_stem(name, datetime.datetime.now(datetime.UTC)),
+            stem=session_stem(self._stem(), datetime.datetime.now(datetime.UTC)),
             options=self._options(),
         )
 
@@ -99,7 +104,7 @@ class SessionRecording:
         Raises:
             RecordingNotInstalledError: if one of them is missing.
         """
-        libraries = ["mcap.records", "rosbags.typesys", *_COMPRESSION[self._simulation.scene.record.compression]]
+        libraries = ["mcap.records", "rosbags.typesys", *_COMPRESSION[self._settings().compression]]
         for library in libraries:
             try:
                 importlib.import_module(library)
@@ -134,7 +139,7 @@ class SessionRecording:
         self._told.append(listener)
 
     def poll(self) -> str:
-        """Tell listeners what they wait for; return why the recording ended by itself, once, else an empty text."""
+        """Tell listeners what they wait for; return what went wrong with the recording, once, else an empty text."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return ""
@@ -143,7 +148,9 @@ class SessionRecording:
             return ""
         reason = ""
         if status.state in ("failed", "closed"):
-            reason = status.error
+            if status.error:
+                what = "nothing is recorded" if status.path is None else "the recording ended"
+                reason = f"{what}: {status.error}"
             self._recorder = self._closing = None
             self._last = status
         told, self._told = self._told, []
@@ -205,11 +212,39 @@ class SessionRecording:
             f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False
         )
 
+    def save_state(self) -> Path:
+        """Write the cloth's state into the folder for recordings, and return the file.
+
+        Raises:
+            RecordingUnavailableError: if it can't be written; the message says why, and the remedy.
+        """
+        from cloth_sim_ros.session.errors import RecordingError
+        from cloth_sim_ros.session.storage import make_folder
+
+        folder = _folder(self._settings())
+        try:
+            make_folder(folder)
+        except RecordingError as error:
+            raise RecordingUnavailableError(str(error)) from error
+        time_of_day = datetime.datetime.now(datetime.UTC)
+        path = folder / f"{self._stem()}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
+        try:
+            path.write_bytes(self._simulation.state.to_bytes())
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                path.unlink()
+            raise RecordingUnavailableError(f"cannot write {path}: {error.strerror}; set record.folder") from error
+        return path
+
+    def _stem(self) -> str:
+        """Return what files' names begin with."""
+        return self._node_name.strip("/").replace("/", "_")
+
     def _options(self) -> RecorderOptions:
         from cloth_sim_ros.session.recorder import RecorderOptions
         from cloth_sim_ros.session.writer import WriterOptions
 
-        record = self._simulation.scene.record
+        record = self._settings()
         writer = WriterOptions(
             compression=record.compression,  # type: ignore[arg-type]
             least_free_space=record.least_free_space,
@@ -231,14 +266,18 @@ class SessionRecording:
         )
 
 
-def save_state(simulation: Simulation, node_name: str) -> Path:
-    """Write the state of a node's cloth into its folder for recordings, and return the file."""
-    folder = Path(simulation.scene.record.folder).expanduser()
-    folder.mkdir(parents=True, exist_ok=True)
-    time_of_day = datetime.datetime.now(datetime.UTC)
-    path = folder / f"{node_name.strip('/').replace('/', '_')}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
-    path.write_bytes(simulation.state.to_bytes())
-    return path
+def _folder(settings: RecordSettings) -> Path:
+    """Return the folder for recordings; it need not be there.
+
+    Raises:
+        RecordingUnavailableError: if it is in the home folder of someone who has none.
+    """
+    try:
+        return Path(settings.folder).expanduser()
+    except RuntimeError as error:
+        raise RecordingUnavailableError(
+            f"cannot find {settings.folder}: there is no such home folder; set record.folder"
+        ) from error
 
 
 def tell_end(logger: Any, status: RecorderStatus) -> None:

@@ -16,6 +16,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.recording import RecordingUnavailableError
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
 from cloth_sim_ros.simulation.grippers import GraspResult
@@ -36,7 +37,7 @@ class Services:
         queue: where events wait.
         paused: whether time stands still.
         record: begins (True) or ends a recording and tells a function whether that went well and what came of it.
-        save_state: writes the state and returns its file, or raises OSError.
+        save_state: writes the state and returns its file, or raises RecordingUnavailableError.
         seconds: a clock that never stops nor goes back [s].
         turn: held by whoever works on the cloth: an executor of several threads runs services beside frames.
     """
@@ -175,7 +176,7 @@ class Services:
         try:
             with self._turn:
                 response.message = str(self._save_state())
-        except OSError as error:
+        except RecordingUnavailableError as error:
             response.success, response.message = False, f"cannot save the state: {error}"
         else:
             response.success = True
