@@ -166,6 +166,9 @@ class _Reader:
                 raise self._trouble(f"'{name}' both as a value and as a group of parameters; take one of them out")
             if not group:
                 self._value(section.entry(name, nested=bool(above)), name)
+            elif above and "." in key:
+                # ROS would put what follows it into a group of its first part.
+                raise self._trouble(f"the group '{key}' with a . within '{'.'.join(above)}:'; write a group in a group")
             elif len(path) >= _DEEPEST:
                 raise self._too_deep()
             else:

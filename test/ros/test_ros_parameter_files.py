@@ -67,6 +67,7 @@ ALIKE = [
     sections(("/**", "{a: 1.0, a: 2, b: 3, b: 4.0, c: x, c: [1, 2], d: [1], d: [], e: {f: 1, f: 2.0}}")),
     sections(("/**", "{a: 1}"), ("towel", "{a: 2.5}")),
     sections(("/**", "{a.b: 1, a: {b: 2.0}, a.b: 3}")),
+    sections(("/**", "{a.b: {c: 1, d.e: 2}, f: 3, g: {h.i: 4, j: 5}}")),
     sections(("/**", '{a: "\\0", b: "x\\0y", "k\\0z": 1}')),
     sections(("/**", "{a: !!str 5, b: !other 3, c: !!float 4, d: &name 5}")),
     sections(("/**", "{a: null, b: ~, c: '', d: 0x1F, e: 017, f: 1e400, g: 99999999999999999999, h: 0x1p3}")),

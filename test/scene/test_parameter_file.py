@@ -83,6 +83,10 @@ def test_a_namesake_in_another_namespace_is_named() -> None:
         ("/**:\n  ros__parameters: {a: [[1], [2]]}\n", "a list or group within the list a"),
         ("/**:\n  ros__parameters: {a: [{b: 1}]}\n", "a list or group within the list a"),
         ("/**:\n  ros__parameters: {}\n  rate: 1.0\n", "'rate:' behind the 'ros__parameters:' of '/**:'"),
+        (
+            "/**: {ros__parameters: {a: {b.c: {d: 1}, e: 2}}}\n",
+            "the group 'b.c' with a . within 'a:'; write a group in",
+        ),
         ("ros__parameters: {rate: 1.0}\n", "is no parameter file"),
         ("2x: {ros__parameters: {rate: 1.0}}\n", "the node name '2x:'; names are of letters"),
         ("ns: {a/b: {ros__parameters: {rate: 1.0}}}\n", "with a / within 'ns:'; write the whole name as one"),
