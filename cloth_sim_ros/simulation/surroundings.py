@@ -68,7 +68,10 @@ def pinching_of(plan: Plan, grippers: Grippers, state: State) -> Pinching | None
     pads = () if plan.contact is None else plan.contact.force.pads
     if not pads:
         if PINCHED in state.memory:
-            raise ValueError(f"the state has {len(state.memory[PINCHED])} grippers that pinch, the scene none")
+            raise ValueError(
+                f"the state has {len(state.memory[PINCHED])} grippers that pinch, the scene none: set gripper.mode to "
+                "pinch, or start from another state"
+            )
         return None
     from cloth_sim_ros.simulation.pinching import Pinching
 

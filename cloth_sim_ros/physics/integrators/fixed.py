@@ -84,7 +84,10 @@ def advance_fixed(
         h_most = 0.5 * h
         rejected += 1
         if rejected == ATTEMPTS:
-            raise UnstableError(f"no step down to {h:.3g} s kept the motion within its stability limit")
+            raise UnstableError(
+                f"no step down to {h:.3g} s kept the motion within its stability limit; take less stiffness or damping, or "
+                "integrator auto"
+            )
     binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
     why = (
         f"fixed step of {h:.3g} s" if step is not None else f"{CONSTANTS.safety:g} of the stability limit {limit:.3g} s"

@@ -162,7 +162,7 @@ def _arrays(positions: ArrayLike, triangles: ArrayLike) -> tuple[Array, NDArray[
         raise SurfaceError(f"vertices have shape {points.shape}; they must be (n, 3)")
     given = np.asarray(triangles)
     if given.size == 0:
-        raise SurfaceError("the mesh has no triangles")
+        raise SurfaceError("the mesh has no triangles; it needs one at least, as faces of its file")
     if given.ndim != 2 or given.shape[1] != 3 or not np.issubdtype(given.dtype, np.integer):
         raise SurfaceError(f"triangles are an (m, 3) array of whole numbers, not {given.shape} of {given.dtype}")
     faces = given.astype(np.int64)
