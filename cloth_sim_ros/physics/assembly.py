@@ -130,8 +130,8 @@ def _one_sheet(parts: Sequence[Gridded]) -> Gridded | None:
     for part in parts:
         if (part.rows, part.columns) != (rows, columns):
             raise ValueError(
-                f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles; make two models, "
-                "or one of them of PairSprings"
+                f"one model has sheets of {rows} x {columns} and {part.rows} x {part.columns} particles; make "
+                "two models, or one of them of PairSprings"
             )
         for family in part.families:
             if family.name in names:
@@ -157,8 +157,8 @@ def _add_list(handle: int, part: Listed) -> None:
     values = np.ascontiguousarray(part.numbers, dtype=np.float64)
     if particles.shape[1] != width or values.shape != (len(particles), numbers):
         raise ValueError(
-            f"a list of kind '{part.kind}' has shapes {particles.shape} and {values.shape}; they must be (m, {width}) and "
-            f"(m, {numbers})"
+            f"a list of kind '{part.kind}' has shapes {particles.shape} and {values.shape}; they must be "
+            f"(m, {width}) and (m, {numbers})"
         )
     common = None if part.common is None else np.ascontiguousarray(part.common, dtype=np.float64)
     addresses = particles.ctypes.data, values.ctypes.data, None if common is None else common.ctypes.data

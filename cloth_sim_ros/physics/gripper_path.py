@@ -28,8 +28,8 @@ def normalised(orientation: ArrayLike) -> Array:
         length = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(length) or length < 1e-6:
         raise ValueError(
-            f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; no turn is "
-            "0, 0, 0, 1"
+            f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; "
+            "no turn is 0, 0, 0, 1"
         )
     return q / length
 

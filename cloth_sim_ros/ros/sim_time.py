@@ -57,7 +57,7 @@ def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Cl
         kind = "before 0" if now < 0 else "too late"
         log.warn(
             kind,
-            f"a message on /clock is left out: its time is {now / SECOND:.9g} s (sec {message.clock.sec}, nanosec "
+            f"a message on /clock is left out: its time is {now / SECOND:.3f} s (sec {message.clock.sec}, nanosec "
             f"{message.clock.nanosec}), and must be at least 0 and below {2**31} s; look at who publishes /clock",
         )
         return None

@@ -19,7 +19,7 @@ SMALL = "cloth.resolution:=[5, 5]"
 LAST = 2**31 - 1
 #: Times that are none: sec, nanosec, and what is said.
 NO_TIMES = [
-    (-1, 0, "its time is -1 s (sec -1, nanosec 0), and must be at least 0 and below 2147483648 s"),
+    (-1, 0, "its time is -1.000 s (sec -1, nanosec 0), and must be at least 0 and below 2147483648 s"),
     (LAST, 2**32 - 1, f"(sec {LAST}, nanosec {2**32 - 1}), and must be at least 0 and below 2147483648 s"),
 ]
 
@@ -65,7 +65,7 @@ def test_gripper_leaves_it_out_too(ros_domain: int, start_process: Callable[...,
 
         def told() -> bool:
             clock.publish(Clock(clock=Time(sec=-1)))
-            return "a message on /clock is left out: its time is -1 s" in gripper.output
+            return "a message on /clock is left out: its time is -1.000 s" in gripper.output
 
         client.spin_until(told, what="a warning")
     gripper.interrupt()

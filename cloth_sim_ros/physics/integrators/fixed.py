@@ -85,8 +85,8 @@ def advance_fixed(
         rejected += 1
         if rejected == ATTEMPTS:
             raise UnstableError(
-                f"no step down to {h:.3g} s kept the motion within its stability limit; take less stiffness or damping, or "
-                "integrator auto"
+                f"no step down to {h:.3g} s kept the motion within its stability limit; take less stiffness "
+                "or damping, or integrator auto"
             )
     binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
     why = (
