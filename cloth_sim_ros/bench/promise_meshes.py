@@ -17,7 +17,7 @@ def drawn_alike(numbers: ArrayLike) -> Array:
     """Numbers to a thousand millionth: what sines, norms and products of matrices leave in the last bits differs from
     machine to machine, and a scene of a seed is to be the same on all of them.
     """
-    return np.round(np.asarray(numbers, dtype=np.float64), 9)
+    return np.asarray(np.round(np.asarray(numbers, dtype=np.float64), 9))
 
 
 def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:
