@@ -22,11 +22,12 @@ PICTURES = ROOT / "docs" / "images"
 #: What is run for each section, in the order of the page.
 SECTIONS = {
     "conditioning": "conditioning",
-    "tolerance": "tolerance --energy",
+    "tolerance": "tolerance --energy --against bd9f05d",
     "work-precision-16": "work-precision --scene curtain16 --slow",
     "work-precision-32": "work-precision --scene curtain32",
     "constants": "constants",
     "promise": "promise --seed 1 --count 500",
+    "regimes": "promise --regimes",
     "violent": "promise --violent --seed 1 --count 200",
     "promise-contact": "promise --contact --seed 1 --count 24 --windows 2",
     "stability": "stability",
