@@ -27,7 +27,7 @@ REASONS = {
     "fallback.py": {
         1e-9: "nanoseconds",
         4e3: "four calls, in nanoseconds by microseconds",
-        10.0: "evaluations that a step of the implicit method takes at most: two stages of five iterations",
+        10.0: "expected evaluations of an implicit step, two stages of five iterations; hard ones take more",
         64.0: "a cap divided by 2^64 is none",
     },
     "precision.py": {24.0: "bits of single precision"},
