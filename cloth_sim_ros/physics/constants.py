@@ -47,7 +47,10 @@ class Constants:
 
     # Energy.
     gain: float = _number(2e-3, "part of the moved energy that steps may make")
-    swing: float = _number(5e-3, "part of the moved energy that a first frame may end above where it began")
+    swing: float = _number(
+        5e-3,
+        "part of the moved energy that a first frame may end above where it began, or single precision make in a second",
+    )
     stiffened: float = _number(1.02, "stiffening from which energy is looked at")
 
     # Implicit steps and the choice of integrator.

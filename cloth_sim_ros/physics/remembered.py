@@ -135,6 +135,18 @@ class Precision(Remembered):
 
 
 @attrs.define
+class Noise(Remembered):
+    """What is known of the energy that rounding in single precision puts into the motion; where it was measured."""
+
+    key = "control.noise"
+
+    #: Its power, when last measured [W]; negative when unknown.
+    power: float = number(-1.0)
+    #: Kinetic energy when last judged, or half of what is remembered of the time before [J].
+    kinetic: float = number(0.0, least=0.0)
+
+
+@attrs.define
 class Energy(Remembered):
     """What the rule of the energy remembers."""
 
@@ -214,7 +226,7 @@ SETTLED = "contact.settled"
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
 #: What step control remembers.
-RULES: tuple[type[Remembered], ...] = (Stability, Error, Touch, Precision, Energy, Fallback, Implicit, Choice)
+RULES: tuple[type[Remembered], ...] = (Stability, Error, Touch, Precision, Noise, Energy, Fallback, Implicit, Choice)
 #: Names under which versions up to 0.1 kept what other rules remembered: it is not taken over.
 BEFORE = ("stepper", "automatic", "sleep")
 

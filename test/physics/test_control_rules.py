@@ -14,7 +14,7 @@ from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State,
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.error import ErrorRule
-from cloth_sim_ros.physics.control.fallback import FINISHED, work_cap
+from cloth_sim_ros.physics.control.fallback import FINISHED, finish, work_cap
 from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.integrators.columns import step_counts, weights
@@ -91,6 +91,23 @@ def test_no_frame_takes_more_work_than_its_limit_and_one_that_would_says_so() ->
     assert np.isfinite(simulation.positions).all()
     assert said
     assert all(bound == "work" and "work limit" in reason for bound, reason in said)
+
+
+@pytest.mark.parametrize("most", [0.0, 64.0, 80.0, 110.0])
+def test_what_finishes_a_frame_takes_what_is_left_of_its_work_at_most(most: float) -> None:
+    simulation = thrown()
+    free = simulation.model.inverse_masses > 0.0
+    for seed in range(3):
+        start = simulation.state.copy()
+        start.x = start.x + np.random.default_rng(seed).normal(size=start.x.shape) * free
+        ends = {most: start.copy(), math.inf: start.copy()}
+        taken = {
+            limit: finish(simulation.plan, state, 0.0, 1 / 60, None, instead_of="extrapolated", most=limit).evaluations
+            for limit, state in ends.items()
+        }
+        # Eight steps by their last resort of eight iterations are the least that finishes a frame.
+        assert taken[most] <= max(most, 64.0) < taken[math.inf]
+        assert np.isfinite(ends[most].x).all()
 
 
 def test_what_grows_between_two_judgements_is_judged() -> None:

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule
-from cloth_sim_ros.physics.control.fallback import finish, part_cost, work_cap
+from cloth_sim_ros.physics.control.fallback import finish, part_cost, whole_work, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_boundless, refuse_unstable
 from cloth_sim_ros.physics.integrators.columns import SUMS
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Precision, Stability, Touch
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 
@@ -49,10 +49,11 @@ class ExplicitAdvance:
         refuse_boundless(memory.omega2, memory.damping)
         #: Longest stable step, contact aside [s].
         self._bare = limit = options.step_limit(memory.omega2, memory.damping)
-        error, precision = Error.of(state), Precision.of(state)
+        error, precision, noise = Error.of(state), Precision.of(state), Noise.of(state)
         if abs(error.part - duration) > 1e-6 * duration:
             # What was known is of frames of another length.
-            error, precision = Error(columns=error.columns, refine=error.refine, part=duration), Precision()
+            error = Error(columns=error.columns, refine=error.refine, part=duration)
+            precision, noise = Precision(), Noise()
         columns, settled = options.columns, 0.0
         if options.tolerance is not None:
             columns = min(int(error.columns), columns)
@@ -73,7 +74,7 @@ class ExplicitAdvance:
             book=book,
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state), settled),
-            precision=PrecisionRule(plan, precision, duration, budget),
+            precision=PrecisionRule(plan, precision, noise, duration, budget),
             touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
             duration=duration,
             cap=math.inf,
@@ -85,6 +86,7 @@ class ExplicitAdvance:
         self._whole = Stretch(self._effort, t, duration, Choice(columns, error.refine, judge), rule, stability)
         self._limit = self._whole.limit
         work, self._left_over = work_cap(plan, options.work, duration, memory.longest, self._fallen, met, self._limit)
+        self._most = whole_work(plan, options.work, duration, met)
         self._allow(work)
 
     def _allow(self, work: float) -> None:
@@ -125,6 +127,8 @@ class ExplicitAdvance:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
+        if effort.precision.noise.power >= 0.0:
+            effort.precision.noise.store(state)
         effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
         if self._fallen or effort.finishing:
             Fallback(min(64.0, self._fallen + 1.0) if effort.finishing else 0.0).store(state)
@@ -189,7 +193,15 @@ class ExplicitAdvance:
         self._memory.store(self._state)
         if self._book is not None:
             self._book.restart()
-        done = finish(self._plan, self._state, self._t, self._duration, self._book, instead_of=self._options.name)
+        done = finish(
+            self._plan,
+            self._state,
+            self._t,
+            self._duration,
+            self._book,
+            instead_of=self._options.name,
+            most=self._most - effort.evaluations - effort.calls,
+        )
         return done._replace(
             evaluations=effort.evaluations + done.evaluations,
             limit=self._limit,

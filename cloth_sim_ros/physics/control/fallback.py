@@ -31,6 +31,13 @@ def within_reach(plan: Plan) -> bool:
     return plan.model.particle_count <= CONSTANTS.implicit
 
 
+def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0) -> float:
+    """Return the force evaluations that the work of an advance is worth, see `work_cap`."""
+    if work == 0.0:
+        return math.inf
+    return work * duration / (1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met)
+
+
 def work_cap(
     plan: Plan,
     work: float,
@@ -58,8 +65,7 @@ def work_cap(
     """
     if work == 0.0:
         return math.inf, math.inf
-    evaluation = 1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met
-    whole, runs = work * duration / evaluation, CONSTANTS.work * duration / longest
+    whole, runs = whole_work(plan, work, duration, met), CONSTANTS.work * duration / longest
     most = math.ldexp(whole, -int(fallen))
     if met:
         single = CONSTANTS.trust * SUMS[2] * duration / (CONSTANTS.safety * limit) if limit else math.inf
@@ -76,7 +82,9 @@ def part_cost(plan: Plan, met: float = 0.0) -> float:
     return 4e3 * CONSTANTS.call / (plan.step_cost * plan.model.particle_count + met)
 
 
-def finish(plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str) -> Advance:
+def finish(
+    plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str, most: float
+) -> Advance:
     """Advance by a few implicit steps; at least one is flagged.
 
     Args:
@@ -86,6 +94,8 @@ def finish(plan: Plan, state: State, t: float, duration: float, book: Book | Non
         duration: time to advance [s].
         book: notes the motion.
         instead_of: name of the integrator whose steps were given up.
+        most: force evaluations that are left of the frame's work. Where the steps that are left can't be solved
+            within them, they are taken at once as one that has no solution is.
 
     Raises:
         UnstableError: if the motion does not stay finite.
@@ -98,7 +108,7 @@ def finish(plan: Plan, state: State, t: float, duration: float, book: Book | Non
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
     fallen = Fallback.of(state).fallen
-    done = Implicit(duration / CONSTANTS.last_steps).advance(plan, state, t, duration, book)
+    done = Implicit(duration / CONSTANTS.last_steps).advance(plan, state, t, duration, book, most=most)
     # What was known of the motion is true no longer.
     restart(state)
     Fallback(min(64.0, fallen + 1.0)).store(state)

@@ -1,20 +1,30 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where runs calculate in single precision: where it was measured what that changes, and the budget has room for it."""
+"""Where runs calculate in single precision: where it was measured what that changes, and the budget has room for it.
+
+Positions keep the tolerance so. Energies ask for more: rounding of coordinates shakes neighbours against each other,
+with a power that goes as the stiffness to the power of 1.5, and damping takes that up. So the power is measured too,
+and in a second it may be a small part of the kinetic energy.
+"""
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.arrays import largest_distance
+import math
+
+from cloth_sim_ros.physics.arrays import largest_distance, weighted_dot
+from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice
 from cloth_sim_ros.physics.integrators.columns import amplification
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Precision
+from cloth_sim_ros.physics.remembered import Noise, Precision
 from cloth_sim_ros.physics.state import State
 
 #: Spacing of single precision's numbers: a stretch changes no less than a few tenths of it, relative to the sheet.
 _SPACING = 2.0**-24
+#: Time over which energy that rounding makes is compared with the kinetic energy [s]: that of the promise.
+_SECOND = 1.0
 
 
 class PrecisionRule:
@@ -22,13 +32,14 @@ class PrecisionRule:
 
     Args:
         plan: equations of motion.
-        memory: what was measured.
+        memory: what was measured of positions.
+        noise: what was measured of energies.
         duration: of the advance [s].
         budget: error that it may have [m].
     """
 
-    def __init__(self, plan: Plan, memory: Precision, duration: float, budget: float) -> None:
-        self._plan, self.memory, self._duration = plan, memory, duration
+    def __init__(self, plan: Plan, memory: Precision, noise: Noise, duration: float, budget: float) -> None:
+        self._plan, self.memory, self.noise, self._duration = plan, memory, noise, duration
         #: Attempts that missed the budget: from the second on it may be rounding, which finer steps do not mend.
         self.missed = 0
         self._room = CONSTANTS.rounding * budget
@@ -37,11 +48,18 @@ class PrecisionRule:
         self._blur = CONSTANTS.trust * CONSTANTS.far * budget
 
     def measure(self, t: float, state: State, step: float, choice: Choice) -> int:
-        """Measure what single precision changes over steps of a length [s], where that is not known and might fit;
-        return the force evaluations that it took.
+        """Measure what single precision changes over steps of a length [s], where that is not known and might fit, and
+        look at the energy that it may be compared with; return the force evaluations that it took.
         """
-        memory = self.memory
-        if memory.rounding >= 0.0 or choice.columns > 1 or not self._plan.narrows(self._duration, state.x, state.v):
+        taken, noise = self._measure(t, state, step, choice), self.noise
+        if noise.power >= 0.0:
+            noise.kinetic = max(0.5 * weighted_dot(self._plan.model.masses, state.v, state.v), 0.5 * noise.kinetic)
+        return taken
+
+    def _measure(self, t: float, state: State, step: float, choice: Choice) -> int:
+        memory, noise, plan = self.memory, self.noise, self._plan
+        known = memory.rounding >= 0.0 and noise.power >= 0.0
+        if known or choice.columns > 1 or not plan.narrows(self._duration, state.x, state.v):
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._room:
@@ -49,12 +67,21 @@ class PrecisionRule:
         # A part of the steps stands for all of them: positions carry what rounding takes, and what is left is a last
         # bit of the sheet's extent, whatever the number of steps.
         steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.sample))
-        ends = [
-            self._plan.runs(t, steps * step, (state.x, state.v), [steps], narrow=narrow)[0][0].x
-            for narrow in (False, True)
-        ]
-        # It is measured once.
-        memory.rounding = CONSTANTS.trust * largest_distance(*ends)
+        part = steps * step
+        ends, energies = [], []
+        for narrow in (False, True):
+            if plan.contact is not None:
+                plan.contact.take(state)
+            (run,), _ = plan.runs(t, part, (state.x, state.v), [steps], narrow=narrow, powers=True, touches=True)
+            book = Book(plan.gripper_count, powers=True, obstacle_count=plan.obstacle_count)
+            book.add_runs((1.0,), (run,), part)
+            ends.append(run.x)
+            energies.append(plan.energy(t + part, run.x, run.v) + book.lost - book.work - book.given)
+        made = abs(energies[1] - energies[0])
+        if math.isfinite(made):
+            # It is measured once.
+            memory.rounding = CONSTANTS.trust * largest_distance(*ends)
+            noise.power = CONSTANTS.trust * made / part
         return 2 * (steps + 1)
 
     def narrows(self, state: State, choice: Choice) -> bool:
@@ -64,6 +91,8 @@ class PrecisionRule:
         rounding = amplification(choice.columns) * self.memory.rounding
         # A judgement looks at one combination more.
         if self.missed > 1 or not (0.0 <= rounding <= self._room and self.tells(choice.columns + choice.judge)):
+            return False
+        if not 0.0 <= self.noise.power * _SECOND <= CONSTANTS.swing * self.noise.kinetic:
             return False
         v, least = state.v, CONSTANTS.motion * rounding
         # The last particle is looked at first: where the sheet moves it mostly does.

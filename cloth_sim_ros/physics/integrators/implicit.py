@@ -59,13 +59,24 @@ class Implicit(Integrator):
         return math.inf
 
     def advance(
-        self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None, *, strict: bool = False
+        self,
+        plan: Plan,
+        state: State,
+        t: float,
+        duration: float,
+        book: Book | None = None,
+        *,
+        strict: bool = False,
+        most: float = math.inf,
     ) -> Advance:
         """Advance a state; where it is `strict`, no further than a step that would be flagged.
+
+        Of equal steps so short that each has a result in any case, as many take that at once as no more than the
+        ``most`` force evaluations ask for.
 
         Raises:
             MissedError: where it is strict, with contact, and a step has no solution that can be found.
         """
         from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
 
-        return ImplicitAdvance(self, plan, state, t, duration, book, strict=strict).run()
+        return ImplicitAdvance(self, plan, state, t, duration, book, strict=strict, most=most).run()

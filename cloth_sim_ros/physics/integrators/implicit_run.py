@@ -89,6 +89,7 @@ class ImplicitAdvance:
         book: Book | None,
         *,
         strict: bool = False,
+        most: float = math.inf,
     ) -> None:
         self._integrator, self._plan, self._state, self._book = integrator, plan, state, book
         self._t, self._duration = t, duration
@@ -97,6 +98,8 @@ class ImplicitAdvance:
         self._memory = Memory.of(state)
         self._matrix = stage_matrix(plan.model)
         self._evaluations, self._strict = 0, strict
+        #: Force evaluations of a safe advance, and of what is kept for the last resorts of the steps that are left.
+        self._allowed, self._kept = most, 0
         self._most = math.inf
         if integrator.work and integrator.step is None:
             self._most = integrator.work * duration * 1e9 / iteration_cost(plan.model)
@@ -107,7 +110,8 @@ class ImplicitAdvance:
         """Do it."""
         state, memory, integrator = self._state, self._memory, self._integrator
         least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
-        steps = max(least, steps_for(self._duration, memory.step)) if memory.step > 0.0 else least
+        known = memory.step > 0.0 and self._allowed == math.inf
+        steps = max(least, steps_for(self._duration, memory.step)) if known else least
         start, rejected = state.share(), 0
         while True:
             if self._book is not None:
@@ -189,6 +193,7 @@ class ImplicitAdvance:
             contact.take(state)
         self._plan.accelerations(self._t, state.x, state.v, guess)
         for k in range(steps):
+            self._kept = _LAST_ITERATIONS * (steps - k)
             done = self._cover(self._t + k * h, h, guess)
             if done is None:
                 return None
@@ -306,6 +311,8 @@ class ImplicitAdvance:
         u = v + d * guess * moving
         last = math.inf
         for iteration in range(MOST_ITERATIONS):
+            if self._safe and self._evaluations + self._kept >= self._allowed:
+                return None
             correction = self._correction(t, x, v, d, u)
             if iteration >= _PATIENCE:
                 correction *= self._share(t, x, v, d, u, correction)
