@@ -49,7 +49,7 @@ class Constants:
     gain: float = _number(2e-3, "part of the moved energy that steps may make")
     swing: float = _number(
         5e-3,
-        "part of the moved energy that a first frame may end above where it began, or single precision make in a second",
+        "part of the moved energy that a first frame may end above its start, or single precision make in a second",
     )
     stiffened: float = _number(1.02, "stiffening from which energy is looked at")
 
