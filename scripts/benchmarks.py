@@ -24,7 +24,7 @@ SECTIONS = {
     "conditioning": "conditioning",
     "tolerance": "tolerance --energy --against bd9f05d",
     "work-precision-16": "work-precision --scene curtain16 --slow",
-    "work-precision-32": "work-precision --scene curtain32",
+    "work-precision-32": "work-precision --scene curtain32 --slow --limit 30",
     "constants": "constants",
     "promise": "promise --seed 1 --count 500",
     "regimes": "promise --regimes",

@@ -9,6 +9,8 @@ import importlib
 import sys
 from pathlib import Path
 
+from cloth_sim_ros.session.outputs import OutputError, check_outputs
+
 #: Subcommands: the module that runs each, and what it does. A module has `add_arguments(parser)` and `run(options)`,
 #: which returns a `report.Report`.
 COMMANDS = {
@@ -58,8 +60,9 @@ def main(arguments: list[str] | None = None) -> int:
     output.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as a section of documentation")
     options = inner.parse_args(given[1:])
     try:
+        check_outputs({"--json": options.json, "--markdown": options.markdown}, [])
         report = module.run(options)
-    except ValueError as error:
+    except (ValueError, OutputError) as error:
         inner.error(str(error))
     sys.stdout.write(report.text() + "\n")
     report.write(json_file=options.json, csv_folder=options.csv, plot_folder=options.plots, markdown=options.markdown)

@@ -10,6 +10,9 @@ from typing import Any
 from cloth_sim_ros.scene import ros_sections, ros_yaml
 from cloth_sim_ros.scene.parameters import ParameterError
 
+#: A file that is larger, as a device that never ends is, is a mistake [bytes].
+MOST_BYTES = 1 << 24
+
 
 def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
     """Return the parameters that a file sets for a node, by full name, as ROS reads it.
@@ -26,9 +29,13 @@ def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
             node, but something for its namesakes in other namespaces.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        with Path(path).open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        text = content.decode() if len(content) <= MOST_BYTES else None
+    except (OSError, ValueError) as error:
         raise ParameterError(f"cannot read parameter file '{path}': {error}") from error
+    if text is None:
+        raise ParameterError(f"parameter file '{path}' has more than {MOST_BYTES} bytes; name a file of parameters")
     return parse(text, node=node, source=str(path))
 
 

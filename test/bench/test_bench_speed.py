@@ -15,6 +15,20 @@ from cloth_sim_ros.bench import speed, speed_curtain, speed_kernels, speed_stiff
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.bench.problems import PERIOD, curtain
 from cloth_sim_ros.bench.speed_curtain import CurtainSpeed
+from cloth_sim_ros.session.mcap_builder import MAGIC
+
+
+@pytest.mark.parametrize("option", ["--json", "--markdown"])
+def test_a_session_is_not_written_over(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = tmp_path / "kept.mcap"
+    session.write_bytes(MAGIC)
+    monkeypatch.setattr(speed, "run", lambda _: pytest.fail("work was done before the refusal"))
+    with pytest.raises(SystemExit):
+        main(["speed", option, str(session)])
+    assert option in capsys.readouterr().err
+    assert session.read_bytes() == MAGIC
 
 
 def turns_on_fake_clock(spent: dict[str, list[float]]) -> speed_turns.Turns:

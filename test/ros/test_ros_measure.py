@@ -59,6 +59,14 @@ def test_late_frames_are_counted_with_and_without_parameters_that_are_set(ros_do
     assert [len(told["late_frames"][how]) for how in ("with", "without")] == [1, 1]
 
 
+def test_a_cloth_that_is_carried_swung_and_let_go_is_measured(ros_domain):
+    told = ask("measure_live", "--seconds", "0.1", "--pace", "0.1")
+    assert told["cycles"] == 1
+    assert told["frames"] > 0
+    assert told["met"] == (told["late_frames"] == 0)
+    assert told["longest_frame_of_the_first_minute_ms"] == told["longest_frame_ms"] > 0.0
+
+
 def stream(**values):
     """Ten clouds a second for a second, each a little after it was due."""
     due = np.arange(10) / 10.0

@@ -142,6 +142,12 @@ def test_a_text_ends_at_a_null_character() -> None:
     assert parameter_file.parse('/**: {ros__parameters: {frame_id: "a\\0b"}}') == {"frame_id": "a"}
 
 
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no device here never ends")
+def test_a_device_that_never_ends_is_refused() -> None:
+    with pytest.raises(ParameterError, match="'/dev/zero' has more than 16777216 bytes; name a file of parameters"):
+        Scene.from_file("/dev/zero")
+
+
 def test_a_shipped_file_that_names_another_is_found_from_anywhere(tmp_path: Path) -> None:
     path = Path(__file__).parents[2] / "config" / "stack.yaml"
     assert Scene.from_file(path).files.keys() == {"stack.obj"}
