@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control.fallback import work_cap
+from cloth_sim_ros.physics.control.fallback import whole_work, work_cap
 from cloth_sim_ros.physics.touching import NEAR, PAIR, RUBBED
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -62,15 +62,15 @@ def test_pairs_of_edges_and_faces_in_reach_cost() -> None:
 def test_a_frame_may_take_fewer_evaluations_where_each_costs_more() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare = plan.step_cost * plan.model.particle_count
-    caps = [sum(work_cap(plan, 1000.0, 1 / 60, 1e-3, 0.0, met)) for met in (0.0, bare)]
+    caps = [sum(work_cap(plan, whole_work(plan, 1000.0, 1 / 60, met), 1 / 60, 1e-3, 0.0, met)) for met in (0.0, bare)]
     assert caps[0] == pytest.approx(2.0 * caps[1], rel=1e-2)
 
 
 def test_where_the_cloth_touches_some_runs_of_longest_steps_always_fit() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare, longest = plan.step_cost * plan.model.particle_count, 1e-4
-    runs = CONSTANTS.work / 60.0 / longest
-    assert work_cap(plan, 1e-3, 1 / 60, longest, 0.0, bare) == (pytest.approx(runs), pytest.approx(runs))
+    runs, little = CONSTANTS.work / 60.0 / longest, whole_work(plan, 1e-3, 1 / 60, bare)
+    assert work_cap(plan, little, 1 / 60, longest, 0.0, bare) == (pytest.approx(runs), pytest.approx(runs))
     # What could not be followed is tried with half the effort, and so on; what finishes a frame stays.
-    assert work_cap(plan, 1e-3, 1 / 60, longest, 3.0, bare) == (pytest.approx(runs / 8.0), pytest.approx(runs))
-    assert work_cap(plan, 1e-3, 1 / 60, longest, 0.0)[0] < runs
+    assert work_cap(plan, little, 1 / 60, longest, 3.0, bare) == (pytest.approx(runs / 8.0), pytest.approx(runs))
+    assert work_cap(plan, little, 1 / 60, longest, 0.0)[0] < runs

@@ -14,7 +14,7 @@ from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State,
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.error import ErrorRule
-from cloth_sim_ros.physics.control.fallback import FINISHED, finish, work_cap
+from cloth_sim_ros.physics.control.fallback import FINISHED, finish, whole_work, work_cap
 from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.integrators.columns import step_counts, weights
@@ -232,10 +232,11 @@ def test_a_motion_that_got_twice_as_lively_is_not_predicted() -> None:
 def test_what_could_not_be_followed_is_tried_with_half_the_effort() -> None:
     plan = compile(critical()[0])
     # Beside what is left over for the steps that finish a frame; of little work, half is.
-    caps = [work_cap(plan, 10.0, 1 / 60, 1e-3, fallen)[0] + FINISHED for fallen in (0.0, 1.0, 2.0)]
+    whole = whole_work(plan, 10.0, 1 / 60)
+    caps = [work_cap(plan, whole, 1 / 60, 1e-3, fallen)[0] + FINISHED for fallen in (0.0, 1.0, 2.0)]
     assert caps == [caps[0], caps[0] / 2, caps[0] / 4]
-    least = 10.0 * FINISHED / caps[0]
-    assert work_cap(plan, least, 1 / 60, 1e-3, 0.0)[0] == pytest.approx(FINISHED / 2)
+    assert caps[0] == whole
+    assert work_cap(plan, FINISHED, 1 / 60, 1e-3, 0.0)[0] == FINISHED / 2
     simulation, rng, fallen = thrown(0.05), np.random.default_rng(2), []
     simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
     for _ in range(40):

@@ -85,8 +85,9 @@ class ExplicitAdvance:
         self._stability = stability
         self._whole = Stretch(self._effort, t, duration, Choice(columns, error.refine, judge), rule, stability)
         self._limit = self._whole.limit
-        work, self._left_over = work_cap(plan, options.work, duration, memory.longest, self._fallen, met, self._limit)
+        #: Force evaluations that the frame may take in all.
         self._most = whole_work(plan, options.work, duration, met)
+        work, self._left_over = work_cap(plan, self._most, duration, memory.longest, self._fallen, met, self._limit)
         self._allow(work)
 
     def _allow(self, work: float) -> None:

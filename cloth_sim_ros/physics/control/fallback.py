@@ -32,7 +32,14 @@ def within_reach(plan: Plan) -> bool:
 
 
 def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0) -> float:
-    """Return the force evaluations that the work of an advance is worth, see `work_cap`."""
+    """Return the force evaluations that the work of an advance is worth; infinite where it has no limit.
+
+    Args:
+        plan: equations of motion.
+        work: limit in real time by the plan's estimated cost; 0 for none.
+        duration: of the advance [s].
+        met: estimated time that contact adds to a force evaluation [ns].
+    """
     if work == 0.0:
         return math.inf
     return work * duration / (1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met)
@@ -40,7 +47,7 @@ def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0) -> fl
 
 def work_cap(
     plan: Plan,
-    work: float,
+    whole: float,
     duration: float,
     longest: float,
     fallen: float,
@@ -56,16 +63,16 @@ def work_cap(
 
     Args:
         plan: equations of motion.
-        work: limit in real time by the plan's estimated cost; 0 for none.
+        whole: force evaluations that its work is worth, see `whole_work`.
         duration: of the advance [s].
         longest: longest stable step since the last restart, contact aside [s].
         fallen: frames in a row that could not be followed.
         met: estimated time that contact adds to a force evaluation [ns].
         limit: longest step that contact lets expect [s].
     """
-    if work == 0.0:
+    if whole == math.inf:
         return math.inf, math.inf
-    whole, runs = whole_work(plan, work, duration, met), CONSTANTS.work * duration / longest
+    runs = CONSTANTS.work * duration / longest
     most = math.ldexp(whole, -int(fallen))
     if met:
         single = CONSTANTS.trust * SUMS[2] * duration / (CONSTANTS.safety * limit) if limit else math.inf
