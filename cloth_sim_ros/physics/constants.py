@@ -46,11 +46,8 @@ class Constants:
     motion: float = _number(1e3, "least way of the fastest particle in a frame, in changes by single precision")
 
     # Energy.
-    gain: float = _number(2e-3, "part of the moved energy that steps may make")
-    swing: float = _number(
-        5e-3,
-        "part of the moved energy that a first frame may end above its start, or single precision make in a second",
-    )
+    gain: float = _number(2e-3, "part of the moved energy that steps may make, or single precision in a second")
+    swing: float = _number(5e-3, "part of the moved energy that a first frame may end above where it began")
     stiffened: float = _number(1.02, "stiffening from which energy is looked at")
 
     # Implicit steps and the choice of integrator.

@@ -140,8 +140,10 @@ class Noise(Remembered):
 
     key = "control.noise"
 
-    #: Its power, when last measured [W]; negative when unknown.
+    #: Its power, the largest that was measured [W]; negative when unknown.
     power: float = number(-1.0)
+    #: How often it was measured.
+    samples: float = number(0.0, least=0.0)
     #: Kinetic energy when last judged, or half of what is remembered of the time before [J].
     kinetic: float = number(0.0, least=0.0)
 

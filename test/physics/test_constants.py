@@ -30,7 +30,10 @@ REASONS = {
         10.0: "expected evaluations of an implicit step, two stages of five iterations; hard ones take more",
         64.0: "a cap divided by 2^64 is none",
     },
-    "precision.py": {24.0: "bits of single precision"},
+    "precision.py": {
+        24.0: "bits of single precision",
+        4.0: "judgements of a motion that begins: after 0, 1, 3 and 7 frames; a further one repeats the last",
+    },
     "stability.py": {
         6.0: "by the eigenvalues of the combinations (test_control_rules.py)",
         0.125: "the same",

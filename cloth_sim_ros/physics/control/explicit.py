@@ -115,9 +115,10 @@ class ExplicitAdvance:
             most = effort.cap / whole.work(columns, 1.0) / CONSTANTS.finer
             whole.choice = Choice(columns, max(1.0, min(whole.choice.refine, most)), True)
         if whole.choice.judge and not effort.lost:
-            effort.evaluations += effort.precision.measure(self._t, state, whole.longest, whole.choice)
             if fits:
+                effort.evaluations += effort.precision.measure(self._t, state, whole.longest, whole.choice)
                 whole.choice = effort.fitted(whole.choice, whole.work, 0.0)
+            effort.precision.look(state)
         error = self._cover()
         if error is None and effort.may_finish:
             error = self._cover_anyhow()
@@ -128,7 +129,7 @@ class ExplicitAdvance:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
-        if effort.precision.noise.power >= 0.0:
+        if effort.precision.noise.power >= 0.0 or Noise.key in state.memory:
             effort.precision.noise.store(state)
         effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
         if self._fallen or effort.finishing:

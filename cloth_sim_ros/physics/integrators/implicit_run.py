@@ -311,7 +311,7 @@ class ImplicitAdvance:
         u = v + d * guess * moving
         last = math.inf
         for iteration in range(MOST_ITERATIONS):
-            if self._safe and self._evaluations + self._kept >= self._allowed:
+            if self._safe and self._evaluations + 1 + self._kept > self._allowed:
                 return None
             correction = self._correction(t, x, v, d, u)
             if iteration >= _PATIENCE:
