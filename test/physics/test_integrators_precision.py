@@ -148,11 +148,11 @@ def test_a_stiff_sheet_whose_energy_rounding_would_change_does_without() -> None
 
 
 def test_a_flat_sheet_that_lies_where_nothing_is_rounded_is_measured_when_it_moves() -> None:
-    # Multiples of 1/16 m are numbers of single precision.
-    _, noise, _ = hung(1.0, resolution=17)
-    _, beside, _ = hung(1.0, resolution=18)
-    # The power grows as the cube of the particles a side.
-    assert 0.3 < noise.power / beside.power * (18.0 / 17.0) ** 3 < 3.0
+    # Multiples of 1/32 m are numbers of single precision: at the start a hundredth is found of what there is.
+    residual, noise, _ = hung(1.0, resolution=33)
+    _, beside, _ = hung(1.0, resolution=34)
+    assert noise.power > 0.05 * beside.power
+    assert residual < 5e-4
 
 
 def test_a_limp_sheet_takes_it_and_keeps_its_energy() -> None:
