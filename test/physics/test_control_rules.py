@@ -79,7 +79,7 @@ def thrown(work_limit: float = 3.0) -> Simulation:
 
 
 def test_no_frame_takes_more_work_than_its_limit_and_one_that_would_says_so() -> None:
-    simulation, rng, said = thrown(), np.random.default_rng(2), []
+    simulation, rng, said = thrown(0.5), np.random.default_rng(2), []
     plan, period = simulation.plan, simulation.scene.period
     most = simulation.scene.work_limit * period * 1e9 / (plan.step_cost * plan.model.particle_count)
     simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
@@ -150,8 +150,9 @@ def test_a_hit_costs_fine_steps_around_it_alone() -> None:
     growth = max(1.0, abs(bounce(0.3 + 1e-6) - bounce(0.3)) / 1e-6)
     assert abs(state.x[2, 0] - bounce(0.3)) < 1e-6 * growth
     assert not any(advance.flagged for advance in done)
-    # In 58 of 60 frames nothing happens. Steps as fine in all of the two others take 400,000.
-    assert sum(each.evaluations for each in done) < 60_000
+    # In 58 of 60 frames nothing happens. Steps as fine in all of the two others take 400,000, and runs that are added
+    # though the one before gained nothing 31,000.
+    assert sum(each.evaluations for each in done) < 25_000
 
 
 def test_combined_runs_of_undamped_springs_are_cut_into_parts() -> None:

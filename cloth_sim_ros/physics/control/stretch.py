@@ -126,15 +126,15 @@ class Stretch:
             budget = max(0.5 * self.rule.budget, (self.rule.budget - spent) * k)
             stability = StabilityRule(effort.plan, effort.stability, effort.state, half)
             rule = self.rule.of_stretch(Error(part=half), budget, effort.state, stability)
-            # The other half may go on by steps as long as they were.
-            later = half * self.choice.refine / (CONSTANTS.safety * effort.stability.longest)
-            ahead = self._ahead + (max(1.0, later) * SUMS[self.choice.columns + 1] if k == 0 else 0.0)
+            # The other half may go on by steps as long as they were, but takes as many as this one at least.
+            finer = max(1.0, self.choice.refine * min(1.0, half / self.longest))
+            later = finer * max(1.0, half / (CONSTANTS.safety * effort.stability.longest))
+            ahead = self._ahead + later * SUMS[self.choice.columns + 1] * (k == 0)
             now, deeper = self._t + k * half, self._halvings + 1
             child = Stretch(effort, now, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
             # It begins with the steps that were too long for the whole.
             longest = min(child.longest, self.longest) if untried else child.longest
-            refine = max(1.0, self.choice.refine * longest / self.longest)
-            child.choice = Choice(self.choice.columns, refine, True)
+            child.choice = Choice(self.choice.columns, max(1.0, self.choice.refine * longest / self.longest), True)
             error = child.cover()
             if error is None:
                 return None
@@ -223,7 +223,6 @@ class Stretch:
 
     def _within(self, columns: Columns) -> bool:
         """Whether a part's steps are within the limit that the motion came to; if not, choose what to try next."""
-        # A run that ended on a surface has no limit at all.
         limit = self._effort.touch.limit_met(columns, self.choice.columns) or 0.5 * self.finest
         if self.finest <= limit:
             return True
@@ -289,7 +288,9 @@ class Stretch:
             ahead = self._ahead + (1.0 - passed) * self.work(choice.columns, choice.refine)
             while len(errors) < effort.options.columns and sums.error + errors[-1] > aim:
                 fits = effort.affords(ahead + columns.counts[len(errors) + 1])
-                if not fits or (columns.narrow and not effort.precision.tells(len(errors) + 2)):
+                # Runs that gain nothing on one another, as at a kink, are not helped by a further one.
+                vain = len(errors) > 1 and errors[-1] > errors[-2]
+                if not fits or vain or (columns.narrow and not effort.precision.tells(len(errors) + 2)):
                     break
                 errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
@@ -353,13 +354,12 @@ class Stretch:
 
     def _can_halve(self) -> bool:
         """Whether the stretch has steps enough to be halved, and halves fit the cap as it did."""
-        choice, enough = self.choice, self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
-        return enough and self.affords(choice.columns, choice.refine)
+        enough = self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
+        return enough and self.affords(self.choice.columns, self.choice.refine)
 
     def _difference(self, columns: Columns, count: int) -> float:
         """Return the error of a combination [m], the run that it takes counted."""
-        before = columns.evaluations
-        error = columns.difference(count)
+        before, error = columns.evaluations, columns.difference(count)
         self._effort.evaluations += columns.evaluations - before
         return error
 
@@ -379,8 +379,8 @@ class Stretch:
         Raises:
             UnstableError: where nothing is left to try.
         """
-        effort, choice = self._effort, self.choice
-        options, refine = effort.options, finer * choice.refine
+        effort, choice, options = self._effort, self.choice, self._effort.options
+        refine = finer * choice.refine
         if options.tolerance is not None and finer > 1.0 and self._beyond_order(2.0 * refine) and self._can_halve():
             self._halve = True
             return False
