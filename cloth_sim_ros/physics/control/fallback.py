@@ -101,8 +101,8 @@ def finish(
         duration: time to advance [s].
         book: notes the motion.
         instead_of: name of the integrator whose steps were given up.
-        most: force evaluations that are left of the frame's work. Where the steps that are left can't be solved
-            within them, they are taken at once as one that has no solution is.
+        most: force evaluations that are left of the frame's work: what can't be solved within them is taken as a step
+            that has no solution is, 64 evaluations in all at least.
 
     Raises:
         UnstableError: if the motion does not stay finite.

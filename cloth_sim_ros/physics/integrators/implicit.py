@@ -71,8 +71,8 @@ class Implicit(Integrator):
     ) -> Advance:
         """Advance a state; where it is `strict`, no further than a step that would be flagged.
 
-        Of equal steps so short that each has a result in any case, as many take that at once as no more than the
-        ``most`` force evaluations ask for.
+        ``most`` is what eight or more fixed steps may take, in force evaluations. What Newton's iteration would take
+        beyond it is left out: such a step is taken by descent, which has a result in any case, and is flagged.
 
         Raises:
             MissedError: where it is strict, with contact, and a step has no solution that can be found.
