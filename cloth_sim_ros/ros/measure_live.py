@@ -12,6 +12,7 @@ arrivals are the subscriber's.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import tempfile
@@ -82,6 +83,8 @@ class Robot:
         self.arrivals: list[float] = []
         #: When each report of the node's arrived [s], and what it said.
         self.reports: list[tuple[float, dict[str, str]]] = []
+        #: When each part of a cycle began [s], and its name.
+        self.parts: list[tuple[float, str]] = []
         #: Where the gripper is to be, by time.
         self._path: Callable[[float], np.ndarray] = lambda _: _CORNER
         self._next = 0.0
@@ -94,6 +97,7 @@ class Robot:
 
     def go_through(self, cycle: Cycle) -> None:
         """One cycle."""
+        self._begin("carried")
         self._lead(lambda _: _CORNER, 0.25)
         self._ask(self._close, SetBool.Request(data=True))
         turn = 2.0 * np.pi / cycle.carried
@@ -102,6 +106,7 @@ class Robot:
             return _CORNER + np.array([0.0, -0.25 * np.sin(turn * t), 0.2 * (1.0 - np.cos(turn * t))])
 
         self._lead(carried, cycle.carried)
+        self._begin("swung")
         self._anchor([""])
 
         # Half a metre to and fro, a little up and down, each beginning at rest.
@@ -110,8 +115,10 @@ class Robot:
             return _CORNER + np.array([-0.6 * away, away, 0.1 * (1.0 - np.cos(2.0 * np.pi * t / 3.2))])
 
         self._lead(swung, cycle.swung)
+        self._begin("let go")
         self._ask(self._close, SetBool.Request(data=False))
         self._lead(lambda _: _CORNER, cycle.falling)
+        self._begin("flat again")
         self._anchor(["top"])
         self._ask(self._reset, Trigger.Request())
         self._lead(lambda _: _CORNER, cycle.flat)
@@ -120,6 +127,9 @@ class Robot:
         """Leave the graph."""
         self._executor.shutdown()
         self._node.destroy_node()
+
+    def _begin(self, part: str) -> None:
+        self.parts.append((time.monotonic(), part))
 
     def _lead(self, path: Callable[[float], np.ndarray], seconds: float) -> None:
         begun = time.monotonic()
@@ -180,11 +190,17 @@ def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
     longest = [(when - begun, float(report["longest_frame_ms"])) for when, report in robot.reports]
     between = np.diff(arrivals)
     late = int(last["late_frames"]) - int(first["late_frames"])
+    by_part = dict.fromkeys((name for _, name in robot.parts), 0)
+    # A report tells of the second before it: of the part in which most of that lies.
+    for (_, before), (when, report) in itertools.pairwise(robot.reports):
+        part = max((begun for begun in robot.parts if begun[0] <= when - 0.5), default=robot.parts[0])[1]
+        by_part[part] += int(report["late_frames"]) - int(before["late_frames"])
     return {
         "seconds": round(robot.reports[-1][0] - begun, 1),
         "cycles": cycles,
         "frames": int(last["frame"]) - int(first["frame"]),
         "late_frames": late,
+        "late_frames_by_part": by_part,
         "due_times_without_a_cloud": int((np.rint(np.diff(stamps) * rate) - 1.0).clip(0.0).sum()),
         "longest_between_clouds_ms": round(1e3 * float(between.max()), 1),
         "longest_frame_ms": max(ms for _, ms in longest),
