@@ -188,16 +188,42 @@ class Prober:
 
     def _spin_until(self, condition: Callable[[], Any], *, limit: float = _PATIENCE) -> None:
         """Serve what arrives and keep the stream up until the condition holds."""
-        end = time.monotonic() + limit
-        while not condition():
-            now = time.monotonic()
-            self._alive()
-            if now > end:
-                raise RuntimeError(f"waited {limit:g} s in vain")
-            if now >= self._next:
-                self._next = now + self._between * float(self._random.uniform(0.5, 1.5))
-                self._publish()
-            self._executor.spin_once(timeout_sec=max(0.0, min(self._next - now, 0.01)))
+        spin_until(self._executor, condition, due=self._due, alive=self._alive, limit=limit)
+
+    def _due(self, now: float) -> float:
+        if now >= self._next:
+            self._next = now + self._between * float(self._random.uniform(0.5, 1.5))
+            self._publish()
+        return self._next
+
+
+def spin_until(
+    executor: SingleThreadedExecutor,
+    condition: Callable[[], Any],
+    *,
+    due: Callable[[float], float],
+    alive: Callable[[], None],
+    limit: float,
+) -> None:
+    """Serve what arrives, and do what is due, until a condition holds.
+
+    Args:
+        executor: serves.
+        condition: is asked after each turn.
+        due: does what is due at a time [s]; returns when it is to be asked again.
+        alive: raises RuntimeError where the node that is waited for has ended.
+        limit: longest wait [s].
+
+    Raises:
+        RuntimeError: if the condition does not hold by then.
+    """
+    end = time.monotonic() + limit
+    while not condition():
+        now = time.monotonic()
+        alive()
+        if now > end:
+            raise RuntimeError(f"waited {limit:g} s in vain")
+        executor.spin_once(timeout_sec=max(0.0, min(due(now) - now, 0.01)))
 
 
 @contextlib.contextmanager

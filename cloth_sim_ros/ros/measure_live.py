@@ -34,7 +34,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
-from cloth_sim_ros.ros.measure_latency import running_node
+from cloth_sim_ros.ros.measure_latency import running_node, spin_until
 
 #: Where the lower corner of the default cloth hangs [m].
 _CORNER = np.array([0.5, 0.0, 0.5])
@@ -170,16 +170,13 @@ class Robot:
 
     def _spin_until(self, condition: Callable[[], Any], *, limit: float = _PATIENCE) -> None:
         """Serve what arrives and keep the targets up until the condition holds."""
-        end = time.monotonic() + limit
-        while not condition():
-            now = time.monotonic()
-            self._alive()
-            if now > end:
-                raise RuntimeError(f"waited {limit:g} s in vain")
-            if now >= self._next:
-                self._next = now + _BETWEEN
-                self._publish(now)
-            self._executor.spin_once(timeout_sec=max(0.0, min(self._next - now, _BETWEEN)))
+        spin_until(self._executor, condition, due=self._due, alive=self._alive, limit=limit)
+
+    def _due(self, now: float) -> float:
+        if now >= self._next:
+            self._next = now + _BETWEEN
+            self._publish(now)
+        return self._next
 
 
 def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
