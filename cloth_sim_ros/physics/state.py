@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import io
+import struct
 from typing import Any
 
 import numpy as np
@@ -136,12 +137,18 @@ class State:
         """Return the xxh3-128 digest, 32 hexadecimal digits, of every array's name, type, shape and bytes."""
         import xxhash
 
-        hashed = xxhash.xxh3_128()
-        take = hashed.update
-        for name, array in self.arrays().items():
+        hashed, memory = xxhash.xxh3_128(), self.memory
+        # Takes arrays as they are; before Python 3.12 there is no type that says so.
+        take: Any = hashed.update
+        take(_FRAME_TITLE + _FRAME_NUMBER(self.frame))
+        # The order of `arrays`, without gathering them first: each recorded frame has a digest.
+        for name, array in ((_POSITION, self.x), (_VELOCITY, self.v)):
             take(_title(name, array.dtype, array.shape))
-            # Nothing is copied where it need not be: each recorded frame has a digest.
-            take(array.data if array.flags.c_contiguous else array.tobytes())
+            take(array if array.flags.c_contiguous else array.tobytes())
+        for name in sorted(memory):
+            array = memory[name]
+            take(_title_of_memory(name, array.dtype, array.shape))
+            take(array if array.flags.c_contiguous else array.tobytes())
         return str(hashed.hexdigest())
 
     def to_bytes(self) -> bytes:
@@ -216,3 +223,13 @@ def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int
 def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     """What the digest takes in before an array's bytes."""
     return f"{name} {kind.str} {shape};".encode()
+
+
+@functools.lru_cache(maxsize=1024)
+def _title_of_memory(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    """The same of an array of the memory."""
+    return _title(_MEMORY + name, kind, shape)
+
+
+#: What the digest takes in of the frame's number: a title, and the number as an array has it.
+_FRAME_TITLE, _FRAME_NUMBER = _title(_FRAME, np.dtype(np.int64), ()), struct.Struct("=q").pack
