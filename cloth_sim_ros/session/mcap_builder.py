@@ -41,6 +41,7 @@ MAGIC = b"\x89MCAP0\r\n"
 Compression = Literal["none", "lz4", "zstd"]
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_HEAD_SIZE = _MESSAGE_HEAD.size
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
 _INDEX_HEAD = struct.Struct("<BQHI")
 
@@ -187,13 +188,15 @@ class McapBuilder:
     def add_message(self, channel: int, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
         """Put a message into the open chunk; times in nanoseconds since the epoch."""
         chunk = self._chunk
-        chunk.first_time = min(chunk.first_time, log_time) if chunk.message_count else log_time
-        chunk.last_time = max(chunk.last_time, log_time)
+        if not chunk.message_count or log_time < chunk.first_time:
+            chunk.first_time = log_time
+        if log_time > chunk.last_time:
+            chunk.last_time = log_time
+        length = len(data)
         chunk.indexes[channel] += (log_time, chunk.size)
         chunk.message_count += 1
-        chunk.parts.append(_MESSAGE_HEAD.pack(5, 22 + len(data), channel, sequence, log_time, publish_time))
-        chunk.parts.append(data)
-        chunk.size += _MESSAGE_HEAD.size + len(data)
+        chunk.parts += (_MESSAGE_HEAD.pack(5, 22 + length, channel, sequence, log_time, publish_time), data)
+        chunk.size += _MESSAGE_HEAD_SIZE + length
 
     def pack_chunk(self) -> PackedChunk:
         """Compress and checksum the open chunk. It stays open until `commit`."""

@@ -93,6 +93,10 @@ _KINDS: dict[str, type] = {
     "relax": Relax,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
+#: Names of the fields of each kind: recorded runs have events in most frames.
+_FIELDS = {kind: tuple(field.name for field in attrs.fields(kind)) for kind in _NAMES}
+#: What comes before the rest: made once, for a union of types takes longer to make than to ask for.
+_FIRST = (Target, Move, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
@@ -111,15 +115,18 @@ def ordered(events: list[Event]) -> list[Event]:
         elif isinstance(event, Move):
             moves[event.obstacle] = event
     grasps = [event for event in events if isinstance(event, Grasp)]
-    rest = [event for event in events if not isinstance(event, Target | Move | Grasp)]
+    rest = [event for event in events if not isinstance(event, _FIRST)]
     newest = [*(targets[name] for name in sorted(targets)), *(moves[name] for name in sorted(moves))]
     return [*newest, *grasps, *rest]
 
 
 def to_dict(event: Event) -> dict[str, Any]:
     """Return an event as a dict of plain values; floats keep every bit through JSON."""
-    fields = attrs.fields(type(event))
-    return {"kind": _NAMES[type(event)], **{field.name: _plain(getattr(event, field.name)) for field in fields}}
+    kind = type(event)
+    content: dict[str, Any] = {"kind": _NAMES[kind]}
+    for name in _FIELDS[kind]:
+        content[name] = _plain(getattr(event, name))
+    return content
 
 
 def from_dict(data: dict[str, Any]) -> Event:
