@@ -62,8 +62,8 @@ class OutcomeWatch:
     def outcomes(self) -> dict[str, float]:
         """The built-in outcomes."""
         x, v = self._simulation.state.x, self._simulation.state.v
-        forces = np.array([wrench[:, :3] for wrench in self._wrenches]).reshape(-1, 3)
-        torques = np.array([wrench[:, 3:] for wrench in self._wrenches]).reshape(-1, 3)
+        wrenches = np.array(self._wrenches).reshape(-1, 6)
+        forces, torques = wrenches[:, :3], wrenches[:, 3:]
         extent = x.max(axis=1) - x.min(axis=1)
         names = self._simulation.grippers.names
         return {

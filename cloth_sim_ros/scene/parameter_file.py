@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import functools
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -75,4 +77,29 @@ def dump(values: dict[str, Any], *, node: str = "/**") -> str:
         for part in sections:
             branch = branch.setdefault(part, {})
         branch[last] = list(value) if isinstance(value, tuple) else value
-    return ros_yaml.dump({node: {ros_sections.KEY: tree}})
+    if not any(isinstance(content, dict | list) for content in tree.values()):
+        # Single values alone share a line.
+        return ros_yaml.dump({node: {ros_sections.KEY: tree}})
+    return _head(node) + "".join(_lines(pickle.dumps((name, content))) for name, content in tree.items())
+
+
+#: A last entry that holds others, so that those before it have lines of their own; it is cut off again. No section has
+#: a name with a full stop.
+_LAST: dict[str, Any] = {"the.last": []}
+_LAST_LINES = "    the.last: []\n"
+
+
+@functools.lru_cache(maxsize=16)
+def _head(node: str) -> str:
+    """What stands before a node's parameters."""
+    return ros_yaml.dump({node: {ros_sections.KEY: _LAST}}).removesuffix(_LAST_LINES)
+
+
+@functools.lru_cache(maxsize=256)
+def _lines(entry: bytes) -> str:
+    """The lines of one section, given as bytes, which tell 1 from 1.0 and 0.0 from -0.0. Scenes of a study have nearly
+    all of them in common, and to lay one out takes long.
+    """
+    name, content = pickle.loads(entry)
+    text = ros_yaml.dump({"/**": {ros_sections.KEY: {name: content, **_LAST}}})
+    return text.removeprefix(_head("/**")).removesuffix(_LAST_LINES)

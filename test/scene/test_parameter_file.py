@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from cloth_sim_ros.scene import parameter_file, ros_yaml
+from cloth_sim_ros.scene import parameter_file, ros_sections, ros_yaml
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
@@ -151,3 +152,20 @@ def test_a_device_that_never_ends_is_refused() -> None:
 def test_a_shipped_file_that_names_another_is_found_from_anywhere(tmp_path: Path) -> None:
     path = Path(__file__).parents[2] / "config" / "stack.yaml"
     assert Scene.from_file(path).files.keys() == {"stack.obj"}
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"rate": 60.0, "frame_id": "world"},
+        {"rate": 60.0, "air.drag": 0.0, "cloth.size": (1.0, 2.0), "note": "a long text " * 20},
+        {"air.drag": -0.0, "cloth.size": (1, 2), "last": True, "cloth.anchors": ()},
+    ],
+)
+def test_sections_laid_out_one_by_one_make_the_text_that_all_at_once_would(values: dict[str, Any]) -> None:
+    tree: dict[str, Any] = {}
+    for name, value in values.items():
+        section, _, last = name.rpartition(".")
+        (tree.setdefault(section, {}) if section else tree)[last] = list(value) if isinstance(value, tuple) else value
+    for node in ("/**", "/left/towel", "x" * 200):
+        assert parameter_file.dump(values, node=node) == ros_yaml.dump({node: {ros_sections.KEY: tree}})
