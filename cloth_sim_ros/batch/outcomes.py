@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.batch.user_code import Finished, in_words
+from cloth_sim_ros.batch.user_code import USER_ERRORS, Finished, in_words
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
@@ -95,7 +95,7 @@ class OutcomeWatch:
         for reference, function in functions.items():
             try:
                 answer = function(finished)
-            except Exception as error:  # Whatever a user's function raises.
+            except USER_ERRORS as error:
                 raise OutcomeError(f"outcome '{reference}' raised {in_words(error)}") from error
             answers = answer if isinstance(answer, Mapping) else {reference.rpartition(":")[2]: answer}
             for name, value in answers.items():

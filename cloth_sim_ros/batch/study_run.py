@@ -21,7 +21,7 @@ from cloth_sim_ros.batch.folder import StudyFolder, read_row
 from cloth_sim_ros.batch.outcomes import OutcomeError, OutcomeWatch
 from cloth_sim_ros.batch.recording import RunRecording
 from cloth_sim_ros.batch.study import POLICY, Study
-from cloth_sim_ros.batch.user_code import Observation, events_of, in_words, load
+from cloth_sim_ros.batch.user_code import USER_ERRORS, Observation, events_of, in_words, load
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
@@ -178,7 +178,7 @@ class Motion:
         try:
             policy = load(study.policy, "policy")
             policy = policy() if isinstance(policy, type) else policy
-        except Exception as error:  # Whatever a user's class raises.
+        except USER_ERRORS as error:
             raise RunError(f"policy '{study.policy.reference}' raised {in_words(error)}") from error
         told = {name.removeprefix(f"{POLICY}."): value for name, value in named.items()}
         rng = np.random.default_rng(study.seed_of(run))
@@ -215,7 +215,7 @@ class Motion:
         )
         try:
             events = list(events_of(policy(observation)))
-        except Exception as error:  # Whatever a user's policy raises.
+        except USER_ERRORS as error:
             raise RunError(f"policy '{reference}' raised {in_words(error)}") from error
         for index, event in enumerate(events):
             if not isinstance(event, _COMMANDS):

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.errors import StudyError
 
+#: What a user's code may raise. `sys.exit` would end a worker without a word, and the study would wait for another one.
+USER_ERRORS = (Exception, SystemExit)
+
 
 @attrs.frozen(kw_only=True)
 class Source:
@@ -98,7 +101,7 @@ def load(source: Source, what: str) -> Callable[..., Any]:
     place, _, name = source.reference.rpartition(":")
     try:
         module = _module(place, source.text) if source.text else importlib.import_module(place)
-    except Exception as error:  # Whatever a user's file raises.
+    except USER_ERRORS as error:
         raise StudyError(f"{what} '{source.reference}' can't be imported: {in_words(error)}") from error
     found = getattr(module, name, None)
     if not callable(found):

@@ -52,6 +52,12 @@ class Lift:
 def broken(seen):
     return 1 / 0
 
+def leaves(seen):
+    raise SystemExit(3)
+
+def ends(run):
+    raise SystemExit("enough")
+
 def spread(run):
     return {"spread": run.positions[:, 2].std(), "kept": len(run.times) == 30}
 """
@@ -218,6 +224,21 @@ def test_a_policy_that_raises_is_told_before_the_first_run(tmp_path: Path) -> No
         study_of(tmp_path, scripts=None, vary={}, policy="worse.py:f")
     with pytest.raises(StudyError, match="no function 'lift'; it has"):
         study_of(tmp_path, scripts=None, vary={}, policy="arm.py:lift")
+
+
+def test_code_that_asks_python_to_exit_fails_its_run_and_no_worker(tmp_path: Path) -> None:
+    (tmp_path / "arm.py").write_text(POLICY)
+    (tmp_path / "gone.py").write_text("import sys\nsys.exit(5)\n")
+    study = study_of(tmp_path, scripts=None, policy="arm.py:leaves", vary=None)
+    with pytest.raises(StudyError, match=r"no run begins: policy 'arm.py:leaves' raised SystemExit: 3 \(arm.py"):
+        draw(study, 1)
+    with pytest.raises(StudyError, match=r"policy 'gone.py:lift' can't be imported: SystemExit: 5 \(gone.py, line 2\)"):
+        study_of(tmp_path, scripts=None, policy="gone.py:lift", vary=None)
+    study = study_of(tmp_path, outcomes="arm.py:ends", runs=1)
+    place, samples = lay_down(tmp_path / "out", study)
+    row = perform(place, study, 0, samples[0])
+    assert (row["status"], row["frames"]) == ("failed", 30)
+    assert row["error"].startswith("outcome 'arm.py:ends' raised SystemExit: enough (arm.py")
 
 
 def test_too_many_runs_are_refused_with_what_they_would_take(tmp_path: Path) -> None:
