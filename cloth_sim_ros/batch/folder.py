@@ -26,6 +26,25 @@ from cloth_sim_ros.batch.study import Study
 #: Files of a folder: file systems slow down with many.
 _SHARD = 1000
 _HIDDEN = ".unfinished-"
+#: What to do about a file without which nothing can be gone on with.
+_BROKEN = "; nothing can be gone on with by it: put back the file as it was, or start in another folder"
+#: What a row has.
+_ROW = {
+    "run",
+    "status",
+    "error",
+    "seed",
+    "values",
+    "outcomes",
+    "digest",
+    "frames",
+    "flagged_frames",
+    "error_estimate",
+    "wall_time",
+    "cpu_time",
+    "session",
+    "bytes",
+}
 
 
 class StudyFolder:
@@ -87,7 +106,7 @@ class StudyFolder:
         Raises:
             StudyError: naming what differs.
         """
-        held, asked = json.loads(self.study_file.read_text()), json.loads(self.fingerprint(study))
+        held, asked = self._content(self.study_file, dict), json.loads(self.fingerprint(study))
         other = [name for name in asked if held.get(name) != asked[name]]
         if other:
             raise StudyError(
@@ -115,9 +134,16 @@ class StudyFolder:
             raise StudyError(f"{self.path} holds no readable study: {error}") from error
         return Study.from_json(text, files)
 
-    def samples(self) -> list[tuple[Any, ...]]:
-        """Each run's values, as they were drawn when the study began."""
-        drawn = json.loads((self.path / "samples.json").read_text())
+    def samples(self, study: Study) -> list[tuple[Any, ...]]:
+        """Each run's values, as they were drawn when the study began.
+
+        Raises:
+            StudyError: if they can't be read, or are not those of so many runs.
+        """
+        path = self.path / "samples.json"
+        drawn = self._content(path, list)
+        if len(drawn) != study.runs or any(not isinstance(v, list) or len(v) != len(study.factors) for v in drawn):
+            raise StudyError(f"{path} does not hold the values of {study.runs} runs{_BROKEN}")
         return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in drawn]
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -126,6 +152,16 @@ class StudyFolder:
             row = read_row(path)
             if row is not None:
                 yield row
+
+    def _content(self, path: Path, kind: type) -> Any:
+        """What one of the study's own files holds."""
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise StudyError(f"{path} can't be read: {error}{_BROKEN}") from error
+        if not isinstance(content, kind):
+            raise StudyError(f"{path} holds {str(content)[:40]!r}{_BROKEN}")
+        return content
 
     def workplace(self, run: int) -> Path:
         """Make a folder for one attempt at a run; nobody else writes into it."""
@@ -181,12 +217,12 @@ class StudyFolder:
 
 
 def read_row(path: Path) -> dict[str, Any] | None:
-    """A run's row; None where there is none."""
+    """A run's row; None where there is none, or not all of it."""
     try:
-        row = json.loads(path.read_text(encoding="utf-8"))
+        run, row = int(path.stem), json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return row if isinstance(row, dict) and "run" in row else None
+    return row if isinstance(row, dict) and row.keys() >= _ROW and row["run"] == run else None
 
 
 def _name_of(data: bytes) -> str:

@@ -80,7 +80,7 @@ def read(place: StudyFolder) -> pa.Table:
         if place.index.is_file():
             return pq.read_table(place.index)
     except (OSError, pa.ArrowInvalid) as error:
-        raise StudyError(f"cannot read {place.index}: {error}") from error
+        raise StudyError(f"cannot read {place.index}: {error} Remove it: the rows have all that it had") from error
     return table_of(place.rows())
 
 

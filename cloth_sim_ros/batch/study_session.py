@@ -60,7 +60,8 @@ def run_study(
     rows = _held(place, study, resume, retry_failed)
     count = workers or cores()
     if place.study_file.is_file():
-        samples, forecast = place.samples(), attempt(study, place.samples())
+        samples = place.samples(study)
+        forecast = attempt(study, samples)
     else:
         samples, forecast = draw(study, count)
         check_room(place.path, study, forecast)

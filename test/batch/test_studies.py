@@ -268,7 +268,7 @@ def test_a_study_reads_back_as_it_is(tmp_path: Path) -> None:
     study = study_of(tmp_path, vary={"cloth.size[0]": [0.8, 1.2], "material.density": {"uniform": [0.1, 0.3]}})
     place, samples = lay_down(tmp_path / "out", study)
     assert place.read() == study
-    assert place.samples() == samples
+    assert place.samples(study) == samples
     place.check_same(place.read())
 
 
