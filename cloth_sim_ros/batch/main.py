@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -68,7 +69,7 @@ def _run_parser() -> argparse.ArgumentParser:
     where.add_argument("--workers", type=_positive, metavar="N", help="worker processes here (default: one a core)")
     parser.add_argument(
         "--wait",
-        type=float,
+        type=_seconds,
         default=300.0,
         metavar="SECONDS",
         help="how long a scheduler that is gone is waited for (default: %(default)g)",
@@ -179,9 +180,22 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _positive(text: str) -> int:
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is below 1")
+    return value
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds") from None
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{value} s can't be waited; give 0 or more")
     return value
 
 

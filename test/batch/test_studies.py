@@ -339,6 +339,24 @@ def test_the_command_runs_a_study_and_goes_on_with_one(tmp_path: Path, capsys) -
     assert "did you mean 'mean_height'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--wait", "nan", "argument --wait: nan s can't be waited; give 0 or more"),
+        ("--wait", "-1", "-1.0 s can't be waited"),
+        ("--wait", "inf", "inf s can't be waited"),
+        ("--wait", "soon", "'soon' is no number of seconds"),
+        ("--workers", "0", "0 is below 1"),
+        ("--workers", "two", "argument --workers: 'two' is no whole number"),
+    ],
+)
+def test_a_senseless_option_is_told(tmp_path: Path, capsys, option: str, value: str, words: str) -> None:
+    with pytest.raises(SystemExit) as left:
+        main([str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out"), option, value])
+    assert left.value.code == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+
+
 def test_a_second_client_is_refused(tmp_path: Path) -> None:
     place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
     with place.held(), pytest.raises(StudyError, match="another cloth_batch"), StudyFolder(place.path).held():
