@@ -52,6 +52,8 @@ class Recording:
     #: Whether matched clouds may lie off by one vector, the same for all: how a camera was calibrated, and where in the
     #: gripper the cloth was held, is known to millimetres at best.
     shifted: bool = False
+    #: What could not be read of it, in a sentence; empty where nothing is missing.
+    lost: str = ""
 
     def part(self, *, until: float | None = None, every: int = 1) -> Recording:
         """Return the recording up to a time [s], with every so many-th cloud."""
@@ -110,6 +112,7 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
                 frames.append(len(events))
                 seconds.append((begin - state.frame) * scene.period)
                 clouds.append(np.array(decode_cloud(message.data).xyz, dtype=np.float64))
+        lost = reader.missing or ""
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
@@ -119,6 +122,7 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
         seconds=np.array(seconds),
         clouds=tuple(clouds),
         matched=matched,
+        lost=lost,
     )
 
 
@@ -139,7 +143,10 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
     """
     scene, clouds = recording.scene, recording.clouds
     if not clouds:
-        raise FitError(f"{recording.name} holds no cloud of the cloth in the time asked for: there is nothing to fit")
+        damage = f" ({recording.lost})" if recording.lost else ""
+        raise FitError(
+            f"{recording.name} holds no cloud of the cloth in the time asked for: there is nothing to fit{damage}"
+        )
     count = len(scene.initial_positions())
     if recording.matched:
         for k, cloud in enumerate(clouds):

@@ -21,6 +21,8 @@ def _head(fit: Fit) -> Iterator[str]:
     lost = "" if fit.missing is None else f", {100 * fit.missing:.0f} % of the particles not seen"
     used = f"{fit.clouds} of {counted(fit.all_clouds, 'cloud')}" if fit.reason else counted(fit.clouds, "cloud")
     yield f"{fit.name}: {used} up to {fit.until:.2f} s{lost}; {fit.runs} simulations."
+    if fit.recording.lost:
+        yield f"Not all of the recording could be read: {fit.recording.lost}."
     said = "given" if fit.sigma_given else "from the residuals"
     yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({said}); residuals: {1e3 * fit.rms:.3g} mm."
     if fit.shift is not None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 
@@ -237,6 +238,26 @@ def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, noisy: Path, b
         read_bag([cut], scene_of())
     assert fit_main.main([str(bag), "--parameters", "stretch"]) == fit_main.REFUSED
     assert fit_main.main([str(tmp_path / "lost.mcap"), "--parameters", "stretch"]) == fit_main.REFUSED
+
+
+def test_a_damaged_session_is_named_as_one(
+    noisy: Path, fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, hurt = noisy.read_bytes(), tmp_path / "hurt.mcap"
+    assert read_session([noisy]).lost == ""
+    assert "could be read" not in describe(fitted)
+    hurt.write_bytes(whole[: len(whole) // 2])
+    assert fit_main.main([str(hurt), "--parameters", "stretch"]) == fit_main.REFUSED
+    assert "nothing to fit (hurt.mcap: the recording was cut off" in capsys.readouterr().err
+    hurt.write_bytes(whole[: len(whole) // 2] + bytes([whole[len(whole) // 2] ^ 255]) + whole[len(whole) // 2 + 1 :])
+    assert fit_main.main([str(hurt), "--parameters", "stretch"]) == fit_main.REFUSED
+    assert "fails its checksum" in capsys.readouterr().err
+    hurt.write_bytes(whole[:-20])
+    recording = read_session([hurt])
+    assert len(recording.clouds) == len(fitted.recording.clouds)
+    told = describe(attrs.evolve(fitted, recording=recording))
+    assert f"Not all of the recording could be read: {recording.lost}." in told
+    assert recording.lost.startswith("hurt.mcap: ")
 
 
 def test_a_program_of_ones_own_may_fit_by_several_processes_without_a_guard(noisy: Path, tmp_path: Path) -> None:
