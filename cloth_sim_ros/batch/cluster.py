@@ -18,6 +18,8 @@ from cloth_sim_ros.batch.errors import StoppedError, StudyError
 if TYPE_CHECKING:
     from distributed import Client
 
+#: A terminal's Ctrl-C reaches workers as well. This process ends them; their own words would bury what it says.
+_UNINTERRUPTED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: A worker that was killed takes its task with it: so often, before Dask says that the task kills workers.
 _ALLOWED_FAILURES = 3
 
@@ -50,6 +52,7 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
             host="127.0.0.1",
             dashboard_address="127.0.0.1:8787",
             silence_logs=logging.CRITICAL,
+            preload=[*dask.config.get("distributed.worker.preload"), _UNINTERRUPTED],
         )
     try:
         say(f"{workers or cores()} workers on this machine; Dask's dashboard: {cluster.dashboard_link}")

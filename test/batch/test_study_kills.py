@@ -4,8 +4,13 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -59,3 +64,25 @@ def test_a_killed_workers_runs_are_done_again_with_the_same_digests(tmp_path: Pa
     assert killed
     assert [told[run]["digest"] for run in range(4)] == wanted
     assert [row["run"] for row in shot.rows()] == [0, 1, 2, 3]
+
+
+def test_ctrl_c_ends_a_study_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text("import time\n\ndef wait(seen):\n    time.sleep(0.02)\n")
+    study = {**STUDY, "scripts": [], "policy": "slow.py:wait", "duration": 0.5, "runs": 100, "clouds": False}
+    (tmp_path / "study.yaml").write_text(json.dumps(study))
+    command = [sys.executable, "-m", "cloth_sim_ros.batch.main", "study.yaml", "--out", "out", "--workers", "2"]
+    # A group of its own, to which a terminal would send the signal.
+    begun = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        end = time.monotonic() + 60.0
+        while not list(tmp_path.glob("out/rows/*/*.json")) and time.monotonic() < end:
+            time.sleep(0.1)
+        os.killpg(begun.pid, signal.SIGINT)
+        told = begun.communicate(timeout=60.0)[1]
+    finally:
+        begun.kill()
+    assert begun.returncode == 130
+    assert "Traceback" not in told
+    assert told.splitlines()[-1] == "cloth_batch: interrupted; finished runs are kept, --resume goes on"
+    assert not list(tmp_path.rglob(".unfinished*"))
+    assert (tmp_path / "out" / "index.parquet").is_file()
