@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import statistics
 import sys
 import time
@@ -40,9 +41,15 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parser().parse_args(arguments)
     try:
-        return check(options.check, node=options.node)
+        status = check(options.check, node=options.node)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever reads the output (head, less) has had enough; what is still held goes nowhere as Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         return 130
+    return status
 
 
 def check(path: str, *, node: str) -> int:

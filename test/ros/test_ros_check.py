@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -73,6 +74,25 @@ def test_it_needs_no_ros(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "a grid of 5 x 5: 25 particles" in done.stdout
+
+
+def test_a_reader_that_has_had_enough_is_no_failure(tmp_path: Path) -> None:
+    path = written(tmp_path, {"cloth.resolution": [5, 5]})
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-c", WITHOUT_ROS, "--check", path]
+    try:
+        for unbuffered in ("", "1"):
+            done = subprocess.run(
+                command,
+                stdout=writing,
+                stderr=subprocess.PIPE,
+                check=False,
+                env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            )
+            assert (done.returncode, done.stderr) == (0, b"")
+    finally:
+        os.close(writing)
 
 
 def test_another_nodes_parameters_are_read_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
