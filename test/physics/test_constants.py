@@ -22,8 +22,9 @@ REASONS = {
         3.0: "order of a single run's error in a frame: h^3 x'''",
         4.0: "roundings; frames without a judgement where the error is far below, as the table says of `wait`",
         1e3: "a prediction that is off by more leads to a judgement whatever the margin",
+        1e-6: "two lengths of frames that differ by rounding",
     },
-    "explicit.py": {1e-6: "two lengths of frames that differ by rounding", 64.0: "a cap divided by 2^64 is none"},
+    "explicit.py": {64.0: "a cap divided by 2^64 is none"},
     "fallback.py": {
         1e-9: "nanoseconds",
         4e3: "four calls, in nanoseconds by microseconds",

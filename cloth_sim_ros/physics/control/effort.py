@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.fallback import FINISHED, within_reach
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.touch import TouchRule
+from cloth_sim_ros.physics.integrators.columns import Ran
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Stability
 from cloth_sim_ros.physics.state import State
@@ -49,6 +50,8 @@ class Effort:
     narrow: bool = False
     #: Whether what was left over finishes the advance.
     finishing: bool = False
+    #: A run that is there from the start.
+    ran: Ran | None = None
 
     def affords(self, work: float) -> bool:
         """Whether so many force evaluations more fit the cap."""

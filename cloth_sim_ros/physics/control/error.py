@@ -96,11 +96,7 @@ class ErrorRule:
             # Where combinations part more, they gain less on one another: at a kink of a force nothing.
             parted = max(1.0, difference / memory.difference) if memory.difference else float("inf")
             return min(1.0, memory.margin * memory.ratio * parted) * difference
-        livelier = max(1.0, activity / memory.activity) if memory.activity else float("inf")
-        if livelier > CONSTANTS.trust:
-            # Another motion than the one that was judged, as where a particle hits something.
-            return float("inf")
-        return memory.margin * memory.error * power(livelier, _LIVELIER)
+        return predicted_of_one(memory, activity)
 
     def choose(self, errors: Sequence[float], refine: float) -> tuple[int, float]:
         """Return the runs and the refinement that meet the budget with the fewest force evaluations.
@@ -160,3 +156,19 @@ class ErrorRule:
         memory = self.memory
         memory.refine = refine
         memory.wait = memory.interval = min(CONSTANTS.wait, 2.0 * memory.interval)
+
+
+def predicted_of_one(memory: Error, activity: float) -> float:
+    """Return the error [m] of a part of a single run that is not judged, by the largest change of a velocity over it
+    [m/s].
+    """
+    livelier = max(1.0, activity / memory.activity) if memory.activity else float("inf")
+    if livelier > CONSTANTS.trust:
+        # Another motion than the one that was judged, as where a particle hits something.
+        return float("inf")
+    return memory.margin * memory.error * power(livelier, _LIVELIER)
+
+
+def is_of(memory: Error, duration: float) -> bool:
+    """Whether what is remembered is of frames of a length [s]."""
+    return abs(memory.part - duration) <= 1e-6 * duration

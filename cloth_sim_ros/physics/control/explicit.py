@@ -10,20 +10,29 @@ import math
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control import calm
 from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.energy import EnergyRule
-from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.error import ErrorRule, is_of
 from cloth_sim_ros.physics.control.fallback import finish, part_cost, whole_work, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
 from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_boundless, refuse_unstable
-from cloth_sim_ros.physics.integrators.columns import SUMS
+from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
+
+
+def advance(options: Options, plan: Plan, state: State, t: float, duration: float, book: Book | None) -> Advance:
+    """Advance a state by one duration, see `ExplicitAdvance`."""
+    done = calm.attempt(options, plan, state, t, duration, book)
+    if isinstance(done, Advance):
+        return done
+    return ExplicitAdvance(options, plan, state, t, duration, book, done).run()
 
 
 class ExplicitAdvance:
@@ -36,10 +45,18 @@ class ExplicitAdvance:
         t: time at the start [s].
         duration: time to advance [s].
         book: notes the motion.
+        ran: a run that is there from the start.
     """
 
     def __init__(
-        self, options: Options, plan: Plan, state: State, t: float, duration: float, book: Book | None
+        self,
+        options: Options,
+        plan: Plan,
+        state: State,
+        t: float,
+        duration: float,
+        book: Book | None,
+        ran: Ran | None = None,
     ) -> None:
         self._options, self._plan, self._state, self._book = options, plan, state, book
         self._t, self._duration = t, duration
@@ -50,7 +67,7 @@ class ExplicitAdvance:
         #: Longest stable step, contact aside [s].
         self._bare = limit = options.step_limit(memory.omega2, memory.damping)
         error, precision, noise = Error.of(state), Precision.of(state), Noise.of(state)
-        if abs(error.part - duration) > 1e-6 * duration:
+        if not is_of(error, duration):
             # What was known is of frames of another length.
             error = Error(columns=error.columns, refine=error.refine, part=duration)
             precision, noise = Precision(), Noise()
@@ -80,6 +97,7 @@ class ExplicitAdvance:
             cap=math.inf,
             part_cost=part_cost(plan, met),
             touches=met > 0.0,
+            ran=ran,
         )
         rule = ErrorRule(error, stability, budget, options.columns, state)
         self._stability = stability

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from cloth_sim_ros.physics.book import Book
-from cloth_sim_ros.physics.control.explicit import ExplicitAdvance
+from cloth_sim_ros.physics.control import explicit
 from cloth_sim_ros.physics.control.stability import MOST_COLUMNS
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
@@ -70,4 +70,4 @@ class Extrapolated(Integrator):
         return leapfrog_limit(omega2, damping_rate)
 
     def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
-        return ExplicitAdvance(self, plan, state, t, duration, book).run()
+        return explicit.advance(self, plan, state, t, duration, book)

@@ -68,9 +68,8 @@ class Stretch:
         self.finest = math.inf
         #: Stretches that it was cut into.
         self.pieces = 1
-        self._rejected = 0
-        #: Whether it is halved next.
-        self._halve = False
+        #: Attempts that did not hold, and whether it is halved next.
+        self._rejected, self._halve = 0, False
         self._kept: Columns | None = None
         self._sums, self._counts_first, self._held = Sums(), 0, 0.0
 
@@ -251,6 +250,7 @@ class Stretch:
             narrow=effort.narrow,
             omega=self._slowest,
             touched=1.0 / effort.duration,
+            ran=effort.ran,
         )
         if part == 0:
             self._kept = columns

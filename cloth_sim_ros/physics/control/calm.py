@@ -1,0 +1,141 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An advance of the kind that most frames are: by one run, in one part, by the choice of the frame before, not judged,
+away from contact.
+
+It is the first attempt that `explicit` would make, without what only further ones need: for a small cloth that takes as
+long as a part of its steps. It decides nothing of its own. Where the attempt is not accepted nothing has changed, and
+`explicit` goes on from the run that is there.
+"""
+
+from __future__ import annotations
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
+from cloth_sim_ros.physics.control.error import is_of, predicted_of_one
+from cloth_sim_ros.physics.control.fallback import part_cost, whole_work, work_cap
+from cloth_sim_ros.physics.control.precision import PrecisionRule
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
+from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability
+from cloth_sim_ros.physics.state import State
+
+#: Rules that a calm advance does not ask, and that keep what they remember.
+_NOT_ASKED = (Precision.key, Energy.key)
+
+
+def attempt(
+    options: Options, plan: Plan, state: State, t: float, duration: float, book: Book | None
+) -> Advance | Ran | None:
+    """Advance a state that is calm.
+
+    Args:
+        options: what is asked for.
+        plan: equations of motion.
+        state: advanced in place where the attempt is accepted.
+        t: time at the start [s].
+        duration: time to advance [s].
+        book: notes the motion.
+
+    Returns:
+        What was done; or the run of an attempt that was not accepted; None where there was none.
+    """
+    if options.tolerance is None or plan.contact is not None or not _is_known(state):
+        return None
+    stability, error = Stability.of(state), Error.of(state)
+    if stability.omega2 < 0.0 or error.wait <= 0.0 or not is_of(error, duration):
+        return None
+    limit = options.step_limit(stability.omega2, stability.damping)
+    longest = min(CONSTANTS.safety * limit, duration)
+    columns = min(int(error.columns), options.columns)
+    if columns > 1 or not longest > 0.0 or steps_for(duration, CONSTANTS.part) > 1:
+        return None
+    refine = error.refine
+    steps = steps_for(duration, longest / max(refine, 1.0))
+    stability.longest = max(stability.longest, min(limit, duration))
+    if not _fits(options, plan, duration, limit, stability.longest, refine, steps):
+        return None
+    budget = CONSTANTS.share * duration * options.tolerance
+    choice, finest = Choice(1, refine, False), duration / steps
+    narrow = _narrows(plan, state, duration, budget, choice)
+    if book is not None:
+        book.restart()
+    made = plan.runs(
+        t,
+        duration,
+        (state.x, state.v),
+        (steps,),
+        weights=(1.0,),
+        narrow=narrow,
+        powers=book is not None and book.powers,
+        touches=book is not None and book.obstacle_count > 0,
+    )
+    runs, result = made
+    assert result is not None
+    x, v, told = result
+    here = predicted_of_one(error, told.activity) if told.finite else budget
+    met = options.step_limit(told.omega2, told.damping) or 0.5 * finest
+    if not told.finite or not here <= budget or not finest <= met:
+        return Ran(state.x, t, duration, steps, narrow, made)
+    stability.omega2, stability.damping = told.omega2, told.damping
+    error.wait = max(0.0, error.wait - 1.0)
+    if book is not None:
+        book.add_runs((1.0,), runs, duration)
+    state.x, state.v = x, v
+    stability.store(state)
+    error.store(state)
+    words = reason(options, choice, steps, finest)
+    return Advance(
+        steps,
+        steps + 1,
+        finest,
+        limit,
+        0,
+        options.name,
+        binds(options, choice, steps, finest),
+        here,
+        0,
+        f"{words}; in single precision" if narrow else words,
+    )
+
+
+def _is_known(state: State) -> bool:
+    """Whether the state has what each rule remembers, so that those that are not asked need not begin to; and explicit
+    steps held in the frame before.
+    """
+    memory = state.memory
+    for key in _NOT_ASKED:
+        stored = memory.get(key)
+        if stored is None or not stored.size:
+            return False
+    noise = memory.get(Noise.key)
+    return (noise is None or noise.size > 0) and (Fallback.key not in memory or Fallback.of(state).fallen == 0.0)
+
+
+def _fits(options: Options, plan: Plan, duration: float, limit: float, most: float, refine: float, steps: int) -> bool:
+    """Whether an attempt that is judged fits the frame's work: else there is something to decide.
+
+    Args:
+        options: what is asked for.
+        plan: equations of motion.
+        duration: of the advance [s].
+        limit: longest stable step [s].
+        most: the same since the last restart [s].
+        refine: steps relative to those that stability needs.
+        steps: of the attempt.
+    """
+    cap, _ = work_cap(plan, whole_work(plan, options.work, duration), duration, most, 0.0, limit=limit)
+    longest = min(CONSTANTS.safety * limit, duration)
+    work = steps * SUMS[2] + (2 + part_cost(plan))
+    return work <= cap and duration / limit <= cap and duration * refine <= cap / SUMS[2] * longest
+
+
+def _narrows(plan: Plan, state: State, duration: float, budget: float, choice: Choice) -> bool:
+    """Whether the run calculates in single precision."""
+    precision = Precision.of(state)
+    if precision.rounding < 0.0:
+        return False
+    return PrecisionRule(plan, precision, Noise.of(state), duration, budget).narrows(state, choice)

@@ -1,0 +1,68 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calm frames: the short way that most of them go gives the bits, the decisions and the counts of the long one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cloth_sim_ros.physics.control import calm
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.integrators.columns import Ran
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Pause, SetParameters, Step, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+
+_SCENES: dict[str, dict[str, Any]] = {
+    "tolerance 1 mm": {},
+    "tolerance 0.1 mm": {"tolerance": 1e-4},
+    "leapfrog": {"integrator": "leapfrog"},
+    "energy is watched": {"diagnostics.energy": True},
+    "single precision": {"tolerance": 5e-3, "material.damping": 0.3},
+    "little work": {"work_limit": 0.02},
+    "fixed step": {"step": 5e-4},
+}
+
+
+def _told(values: dict[str, Any], frames: int) -> list[Any]:
+    """What each frame of a carried corner came to."""
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (12, 12), "gripper.radius": 0.1, **values}))
+    x, y, z = simulation.positions[-1].tolist()
+    told = []
+    for k in range(frames):
+        events: list[Any] = [Target("gripper", (x - 0.004 * k, y + 0.002 * k, z + 0.003 * k))] if k < 60 else []
+        if k == 0:
+            events.append(Grasp("gripper", True))
+        if k == 70:
+            events.append(SetParameters({"air.drag": 0.6}))
+        if k in (80, 82):
+            events.append(Pause(k == 80))
+        if k == 81:
+            events.append(Step())
+        frame = simulation.advance(events)
+        told.append((simulation.state.digest(), frame.advance, frame.wrenches.tolist(), simulation.energy_report))
+    return told
+
+
+@pytest.mark.parametrize("name", _SCENES)
+def test_the_short_way_gives_what_the_long_one_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = _told(_SCENES[name], 120)
+    monkeypatch.setattr(calm, "attempt", lambda *_: None)
+    assert _told(_SCENES[name], 120) == short
+
+
+def test_most_frames_go_the_short_way_and_the_run_of_one_that_does_not_is_taken_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    attempt, came = calm.attempt, []
+
+    def watched(*asked: Any) -> Any:
+        came.append(attempt(*asked))
+        return came[-1]
+
+    monkeypatch.setattr(calm, "attempt", watched)
+    _told({}, 120)
+    assert sum(isinstance(each, Advance) for each in came) > 60
+    assert any(isinstance(each, Ran) for each in came)
