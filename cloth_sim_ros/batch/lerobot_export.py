@@ -123,6 +123,11 @@ class _Dataset:
 
     def add(self, run: Trajectory) -> None:
         """Write a run as the next episode."""
+        if run.rate != self._fps:
+            raise StudyError(
+                f"rate of run {run.run} is {run.rate} Hz, of the first one {self._fps}; a dataset has one for all "
+                "episodes: leave rate out of what varies, or export with --mcap"
+            )
         if features_of(run) != self._features:
             raise StudyError(
                 f"run {run.run} has other grippers, obstacles or particles than the first one; LeRobot has one layout "

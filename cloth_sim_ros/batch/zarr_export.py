@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.folder import StudyFolder
 from cloth_sim_ros.batch.trajectories import Trajectory
 
@@ -34,12 +36,28 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
         runs: the runs.
         count: how many there are.
         place: of the study.
+
+    Raises:
+        StudyError: if the runs differ in rate, grippers or obstacles.
     """
     import zarr
 
     group = zarr.open_group(str(path), mode="w-", zarr_format=3)
-    frames, sizes, numbers, arrays = [], [], [], dict[str, Any]()
-    for k, run in enumerate(runs):
+    frames, sizes, numbers, arrays = list[int](), list[int](), list[int](), dict[str, Any]()
+    triangles = list[NDArray[np.int32]]()
+    kept: dict[bytes, NDArray[np.int32]] = {}
+    names: dict[str, Any] = {}
+    for run in runs:
+        own = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
+        names = names or own
+        for name, value in own.items():
+            if value != names[name]:
+                raise StudyError(
+                    f"{name} of run {run.run} is {value}, of the first one {names[name]}; a dataset has one for all "
+                    f"runs: leave {name} out of what varies, or export with --mcap"
+                )
+        k = len(numbers)
+        triangles.append(kept.setdefault(run.triangles.tobytes(), run.triangles))
         numbers.append(run.run)
         frames.append(len(run.actions))
         sizes.append(run.positions.shape[1])
@@ -53,9 +71,7 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
             if any(have < want for have, want in zip(array.shape[1:], values.shape, strict=True)):
                 array.resize((count, *np.maximum(array.shape[1:], values.shape).tolist()))
             array[(k, *(slice(0, size) for size in values.shape))] = values
-        if k == 0:
-            names: dict[str, Any] = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
-            group.create_array("triangles", data=run.triangles)
+    group.create_array("triangles", data=_common(triangles))
     for name, values in (("run", numbers), ("frame_count", frames), ("particle_count", sizes)):
         group.create_array(name, data=np.array(values, dtype=np.int64))
     group.attrs.update(
@@ -67,6 +83,16 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
             **names,
         }
     )
+
+
+def _common(triangles: list[NDArray[np.int32]]) -> NDArray[np.int32]:
+    """The triangles of all runs, shape (m, 3); where runs differ those of each, (runs, m, 3), filled up with -1."""
+    if all(other is triangles[0] for other in triangles):
+        return triangles[0]
+    found = np.full((len(triangles), max(map(len, triangles)), 3), -1, dtype=np.int32)
+    for k, own in enumerate(triangles):
+        found[k, : len(own)] = own
+    return found
 
 
 def _create(group: Any, name: str, unit: str, axes: tuple[str, ...], shape: tuple[int, ...]) -> Any:

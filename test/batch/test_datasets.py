@@ -188,6 +188,51 @@ def test_sessions_without_clouds_come_out_with_them_on_demand(folder: StudyFolde
     assert verdict.clouds == verdict.frames == 15
 
 
+def performed(folder: Path, **vary) -> StudyFolder:
+    """A study of hanging cloths, each run of it done."""
+    entries = {"scene": "cloth_sim.yaml", "scripts": "grasp.yaml", "duration": 0.1, "sampling": "grid", "vary": vary}
+    parameters = {
+        "cloth.resolution": [4, 4],
+        "tolerance": 1e-3,
+        "ball.shape": "box",
+        "ball.position": [0.0, 1.0, 0.2],
+    }
+    study = study_file.from_dict({**entries, "parameters": parameters}, folder=folder)
+    place, (samples, _) = StudyFolder(folder / "out"), draw(study, 1)
+    place.create(study, samples, "")
+    for run, values in enumerate(samples):
+        assert perform(place, study, run, values)["status"] == "ok"
+    return place
+
+
+def test_zarr_holds_the_triangles_of_each_cloth_where_they_differ(tmp_path: Path) -> None:
+    import zarr
+
+    place, out = performed(tmp_path, **{"cloth.resolution[0]": [4, 5]}), tmp_path / "set.zarr"
+    assert main(["export", str(place.path), "--zarr", str(out)]) == 0
+    group = zarr.open_group(str(out), mode="r")
+    triangles = group["triangles"][:]
+    assert triangles.shape == (2, 24, 3)
+    assert (triangles[0, 18:] == -1).all()
+    assert (triangles[0, :18].max(), triangles[1].max()) == (15, 19)
+    assert group["particle_count"][:].tolist() == [16, 20]
+
+
+@pytest.mark.parametrize("kind", ["--zarr", "--lerobot"])
+def test_runs_at_several_rates_are_no_dataset(tmp_path: Path, capsys, kind: str) -> None:
+    place, out = performed(tmp_path, rate=[60.0, 120.0]), tmp_path / "set"
+    assert main(["export", str(place.path), kind, str(out)]) == 2
+    assert "rate of run 1 is 120.0" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["export", str(place.path), "--mcap", str(out)]) == 0
+
+
+def test_runs_of_other_obstacles_are_no_zarr_dataset(tmp_path: Path, capsys) -> None:
+    place = performed(tmp_path, obstacles=[[""], ["ball"]])
+    assert main(["export", str(place.path), "--zarr", str(tmp_path / "set")]) == 2
+    assert "obstacles of run 1 is ['ball'], of the first one []" in capsys.readouterr().err
+
+
 def test_statistics_of_all_episodes_are_those_of_their_rows() -> None:
     generator = np.random.default_rng(0)
     parts = [generator.normal(size=(n, 3)) + n for n in (5, 11)]
