@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,16 +23,27 @@ def normalised(orientation: ArrayLike) -> Array:
         ValueError: if it is not finite or has no length.
     """
     q = np.asarray(orientation, dtype=np.float64)
+    if q.shape != (4,):
+        raise _no_quaternion(q.tolist())
+    return np.array(unit(q.tolist()))
+
+
+def unit(orientation: Sequence[float]) -> tuple[float, float, float, float]:
+    """Return the same of numbers, as numbers: without an array in between it takes a fifth of the time."""
     length = 0.0
-    if q.shape == (4,):
-        x, y, z, w = q.tolist()
+    if len(orientation) == 4:
+        x, y, z, w = orientation
         length = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(length) or length < 1e-6:
-        raise ValueError(
-            f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; "
-            "no turn is 0, 0, 0, 1"
-        )
-    return q / length
+        raise _no_quaternion(orientation)
+    return x / length, y / length, z / length, w / length
+
+
+def _no_quaternion(orientation: Any) -> ValueError:
+    return ValueError(
+        f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; "
+        "no turn is 0, 0, 0, 1"
+    )
 
 
 def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:

@@ -11,7 +11,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.gripper_path import normalised, unit
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
@@ -75,7 +75,7 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
         raise EventError(f"target of '{name}' is {list(position)} m; no coordinate may be beyond {REACH:g} m")
     if orientation is not None:
         try:
-            normalised(orientation)
+            unit(orientation)
         except ValueError as error:
             raise EventError(f"target of '{name}': {error}") from error
 

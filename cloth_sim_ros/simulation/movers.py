@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import Planner, normalised, rotation_vector, turned_by
+from cloth_sim_ros.physics.gripper_path import Planner, rotation_vector, turned_by, unit
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Vector
 
@@ -94,9 +94,10 @@ class Movers:
     def aim(self, index: int, position: Vector, orientation: Vector | None) -> Array:
         """Take note of a target [m], without an orientation the one before, and return its pose, shape (7,)."""
         target = renewed(self._state, self._names[3])
-        target[index, :3] = position
-        if orientation is not None:
-            target[index, 3:] = normalised(orientation)
+        if orientation is None:
+            target[index, :3] = position
+        else:
+            target[index] = (*position, *unit(orientation))
         pose: Array = target[index]
         return pose
 
