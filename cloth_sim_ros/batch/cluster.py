@@ -40,7 +40,7 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
     settings = {
         "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
         "distributed.worker.profile.enabled": False,
-        # What a worker measures of itself for the dashboard interrupts as well, fifty times a second where left as it is.
+        # What a worker measures of itself for the dashboard interrupts too, fifty times a second where left as it is.
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "2s",
     }
