@@ -42,20 +42,25 @@ public:
     /// Speed [m/s] from which on the coefficient is that in motion.
     static constexpr double moving = 0.02;
 
-    /// The part of a way and of a velocity along the surface, how far the anchor's spring is stretched once it is back within
-    /// the cone, and whether the anchor had to be dragged for it.
+    /// The part of a velocity along the surface, how far the anchor's spring is stretched once it is back within the cone,
+    /// the square of how far it was stretched before, and its root where the anchor had to be dragged for it.
     template <class M>
     struct Trial {
         Vec3<V> speed, stretch;
-        V way, most;
+        V square, way, most;
         M slides;
     };
     CLOTH_INLINE auto tried(Vec3<V> way, Vec3<V> normal, Vec3<V> slip, V push) const {
         const Vec3<V> along = way - dot(way, normal) * normal, speed = slip - dot(slip, normal) * normal;
-        const V length = root(norm2(along)), pull = stiffness_ * length, most = coefficient(norm2(speed)) * push;
-        const auto slides = pull > most;
-        const V share = select(slides, most / select(slides, pull, of(1.0)), of(1.0));
-        return Trial<std::remove_const_t<decltype(slides)>>{speed, share * along, length, most, slides};
+        const V square = norm2(along), most = coefficient(norm2(speed)) * push;
+        // Most contacts stick: roots and divisions are for those that slide.
+        const auto slides = stiffness_ * stiffness_ * square > most * most;
+        V length = of(0.0), share = of(1.0);
+        if (any(slides)) {
+            length = root(square);
+            share = select(slides, most / select(slides, stiffness_ * length, of(1.0)), of(1.0));
+        }
+        return Trial<std::remove_const_t<decltype(slides)>>{speed, share * along, square, length, most, slides};
     }
 
     /// At a way from the anchor to the particle, a normal, a velocity seen from the obstacle, and a push across the surface.
@@ -67,17 +72,22 @@ public:
         const auto slides = trial.slides;
         const V most = trial.most;
         const Vec3<V> speed = trial.speed, spring = stiffness_ * trial.stretch, damped = damping_ * speed;
-        // Of damping as much as the cone has room for: |spring + part damped| = most, solved without cancellation.
+        // Of damping as much as the cone has room for: |spring + part damped| = most, solved without cancellation, where all
+        // of it has none.
         const V room = larger(fma(most, most, -norm2(spring)), none), square = norm2(damped), with = dot(spring, damped);
-        const V size = root(fma(with, with, square * room));
-        const auto against = with < none;
-        const V under = select(against, square, size + with), over = select(against, size - with, room);
-        const auto some = under > none;
-        const V part = smaller(select(some, over / select(some, under, one), none), one);
+        const auto beyond = fma(of(2.0), with, square) > room;
+        V part = one;
+        if (any(beyond)) {
+            const V size = root(fma(with, with, square * room));
+            const auto against = with < none;
+            const V under = select(against, square, size + with), over = select(against, size - with, room);
+            const auto some = under > none;
+            const V solved = smaller(select(some, over / select(some, under, one), none), one);
+            part = select(beyond, solved, one);
+        }
         const Vec3<V> push_ = -(spring + part * damped);
         const V held = select(slides, none, dot(spring, speed));
-        const V length = trial.way;
-        const V energy = select(slides, most * (length - half * most / stiffness_), half * stiffness_ * length * length);
+        const V energy = select(slides, most * (trial.way - half * most / stiffness_), half * stiffness_ * trial.square);
         using Mask = std::remove_const_t<decltype(slides)>;
         return Rubbing<V, Mask>{push_, trial.stretch, slides, -dot(push_, speed) - held, energy};
     }

@@ -14,7 +14,7 @@ namespace cloth {
 enum class Shape : int { plane, box, sphere, capsule, cylinder, mesh };
 
 /// Distance from the surface, negative inside, and the unit vector in which it grows. Inside a shape with corners, which no
-/// cloth ever gets to, the vector is not a number.
+/// cloth ever gets to, the vector is none: zero in a box, not a number in a cylinder.
 template <class V>
 struct Near {
     V gap;
@@ -44,11 +44,19 @@ CLOTH_INLINE Near<V> near(const Vec3<V>& p, const Vec3<V>& size) {
         return {away - size.x, (one / away) * q};
     } else if constexpr (S == Shape::box) {
         const Vec3<V> q{absolute(p.x) - half * size.x, absolute(p.y) - half * size.y, absolute(p.z) - half * size.z};
+        const V most = larger(larger(q.x, q.y), q.z);
+        // Beside a face the way off is along an axis, and takes neither root nor division.
+        const auto beside = [&](V a, V along) CLOTH_INLINED { return with_sign_of(select(a > none, one, none), along); };
+        Near<V> n{most, {beside(q.x, p.x), beside(q.y, p.y), beside(q.z, p.z)}};
+        const auto corner = larger(smaller(q.x, q.y), smaller(larger(q.x, q.y), q.z)) > none;
+        if (!any(corner)) return n;
         const Vec3<V> out{larger(q.x, none), larger(q.y, none), larger(q.z, none)};
         const V away = root(norm2(out)), inverse = one / away;
-        const V inside = smaller(larger(larger(q.x, q.y), q.z), none);
-        return {away + inside, inverse * Vec3<V>{with_sign_of(out.x, p.x), with_sign_of(out.y, p.y),
-                                                  with_sign_of(out.z, p.z)}};
+        const auto off = [&](V a, V along, V otherwise) CLOTH_INLINED {
+            return select(corner, inverse * with_sign_of(a, along), otherwise);
+        };
+        return {select(corner, away, n.gap),
+                {off(out.x, p.x, n.normal.x), off(out.y, p.y, n.normal.y), off(out.z, p.z, n.normal.z)}};
     } else {
         const V across = root(fma(p.y, p.y, p.x * p.x));
         const V over = across - size.x, above = absolute(p.z) - half * size.y;

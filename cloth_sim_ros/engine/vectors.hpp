@@ -165,6 +165,23 @@ template <class M, class V>
 CLOTH_INLINE V select(M yes, V a, V b) {
     return yes ? a : b;
 }
+/// Whether a mask, or a bool, is set in any lane.
+CLOTH_INLINE bool any(bool yes) { return yes; }
+template <class M>
+    requires(sizeof(M) >= 16)
+CLOTH_INLINE bool any(M yes) {
+    [[maybe_unused]] constexpr bool wide = sizeof(scalar<M>) == 8;
+#if defined(__AVX512F__)
+    if constexpr (sizeof(M) == 64 && wide) return _mm512_movepi64_mask(__m512i(yes)) != 0;
+    if constexpr (sizeof(M) == 64 && !wide) return _mm512_movepi32_mask(__m512i(yes)) != 0;
+#endif
+#if defined(__AVX2__)
+    if constexpr (sizeof(M) == 32) return _mm256_movemask_epi8(__m256i(yes)) != 0;
+#endif
+    bool r = false;
+    for (std::size_t k = 0; k < sizeof(M) / sizeof(scalar<M>); ++k) r = r || yes[k] != 0;
+    return r;
+}
 template <class V>
 CLOTH_INLINE V absolute(V a) {
     return select(a < V{}, -a, a);
