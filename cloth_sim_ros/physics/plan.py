@@ -289,7 +289,7 @@ class Plan:
 
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return what contact may add to `rates` from time t on, within a duration [s]."""
-        return (0.0, 0.0) if self.contact is None else self.contact.ahead(t, duration, x, v)
+        return (0.0, 0.0) if self.contact is None else self.contact.ahead(t, duration, x, v)[:2]
 
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x.

@@ -76,6 +76,15 @@ class Run(NamedTuple):
         return float(self.notes[self._size + 3]), float(self.notes[self._size + 4])
 
     @property
+    def met(self) -> tuple[float, float, tuple[float, float]]:
+        """`reached`, `gap` and `own`, read at once."""
+        size = self._size
+        if len(self.notes) == size:
+            return 0.0, math.inf, (0.0, 0.0)
+        reached, gap, _, omega2, damping = self.notes[size : size + 5].tolist()
+        return reached, gap, (omega2, damping)
+
+    @property
     def rubbed(self) -> float:
         """What friction between layers took [J]; with `powers` alone."""
         return float(self.notes[self._size + 5]) if self._touches else 0.0

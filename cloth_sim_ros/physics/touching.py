@@ -217,14 +217,15 @@ class Touching:
         if self.force.anchored and self._taken is not None:
             state.memory[ANCHORS] = self.settle(t, state.x, state.v, self._taken[None], [1.0])
 
-    def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
+    def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
         """Return squared frequency [1/s^2] and damping rate [1/s] that contact may come to within a duration [s]: where
-        it has taken up the energy of what is in contact, and of what comes into contact by then.
+        it has taken up the energy of what is in contact, and of what comes into contact by then. And the operations
+        that it adds to a force evaluation: of what is in reach.
 
         Raises:
             ValueError: where a particle is inside an obstacle, naming it.
         """
-        energy = self.energy_ahead(t, duration, x, v)
+        energy, near, rough = self._looked_at(t, duration, x, v)
         if not math.isfinite(energy):
             for obstacle, (_, gap) in zip(self.force.obstacles, self.gaps(t, x).tolist(), strict=True):
                 if gap <= 0.0:
@@ -237,7 +238,7 @@ class Touching:
         own = self._own_ahead(t, duration, x, v)
         if not math.isfinite(own[0]):
             self.check_clear(t, x)
-        return omega2 + own[0], damping + own[1]
+        return omega2 + own[0], damping + own[1], NEAR * near + RUBBED * rough + PAIR * own[2]
 
     def own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return what contact of the cloth's triangles and edges, with itself and with obstacles, may come to within a
@@ -248,7 +249,7 @@ class Touching:
     def work(self, t: float, duration: float, state: State) -> float:
         """Return the operations that contact adds to a force evaluation: of what a state at time t [s] has in reach."""
         self.lay_pads(state.memory.get(PINCHED))
-        _, near, rough = self._looked_at(t, duration, state.x, state.v).tolist()
+        _, near, rough = self._looked_at(t, duration, state.x, state.v)
         return NEAR * near + RUBBED * rough + PAIR * self._own_ahead(t, duration, state.x, state.v)[2]
 
     def _own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
@@ -281,20 +282,22 @@ class Touching:
         """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite where a
         particle is inside an obstacle.
         """
-        return float(self._looked_at(t, duration, x, v)[0])
+        return self._looked_at(t, duration, x, v)[0]
 
-    def _looked_at(self, t: float, duration: float, x: Array, v: Array) -> Array:
+    def _looked_at(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
         """Return the same, and how often particles come into question: for any obstacle, for those with friction."""
-        out = np.zeros(3)
-        if self.count:
-            self.sync()
-            addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-            check(self._library.cloth_contact_ahead(self._handle, t, duration, *addresses))
-        return out
+        if not self.count:
+            return 0.0, 0.0, 0.0
+        self.sync()
+        out = np.empty(3)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_contact_ahead(self._handle, t, duration, *addresses))
+        energy, near, rough = out.tolist()
+        return energy, near, rough
 
     def limits(self, energy: float) -> tuple[float, float]:
         """Return squared frequency and damping rate of contact that has taken up an energy per mass, in U^2/2."""
-        if not self.count:
+        if not self.count or (energy == 0.0 and not self.force.pads):
             return 0.0, 0.0
         out = np.empty(2)
         check(self._library.cloth_contact_limits(self._handle, energy, address(out)))

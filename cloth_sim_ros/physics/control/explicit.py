@@ -83,7 +83,8 @@ class ExplicitAdvance:
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), duration))
         self._fallen = Fallback.of(state).fallen
-        met = plan.contact_cost(t, duration, state)
+        touch = TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory)
+        met = touch.look_ahead(t, duration, state)
         self._effort = Effort(
             options=options,
             plan=plan,
@@ -92,7 +93,7 @@ class ExplicitAdvance:
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state), settled),
             precision=PrecisionRule(plan, precision, noise, duration, budget),
-            touch=TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory),
+            touch=touch,
             duration=duration,
             cap=math.inf,
             part_cost=part_cost(plan, met),

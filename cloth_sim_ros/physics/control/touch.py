@@ -26,19 +26,37 @@ class TouchRule:
         self._options, self._plan, self._memory, self._stability = options, plan, memory, stability
         #: Largest energy that contact held in the advance, see `Touch`.
         self.held = 0.0
+        #: What was seen ahead of the whole advance, until it is used: time, duration [s], squared frequency, damping.
+        self._seen: tuple[float, float, float, float] | None = None
 
     @property
     def bare(self) -> float:
         """Step limit [s] of the sheet as it was last, without contact."""
         return self._options.step_limit(self._stability.omega2, self._stability.damping)
 
+    def look_ahead(self, t: float, duration: float, state: State) -> float:
+        """Look at what contact may come to in the whole advance; return the estimated time [ns] that what may meet adds
+        to an evaluation. The step limit ahead from there is told without a second look.
+        """
+        if (contact := self._plan.contact) is None:
+            return 0.0
+        contact.lay_pads(state.memory.get(PINCHED))
+        omega2, damping, work = contact.ahead(t, duration, state.x, state.v)
+        self._seen = t, duration, omega2, damping
+        return CONSTANTS.operation * work
+
     def limit_ahead(self, t: float, duration: float, state: State) -> float:
         """Return the step limit [s] for a duration [s] from a state at time t on."""
-        contact, known = self._plan.contact, self._stability
-        if contact is None:
+        known, seen = self._stability, self._seen
+        if self._plan.contact is None:
             return self.bare
-        contact.lay_pads(state.memory.get(PINCHED))
-        omega2, damping = contact.ahead(t, duration, state.x, state.v)
+        if seen is None or seen[:2] != (t, duration):
+            self.look_ahead(t, duration, state)
+            seen = self._seen
+        assert seen is not None
+        # Later stretches of the same time and length begin elsewhere.
+        self._seen = None
+        omega2, damping = seen[2:]
         return self._options.step_limit(known.omega2 + omega2, known.damping + damping)
 
     def limit(

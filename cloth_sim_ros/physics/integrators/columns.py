@@ -122,6 +122,7 @@ class Columns:
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
         self._told: dict[int, Told] = {}
+        self._met: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
     def combine(self, columns: int) -> tuple[Array, Array]:
         """Return positions and velocities of T_K, K = columns."""
@@ -189,27 +190,29 @@ class Columns:
         """Return the energy per mass that contact had to take up in the runs of T_K, or would have had to, had they
         gone on as they came in; in U^2/2.
         """
-        if self._plan.contact is None:
-            return 0.0
-        self._make(columns)
-        return max(run.reached for run in self._runs[:columns])
+        return self._touched_in(columns)[0]
 
     def own(self, columns: int) -> tuple[float, float]:
         """Return squared frequency [1/s^2] and damping rate [1/s] at which the cloth's contact with itself had to be
         followed in the runs of T_K, K = columns.
         """
-        if self._plan.contact is None:
-            return 0.0, 0.0
-        self._make(columns)
-        return larger_rates(*(run.own for run in self._runs[:columns]))
+        return self._touched_in(columns)[2]
 
     def held(self, columns: int) -> float:
         """Return the largest energy per mass that contact held in the runs of T_K, K = columns, in U^2/2."""
         contact = self._plan.contact
-        if contact is None:
-            return 0.0
-        self._make(columns)
-        return contact.held(min(run.gap for run in self._runs[:columns]))
+        return 0.0 if contact is None else contact.held(self._touched_in(columns)[1])
+
+    def _touched_in(self, columns: int) -> tuple[float, float, tuple[float, float]]:
+        """Return what the runs of T_K met, see `Run.met`: asked for again and again, and read once."""
+        if self._plan.contact is None:
+            return 0.0, math.inf, (0.0, 0.0)
+        met = self._met.get(columns)
+        if met is None:
+            self._make(columns)
+            reached, gaps, own = zip(*(run.met for run in self._runs[:columns]), strict=True)
+            met = self._met[columns] = max(reached), min(gaps), larger_rates(*own)
+        return met
 
     def pass_on(self, columns: int, state: State) -> None:
         """Let a state end as T_K, K = columns, does: its positions, velocities, pads and friction's anchors."""
