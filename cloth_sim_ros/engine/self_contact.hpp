@@ -209,10 +209,14 @@ public:
     /// Take in what stiffness adds up to at particles, over that of a single gap, and forget it: the fourth number of
     /// each of so many quads, times one over the mass.
     void gather(const Surface& s, double* f) {
+        // Four at a time: each waits for the one before it.
+        quad<double> most[4] = {};
         for (std::int64_t i = 0; i < s.count; ++i) {
-            crowd_[0] = larger(f[4 * i + 3] * s.inverse[i], crowd_[0]);
-            f[4 * i + 3] = 0.0;
+            const quad<double> all = load4(f + 4 * i);
+            most[i % 4] = larger(quad<double>(all * s.inverse[i]), most[i % 4]);
+            store4(f + 4 * i, quad<double>{all[0], all[1], all[2], 0.0});
         }
+        for (const quad<double>& each : most) crowd_[0] = larger(each[3], crowd_[0]);
     }
     /// Take in a pair that is not in contact yet and comes into contact within a duration [s]: the step has to be short
     /// enough for its closing speed before that. What closes slower than `from` [m/s] does not count.

@@ -113,8 +113,7 @@ public:
         left_.clear();
         const auto& triangles = seen_[0];
         gone_.assign(offered_[0].size(), 0);
-        for (std::size_t k = 0; k < offered_[1].size(); ++k) {
-            if (!(seen_[1][6][k] < below)) continue;
+        each_below(seen_[1][6].data(), offered_[1].size(), below, [&](std::size_t k) {
             const Beside& b = beside_[k];
             bool cancels = false;
             for (int side = 0; side < 2 && !cancels; ++side) {
@@ -123,15 +122,15 @@ public:
                 if (cancels) gone_[t] = 1;
             }
             if (!cancels) left_.push_back(static_cast<Index>(k));
-        }
+        });
         size = 0;
-        for (std::size_t k = 0; k < offered_[0].size(); ++k)
-            if (triangles[6][k] < reach * reach && !gone_[k]) add(0, k);
+        each_below(triangles[6].data(), offered_[0].size(), reach * reach, [&](std::size_t k) {
+            if (!gone_[k]) add(0, k);
+        });
         ends[0] = size;
         for (const Index k : left_) add(1, k);
         ends[1] = size;
-        for (std::size_t k = 0; k < offered_[2].size(); ++k)
-            if (seen_[2][6][k] < below) add(2, k);
+        each_below(seen_[2][6].data(), offered_[2].size(), below, [&](std::size_t k) { add(2, k); });
     }
     /// The triangles that were looked at, beside `square`.
     std::array<Index, 4> corners(std::size_t k) const { return offered_[0].at(k); }

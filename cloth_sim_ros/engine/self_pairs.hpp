@@ -163,10 +163,7 @@ public:
                 return smaller(V(load(high_[axis].data() + k) - from * one), V(to * one - load(low_[axis].data() + k)));
             };
             const V way = smaller(smaller(into(0, low.x, high.x), into(1, low.y, high.y)), into(2, low.z, high.z));
-            double ways[lanes<double>];
-            store(ways, way);
-            unsigned bits = 0;
-            for (int lane = 0; lane < lanes<double>; ++lane) bits |= (ways[lane] >= 0.0 ? 1u : 0u) << lane;
+            unsigned bits = bits_of(way >= V{});
             if (end - k < lanes<double>) bits &= (1u << (end - k)) - 1u;
             for (; bits; bits &= bits - 1u) what(k + std::countr_zero(bits));
         }

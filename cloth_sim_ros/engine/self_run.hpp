@@ -25,6 +25,18 @@ inline bool may_pass(double square, const Index* corner, bool edges, F&& way) {
     return !(most < root(square));
 }
 
+/// The least of some numbers, 1e30 at most.
+inline double least_of(const std::vector<double>& all) {
+    using V = vec<double>;
+    V least = splat<V>(1e30);
+    std::size_t k = 0;
+    for (; k + lanes<double> <= all.size(); k += lanes<double>) least = smaller(load(all.data() + k), least);
+    double one = 1e30;
+    for (int lane = 0; lane < lanes<double>; ++lane) one = smaller<double>(least[lane], one);
+    for (; k < all.size(); ++k) one = smaller(all[k], one);
+    return one;
+}
+
 /// The cloth's contact with itself over a run, by one thread.
 class SelfRun {
 public:
@@ -88,8 +100,7 @@ private:
             }
         }
         if (coming > 0.0) demand_.enter(false, coming);
-        double least = 1e30;
-        for (const double square : gaps.square) least = smaller(square, least);
+        const double least = least_of(gaps.square);
         if (least < thickness_ * thickness_) demand_.gap = smaller(root(least), demand_.gap);
         sums_.close(self_.surface, law_, lost);
         if (sums_.most > 0.0) demand_.reach(false, sums_.most);
@@ -140,9 +151,11 @@ private:
         const Quads now{x}, earlier{before_.data()};
         const auto way = [&](Index c) { return now(c) - earlier(c); };
         const SelfGaps& gaps = self_.gaps;
-        for (std::size_t k = 0; k < gaps.square.size(); ++k)
-            if (gaps.square[k] <= moved * moved)
-                passed_ = passed_ || may_pass(gaps.square[k], gaps.corners(k).data(), false, way);
+        // Mostly nothing is as near as that.
+        if (least_of(gaps.square) <= moved * moved)
+            for (std::size_t k = 0; k < gaps.square.size(); ++k)
+                if (gaps.square[k] <= moved * moved)
+                    passed_ = passed_ || may_pass(gaps.square[k], gaps.corners(k).data(), false, way);
         for (std::size_t k = 0; k < self_.edges.size(); ++k)
             if (self_.edge_squares[k] <= moved * moved)
                 passed_ = passed_ || may_pass(self_.edge_squares[k], self_.edge_corners(k).data(), true, way);

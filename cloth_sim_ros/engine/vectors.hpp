@@ -5,6 +5,7 @@
 // where it is written), lane by lane: so every width gives the same bits. CLOTH_VECTOR_BYTES is set by the build.
 #pragma once
 
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -165,22 +166,39 @@ template <class M, class V>
 CLOTH_INLINE V select(M yes, V a, V b) {
     return yes ? a : b;
 }
+/// The lanes in which a mask is set, as bits.
+template <class M>
+CLOTH_INLINE unsigned bits_of(M yes) {
+    [[maybe_unused]] constexpr bool wide = sizeof(scalar<M>) == 8;
+#if defined(__AVX512F__)
+    if constexpr (sizeof(M) == 64 && wide) return _mm512_movepi64_mask(__m512i(yes));
+    if constexpr (sizeof(M) == 64 && !wide) return _mm512_movepi32_mask(__m512i(yes));
+#endif
+#if defined(__AVX2__)
+    if constexpr (sizeof(M) == 32 && wide) return static_cast<unsigned>(_mm256_movemask_pd(__m256d(yes)));
+    if constexpr (sizeof(M) == 32 && !wide) return static_cast<unsigned>(_mm256_movemask_ps(__m256(yes)));
+#endif
+    unsigned bits = 0;
+    for (std::size_t k = 0; k < sizeof(M) / sizeof(scalar<M>); ++k) bits |= (yes[k] ? 1u : 0u) << k;
+    return bits;
+}
 /// Whether a mask, or a bool, is set in any lane.
 CLOTH_INLINE bool any(bool yes) { return yes; }
 template <class M>
     requires(sizeof(M) >= 16)
 CLOTH_INLINE bool any(M yes) {
-    [[maybe_unused]] constexpr bool wide = sizeof(scalar<M>) == 8;
-#if defined(__AVX512F__)
-    if constexpr (sizeof(M) == 64 && wide) return _mm512_movepi64_mask(__m512i(yes)) != 0;
-    if constexpr (sizeof(M) == 64 && !wide) return _mm512_movepi32_mask(__m512i(yes)) != 0;
-#endif
-#if defined(__AVX2__)
-    if constexpr (sizeof(M) == 32) return _mm256_movemask_epi8(__m256i(yes)) != 0;
-#endif
-    bool r = false;
-    for (std::size_t k = 0; k < sizeof(M) / sizeof(scalar<M>); ++k) r = r || yes[k] != 0;
-    return r;
+    return bits_of(yes) != 0;
+}
+/// Call `what` with the places of those numbers that are below a limit. A vector's worth of room lies behind them.
+template <class F>
+CLOTH_INLINE void each_below(const double* from, std::size_t size, double limit, F&& what) {
+    using V = vec<double>;
+    const V most = splat<V>(limit);
+    for (std::size_t k = 0; k < size; k += lanes<double>) {
+        unsigned bits = bits_of(load(from + k) < most);
+        if (size - k < static_cast<std::size_t>(lanes<double>)) bits &= (1u << (size - k)) - 1u;
+        for (; bits; bits &= bits - 1u) what(k + static_cast<std::size_t>(std::countr_zero(bits)));
+    }
 }
 template <class V>
 CLOTH_INLINE V absolute(V a) {
