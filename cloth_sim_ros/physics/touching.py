@@ -169,6 +169,14 @@ class Touching:
         ends = np.array([run.anchors for run in runs])
         return self.settle(t, x, v, ends, weights), pinched
 
+    def pass_on(self, state: State, t: float, runs: Sequence[Run], weights: Sequence[float]) -> None:
+        """Let a state, whose positions and velocities combine runs by weights and are of time t [s], end with the
+        anchors and pads of that.
+        """
+        for name, array in zip((ANCHORS, PINCHED), self.ended(t, state.x, state.v, runs, weights), strict=True):
+            if array is not None:
+                state.memory[name] = array
+
     def lay(self, anchors: Array | None) -> Array | None:
         """Let what follows start with anchors, none where left out; return them, None where there is no friction."""
         self.sync()

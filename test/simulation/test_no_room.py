@@ -101,6 +101,22 @@ def test_a_gripper_whose_pads_would_go_through_a_table_with_the_cloth_stands_sti
     assert finite(cloth)
 
 
+@pytest.mark.parametrize("radius", [0.02, 0.03])
+def test_a_ball_that_squeezes_a_cell_to_nothing_amid_a_frame_stands_still(radius: float) -> None:
+    # Smaller than a cell: its own features keep it out, not the particles.
+    values = {**LYING, "cloth.size": [0.3, 0.3], "cloth.resolution": [8, 8], "cloth.position": [0.0, 0.0, 0.05]}
+    values |= {"contact.thickness": 0.003, "tolerance": 1e-3, "obstacles": ["table", "ball"], "table.shape": "box"}
+    values |= {"table.size": [1.2, 0.8, 0.04], "table.position": [0.0, 0.0, -0.02], "table.friction": [0.5, 0.4]}
+    values |= {"ball.shape": "sphere", "ball.size": [radius], "ball.position": [0.0, 0.0, 0.3]}
+    values = {name: value for name, value in values.items() if not name.startswith("iron.")}
+    cloth = Simulation(Scene.from_parameters(values))
+    for _ in range(120):
+        cloth.advance()
+    frames = [cloth.advance([Move("ball", (0.0, 0.0, -0.5))])] + [cloth.advance() for _ in range(9)]
+    assert any(frame.halted == ("ball",) for frame in frames)
+    assert finite(cloth)
+
+
 def test_a_thickness_by_which_an_obstacle_would_come_through_is_refused() -> None:
     # A ball that particles keep out, between particles that are just outside it; nothing else keeps a thinner one's.
     values = {**LYING, "obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "cloth.resolution": [3, 3]}

@@ -1,7 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An advance of the kind that most frames are: by one run, in one part, by the choice of the frame before, not judged,
-away from contact.
+"""An advance of the kind that most frames are: by one run, in one part, by the choice of the frame before, not judged.
 
 It is the first attempt that `explicit` would make, without what only further ones need: for a small cloth that takes as
 long as a part of its steps. It decides nothing of its own. Where the attempt is not accepted nothing has changed, and
@@ -16,11 +15,12 @@ from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.error import is_of, predicted_of_one
 from cloth_sim_ros.physics.control.fallback import part_cost, whole_work, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
+from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 #: Rules that a calm advance does not ask, and that keep what they remember.
@@ -43,26 +43,35 @@ def attempt(
     Returns:
         What was done; or the run of an attempt that was not accepted; None where there was none.
     """
-    if options.tolerance is None or plan.contact is not None or not _is_known(state):
+    if options.tolerance is None or not _is_known(plan, state):
         return None
     stability, error = Stability.of(state), Error.of(state)
     if stability.omega2 < 0.0 or error.wait <= 0.0 or not is_of(error, duration):
         return None
-    limit = options.step_limit(stability.omega2, stability.damping)
+    bare = limit = options.step_limit(stability.omega2, stability.damping)
+    contact, touch, near = plan.contact, None, 0.0
+    if contact is not None:
+        touch = TouchRule(options, plan, Touch.of(state), stability)
+        near = touch.look_ahead(t, duration, state)
+        limit = touch.limit_ahead(t, duration, state)
     longest = min(CONSTANTS.safety * limit, duration)
     columns = min(int(error.columns), options.columns)
     if columns > 1 or not longest > 0.0 or steps_for(duration, CONSTANTS.part) > 1:
         return None
     refine = error.refine
     steps = steps_for(duration, longest / max(refine, 1.0))
-    stability.longest = max(stability.longest, min(limit, duration))
-    if not _fits(options, plan, duration, limit, stability.longest, refine, steps):
+    stability.longest = max(stability.longest, min(bare, duration))
+    if not _fits(options, plan, duration, (bare, limit), stability.longest, refine, steps, near):
+        return None
+    if touch is not None and touch.is_brief(longest, duration):
         return None
     budget = CONSTANTS.share * duration * options.tolerance
     choice, finest = Choice(1, refine, False), duration / steps
     narrow = _narrows(plan, state, duration, budget, choice)
     if book is not None:
         book.restart()
+    if contact is not None:
+        contact.take(state)
     made = plan.runs(
         t,
         duration,
@@ -77,14 +86,23 @@ def attempt(
     assert result is not None
     x, v, told = result
     here = predicted_of_one(error, told.activity) if told.finite else budget
-    met = options.step_limit(told.omega2, told.damping) or 0.5 * finest
-    if not told.finite or not here <= budget or not finest <= met:
+    harder = False
+    if touch is None or contact is None:
+        met = options.step_limit(told.omega2, told.damping)
+    else:
+        reached, gap, own = runs[0].met
+        met, touch.held = touch.limit_after(reached, own, told), contact.held(gap)
+        harder = touch.is_harder(touch.held)
+    if not told.finite or harder or not here <= budget or not finest <= (met or 0.5 * finest):
         return Ran(state.x, t, duration, steps, narrow, made)
     stability.omega2, stability.damping = told.omega2, told.damping
     error.wait = max(0.0, error.wait - 1.0)
     if book is not None:
         book.add_runs((1.0,), runs, duration)
     state.x, state.v = x, v
+    if touch is not None and contact is not None:
+        contact.pass_on(state, t + duration, runs, (1.0,))
+        touch.store(state, judged=False)
     stability.store(state)
     error.store(state)
     words = reason(options, choice, steps, finest)
@@ -102,7 +120,7 @@ def attempt(
     )
 
 
-def _is_known(state: State) -> bool:
+def _is_known(plan: Plan, state: State) -> bool:
     """Whether the state has what each rule remembers, so that those that are not asked need not begin to; and explicit
     steps held in the frame before.
     """
@@ -111,26 +129,39 @@ def _is_known(state: State) -> bool:
         stored = memory.get(key)
         if stored is None or not stored.size:
             return False
+    if plan.contact is not None and Touch.key not in memory:
+        return False
     noise = memory.get(Noise.key)
     return (noise is None or noise.size > 0) and (Fallback.key not in memory or Fallback.of(state).fallen == 0.0)
 
 
-def _fits(options: Options, plan: Plan, duration: float, limit: float, most: float, refine: float, steps: int) -> bool:
+def _fits(
+    options: Options,
+    plan: Plan,
+    duration: float,
+    limits: tuple[float, float],
+    most: float,
+    refine: float,
+    steps: int,
+    near: float,
+) -> bool:
     """Whether an attempt that is judged fits the frame's work: else there is something to decide.
 
     Args:
         options: what is asked for.
         plan: equations of motion.
         duration: of the advance [s].
-        limit: longest stable step [s].
-        most: the same since the last restart [s].
+        limits: longest stable step, contact aside and with it [s].
+        most: the first of them, the longest since the last restart [s].
         refine: steps relative to those that stability needs.
         steps: of the attempt.
+        near: estimated time that contact adds to a force evaluation [ns].
     """
-    cap, _ = work_cap(plan, whole_work(plan, options.work, duration), duration, most, 0.0, limit=limit)
+    bare, limit = limits
+    cap, _ = work_cap(plan, whole_work(plan, options.work, duration, near), duration, most, 0.0, near, limit)
     longest = min(CONSTANTS.safety * limit, duration)
-    work = steps * SUMS[2] + (2 + part_cost(plan))
-    return work <= cap and duration / limit <= cap and duration * refine <= cap / SUMS[2] * longest
+    work = steps * SUMS[2] + (2 + part_cost(plan, near))
+    return work <= cap and duration / bare <= cap and duration * refine <= cap / SUMS[2] * longest
 
 
 def _narrows(plan: Plan, state: State, duration: float, budget: float, choice: Choice) -> bool:

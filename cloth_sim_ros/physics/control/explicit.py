@@ -15,12 +15,18 @@ from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, is_of
-from cloth_sim_ros.physics.control.fallback import finish, part_cost, whole_work, work_cap
+from cloth_sim_ros.physics.control.fallback import finish, part_cost, whole_work, within_reach, work_cap
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
 from cloth_sim_ros.physics.control.touch import TouchRule
-from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_boundless, refuse_unstable
+from cloth_sim_ros.physics.integrators.base import (
+    Advance,
+    NoRoomError,
+    UnstableError,
+    refuse_boundless,
+    refuse_unstable,
+)
 from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability, Touch
@@ -174,6 +180,12 @@ class ExplicitAdvance:
             self._book.restart()
         try:
             error = whole.cover()
+        except NoRoomError:
+            # What moves has squeezed the cloth to nothing amid the frame: no step is short enough.
+            self._state.go_back(whole.start)
+            if not within_reach(self._plan):
+                raise
+            return None
         except UnstableError:
             self._state.go_back(whole.start)
             raise

@@ -6,9 +6,11 @@ from __future__ import annotations
 
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Options
+from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.columns import Columns, larger_rates
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import PINCHED, Stability, Touch
+from cloth_sim_ros.physics.runs import Told
 from cloth_sim_ros.physics.state import State
 
 
@@ -41,7 +43,10 @@ class TouchRule:
         if (contact := self._plan.contact) is None:
             return 0.0
         contact.lay_pads(state.memory.get(PINCHED))
-        omega2, damping, work = contact.ahead(t, duration, state.x, state.v)
+        try:
+            omega2, damping, work = contact.ahead(t, duration, state.x, state.v)
+        except ValueError as error:
+            raise NoRoomError(str(error)) from error
         self._seen = t, duration, omega2, damping
         return CONSTANTS.operation * work
 
@@ -95,6 +100,10 @@ class TouchRule:
             return self._options.step_limit(told.omega2, told.damping)
         energy, own = self._met(columns, count)
         return self.limit(energy, larger_rates(own, told.own), told.omega2, told.damping)
+
+    def limit_after(self, reached: float, own: tuple[float, float], told: Told) -> float:
+        """Return the step limit [s] of a run: of contact that it met, see `Run.met`, and of its end."""
+        return self.limit(max(reached, told.contact), larger_rates(own, told.own), told.omega2, told.damping)
 
     def is_brief(self, longest: float, duration: float) -> bool:
         """Whether contact makes steps much shorter than the sheet does, over a stretch [s] of many: it is rather halved

@@ -121,6 +121,12 @@ class StepLimitError(UnstableError, ValueError):
     """A fixed step is above the stability limit: at the start, or because the motion stiffened."""
 
 
+class NoRoomError(UnstableError, ValueError):
+    """The cloth is within an obstacle, or passes through itself or one: at the start, or as it was squeezed by what
+    moves.
+    """
+
+
 def refuse_boundless(omega2: float, damping: float) -> None:
     """Refuse a motion that no step follows.
 

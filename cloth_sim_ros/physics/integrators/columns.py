@@ -22,7 +22,6 @@ from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.powers import in_order
-from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.state import State
 
@@ -221,11 +220,7 @@ class Columns:
         if contact is None:
             return
         self._make(columns)
-        runs, factors = self._runs[:columns], weights(self.counts[:columns])
-        ended = contact.ended(self._t + self.duration, state.x, state.v, runs, factors)
-        for name, array in zip((ANCHORS, PINCHED), ended, strict=True):
-            if array is not None:
-                state.memory[name] = array
+        contact.pass_on(state, self._t + self.duration, self._runs[:columns], weights(self.counts[:columns]))
 
     def work(self, columns: int) -> float:
         """Return the work [J] that grippers did over T_K, K = columns, and obstacles and air where these are noted."""

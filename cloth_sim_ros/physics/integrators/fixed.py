@@ -11,7 +11,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomError, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
@@ -56,7 +56,11 @@ def advance_fixed(
         """The step limit now [s], with contact that comes within so many seconds."""
         if plan.contact is not None:
             plan.contact.take(state)
-        (omega2, damping), contact = plan.rates(state.x), plan.ahead(now, ahead, state.x, state.v)
+        omega2, damping = plan.rates(state.x)
+        try:
+            contact = plan.ahead(now, ahead, state.x, state.v)
+        except ValueError as error:
+            raise NoRoomError(str(error)) from error
         return integrator.step_limit(omega2 + contact[0], damping + contact[1])
 
     limit = limit_at(t, duration)
