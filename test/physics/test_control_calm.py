@@ -15,6 +15,16 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Pause, SetParameters, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
+#: A cloth that lies on a table.
+_TABLE: dict[str, Any] = {
+    "cloth.size": [0.3, 0.3],
+    "cloth.position": [0.0, 0.0, 0.003],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "cloth.anchors": [""],
+    "contact.thickness": 0.003,
+    "obstacles": ["it"],
+    "it.shape": "plane",
+}
 _SCENES: dict[str, dict[str, Any]] = {
     "tolerance 1 mm": {},
     "tolerance 0.1 mm": {"tolerance": 1e-4},
@@ -23,6 +33,16 @@ _SCENES: dict[str, dict[str, Any]] = {
     "single precision": {"tolerance": 5e-3, "material.damping": 0.3},
     "little work": {"work_limit": 0.02},
     "fixed step": {"step": 5e-4},
+    "a ball out of reach": {
+        "obstacles": ["it"],
+        "it.shape": "sphere",
+        "it.size": [0.1],
+        "it.position": [3.0, 0.0, 0.0],
+    },
+    "on a table": _TABLE,
+    "on a table with friction": {**_TABLE, "it.friction": [0.5, 0.4]},
+    "layers that rub": {**_TABLE, "contact.self": True, "contact.friction": [0.4, 0.3]},
+    "two pads": {"gripper.mode": "pinch", "gripper.opening": 0.03, "contact.thickness": 0.003},
 }
 
 
