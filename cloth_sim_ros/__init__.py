@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.simulate import Motion, simulate
     from cloth_sim_ros.physics.state import State
     from cloth_sim_ros.scene.scene import Scene
-    from cloth_sim_ros.simulation.events import Grasp, Pause, Relax, Reset, SetParameters, Step, Target
+    from cloth_sim_ros.simulation.events import Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
     from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 __version__ = "0.2.0"
@@ -54,6 +54,7 @@ _PLACES = {
     "Leapfrog": "physics.control.leapfrog",
     "Model": "physics.model",
     "Motion": "physics.simulate",
+    "Move": "simulation.events",
     "OppositeSprings": "physics.forces.opposite",
     "PairSprings": "physics.forces.pair_springs",
     "Pause": "simulation.events",
@@ -90,6 +91,7 @@ __all__ = [
     "Leapfrog",
     "Model",
     "Motion",
+    "Move",
     "OppositeSprings",
     "PairSprings",
     "Pause",
