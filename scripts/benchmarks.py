@@ -29,7 +29,7 @@ SECTIONS = {
     "promise": "promise --seed 1 --count 500",
     "regimes": "promise --regimes",
     "violent": "promise --violent --seed 1 --count 200",
-    "promise-contact": "promise --contact --seed 1 --count 24 --windows 2",
+    "promise-contact": "promise --contact --seed 1 --count 40",
     "stability": "stability",
     "contact": "contact",
     "speed": "speed",
