@@ -115,9 +115,11 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
                 events.append(change)
     if contact and random.random() < 0.1:
         changed = SetParameters(random_contact.change(random))
-        with contextlib.suppress(EventError):
-            simulation.check(changed)
-            events.append(changed)
+        # Two changes in one frame may be refused where each of them alone is not.
+        if not any(isinstance(event, SetParameters) for event in events):
+            with contextlib.suppress(EventError):
+                simulation.check(changed)
+                events.append(changed)
     if random.random() < 0.05:
         events.append(Pause(not simulation.paused))
     if simulation.paused and random.random() < 0.4:
