@@ -13,20 +13,35 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import normalised, unit
 from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.pinch import pads_of
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.surroundings import change_obstacles
 
 #: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
 REACH = 1e4
+#: Least gap of pads at what stops them that a change of the thickness may leave, in thicknesses: no impact that contact
+#: is made for goes deeper.
+_LEAST_STOP = 0.3
 #: Made once: a union of types that is made anew takes longer than to ask for it.
 _OF_GRIPPERS = (Target, Grasp)
 
 
 class EventError(ValueError):
     """An event that can't take effect; the message says why."""
+
+
+def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> None:
+    """Refuse events of one frame, in their order, if one can't take effect after those before it; see `check`."""
+    for event in events:
+        after = check(event, scene, state, initial)
+        if after.obstacles != scene.obstacles:
+            state, initial = state.share(), initial.share()
+            change_obstacles(scene, after, (state, initial))
+        scene = after
 
 
 def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
@@ -106,7 +121,23 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
     except ValueError as error:
         raise EventError(str(error)) from error
     check_added(scene, wanted, state)
+    _check_stops(scene, wanted, state)
     return wanted
+
+
+def _check_stops(scene: Scene, wanted: Scene, state: State) -> None:
+    """Refuse a thickness of contact by which pads are beyond what stops them: at each other, and at their opening."""
+    thickness = wanted.contact.thickness
+    if thickness == scene.contact.thickness:
+        return
+    for pads, (way, _) in zip(pads_of(wanted, 1.0), state.memory.get(PINCHED, np.empty((0, 2))).tolist(), strict=False):
+        left = min(way + 0.75 * thickness, 0.5 * pads.opening + thickness - way)
+        if left < _LEAST_STOP * thickness:
+            raise EventError(
+                f"contact.thickness is {thickness:.4g} m; it would leave the pads of '{pads.gripper}' {left:.4g} m "
+                f"from what stops them, and they need {_LEAST_STOP * thickness:.4g} m; set it once they are at rest, "
+                "or take more"
+            )
 
 
 def check_added(scene: Scene, wanted: Scene, state: State) -> None:

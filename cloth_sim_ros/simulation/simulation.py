@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.event_checks import check, check_added
+from cloth_sim_ros.simulation.event_checks import check, check_added, check_all
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -180,9 +180,8 @@ class Simulation:
             self.state.frame += 1
             return self._slept.again(self.frame, self.time)
         self._slept = None
-        in_order, wanted = ordered(list(events)), self._scene
-        for event in in_order:
-            wanted = check(event, wanted, self.state, self._initial)
+        in_order = ordered(list(events))
+        check_all(in_order, self._scene, self.state, self._initial)
         before = self.snapshot()
         try:
             return self._advance(in_order)

@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.runs import Told
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
@@ -125,6 +126,25 @@ def test_a_thickness_by_which_an_obstacle_would_come_through_is_refused() -> Non
     cloth.check(SetParameters({"contact.thickness": 0.002}))
     with pytest.raises(EventError, match="obstacle 'ball' comes through the cloth between particles"):
         cloth.check(SetParameters({"contact.thickness": 0.0002}))
+
+
+def test_changes_of_one_frame_are_checked_each_by_what_those_before_it_leave() -> None:
+    # The second one asks where obstacles are that the first one brings.
+    cloth = Simulation(Scene.from_parameters({**LYING, "ball.shape": "sphere", "ball.size": [0.01]}))
+    more = SetParameters({"obstacles": ["table", "ball", "iron"], "ball.position": [0.0, 0.3, 0.1]})
+    cloth.advance([more, SetParameters({"contact.thickness": 0.004})])
+    assert cloth.scene.obstacle_names == ["table", "ball", "iron"]
+
+
+def test_a_thickness_that_would_leave_pads_beyond_their_stops_is_refused() -> None:
+    hand = {"grippers": ["hand"], "gripper.mode": "pinch", "gripper.opening": 0.02}
+    cloth = Simulation(Scene.from_parameters({**LYING, **hand, "obstacles": ["table"]}))
+    cloth.advance([Target("hand", (0.0, 0.0, 0.1))])
+    cloth.state.memory[PINCHED] = np.array([[0.0135, 0.3]])
+    cloth.check(SetParameters({"contact.thickness": 0.0052}))
+    with pytest.raises(EventError, match=r"leave the pads of 'hand' 0.0005 m from what stops them, and"):
+        cloth.check(SetParameters({"contact.thickness": 0.004}))
+    assert math.isfinite(cloth.advance().advance.step)
 
 
 def test_what_moved_too_far_for_an_implicit_step_does_not_come_through() -> None:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Options
 from cloth_sim_ros.physics.integrators.base import NoRoomError
@@ -47,6 +49,8 @@ class TouchRule:
             omega2, damping, work = contact.ahead(t, duration, state.x, state.v)
         except ValueError as error:
             raise NoRoomError(str(error)) from error
+        if not omega2 < math.inf:
+            raise NoRoomError("no step is short enough for contact: what moves has left no room")
         self._seen = t, duration, omega2, damping
         return CONSTANTS.operation * work
 
