@@ -40,6 +40,8 @@ _SCENES: dict[str, dict[str, Any]] = {
         "it.position": [3.0, 0.0, 0.0],
     },
     "on a table": _TABLE,
+    "falls on a table": {**_TABLE, "cloth.position": [0.0, 0.0, 0.15]},
+    "is thrown on a table": {**_TABLE, "cloth.position": [0.0, 0.0, 0.4], "gravity": [0.0, 0.0, -60.0]},
     "on a table with friction": {**_TABLE, "it.friction": [0.5, 0.4]},
     "layers that rub": {**_TABLE, "contact.self": True, "contact.friction": [0.4, 0.3]},
     "two pads": {"gripper.mode": "pinch", "gripper.opening": 0.03, "contact.thickness": 0.003},
