@@ -58,6 +58,11 @@ class Book:
                 self._rubbed += weight * run.rubbed
         self._duration += duration
 
+    def add_touches(self, touches: Array) -> None:
+        """Note more of what obstacles did: shape (obstacles, BOOKED_NUMBERS)."""
+        self._sums = self._sums.copy()
+        self._touches[:] += touches
+
     def add(
         self, grips: Array, touches: Array, powers: tuple[float, float], duration: float, rubbed: float = 0.0
     ) -> None:

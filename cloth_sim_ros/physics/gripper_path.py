@@ -90,6 +90,30 @@ def rotation_matrix(orientation: Array) -> Array:
     )
 
 
+def _poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
+    """Return positions [m] and unit quaternions x, y, z, w of a path at the start t and the end t + h of a step [s]."""
+    places, turns = [], []
+    for moment in (t - float(row[0]), t + h - float(row[0])):
+        way, spin = (
+            moment * (row[k : k + 3] + moment * (row[k + 3 : k + 6] + moment * row[k + 6 : k + 9])) for k in (4, 17)
+        )
+        places.append(row[1:4] + way)
+        turns.append(turned_by(row[13:17].tolist(), spin.tolist()))
+    return places, turns
+
+
+def way_over(row: Array, t: float, h: float) -> list[float]:
+    """Return by how much a body moves [m] and turns [rad] over a step: 6 numbers, the last three a rotation vector.
+
+    Args:
+        row: the body's path, PATH_NUMBERS.
+        t: time at the start of the step [s].
+        h: its length [s].
+    """
+    (start, end), turns = _poses(row, t, h)
+    return [*(end - start).tolist(), *rotation_vector(*turns)]
+
+
 def carried(row: Array, t: float, h: float, x: Array) -> Array:
     """Return the velocities [m/s] of particles at x, (3, n), that a body takes along as if they were part of it.
 
@@ -99,14 +123,8 @@ def carried(row: Array, t: float, h: float, x: Array) -> Array:
         h: its length [s].
         x: positions then [m].
     """
-    places, turns = [], []
-    for moment in (t - float(row[0]), t + h - float(row[0])):
-        way, spin = (
-            moment * (row[k : k + 3] + moment * (row[k + 3 : k + 6] + moment * row[k + 6 : k + 9])) for k in (4, 17)
-        )
-        places.append(row[1:4] + way)
-        turns.append(rotation_matrix(np.array(turned_by(row[13:17].tolist(), spin.tolist()))))
-    (begin, end), away = turns, x - places[0][:, None]
+    places, turns = _poses(row, t, h)
+    (begin, end), away = (rotation_matrix(np.array(turn)) for turn in turns), x - places[0][:, None]
     # By component, so that no library of matrices chooses the order of sums.
     own = [sum(begin[i, k] * away[i] for i in range(3)) for k in range(3)]
     then = np.stack([places[1][i] + sum(end[i, k] * own[k] for k in range(3)) for i in range(3)])

@@ -10,6 +10,7 @@ long as a part of its steps. It decides nothing of its own. Where the attempt is
 from __future__ import annotations
 
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.book_ends import note_runs
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
 from cloth_sim_ros.physics.control.error import is_of, predicted_of_one
@@ -98,7 +99,7 @@ def attempt(
     stability.omega2, stability.damping = told.omega2, told.damping
     error.wait = max(0.0, error.wait - 1.0)
     if book is not None:
-        book.add_runs((1.0,), runs, duration)
+        note_runs(book, plan, state, t, duration, runs, (steps,), (1.0,))
     state.x, state.v = x, v
     if touch is not None and contact is not None:
         contact.pass_on(state, t + duration, runs, (1.0,))

@@ -19,6 +19,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.arrays import combine, largest_distance
 from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.book_ends import note_runs
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.powers import in_order
@@ -231,9 +232,8 @@ class Columns:
     def note(self, columns: int, book: Book) -> None:
         """Note T_K, K = columns: what was noted along the runs is extrapolated as the state is."""
         self._make(columns)
-        runs = self._runs[:columns]
-        factors = weights(self.counts[:columns])
-        book.add_runs(factors, runs, self.duration)
+        runs, counts = self._runs[:columns], self.counts[:columns]
+        note_runs(book, self._plan, self._start, self._t, self.duration, runs, counts, weights(counts))
 
     def _make(self, columns: int) -> None:
         """Make the runs that are missing; all at once, and combined, where none is there yet."""

@@ -10,15 +10,15 @@ from typing import Protocol
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import carried
 from cloth_sim_ros.physics.integrators.base import Advance, MissedError, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.implicit_book import Step, note, work
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.remembered import Implicit as Memory
 from cloth_sim_ros.physics.state import State
@@ -62,18 +62,6 @@ class Options(Protocol):
     step: float | None
     tolerance: float | None
     work: float
-
-
-@attrs.frozen
-class _Step:
-    """One step: positions and velocities at its end, its last acceleration, and its estimated error [m]."""
-
-    x: Array
-    v: Array
-    a: Array
-    error: float
-    #: Times, weights, positions and velocities of its quadrature points.
-    stages: tuple[tuple[float, float, Array, Array], ...]
 
 
 class ImplicitAdvance:
@@ -225,8 +213,7 @@ class ImplicitAdvance:
             second = None if first is None else self._cover(t + half, half, first[1])
             return None if first is None or second is None else (first[0] + second[0], second[1])
         if self._book is not None:
-            for moment, weight, x, v in done.stages:
-                note(self._book, self._plan, moment, x, v, weight)
+            note(self._book, self._plan, t, h, done)
         state.x, state.v = done.x, done.v
         if contact is not None:
             contact.follow(t + h, h, state)
@@ -234,7 +221,7 @@ class ImplicitAdvance:
         self._taken, self._finest = self._taken + 1, min(self._finest, h)
         return done.error, done.a
 
-    def _step(self, t: float, h: float, guess: Array) -> _Step | None:
+    def _step(self, t: float, h: float, guess: Array) -> Step | None:
         """Take one step of the method; None if a stage does not converge."""
         x, v, d = self._state.x, self._state.v, GAMMA * h
         first = self._stage(t + d, x, v, d, guess)
@@ -252,23 +239,19 @@ class ImplicitAdvance:
         if self._crosses(t, h, end):
             return None
         stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
-        return _Step(end, base_v + d * k2v, k2v, error, stages)
+        return Step(end, base_v + d * k2v, k2v, error, stages)
 
-    def _safe_step(self, t: float, h: float, guess: Array) -> _Step | None:
+    def _safe_step(self, t: float, h: float, guess: Array) -> Step | None:
         """Take a step by the implicit Euler method that lowers what it minimises, and makes no energy; None where an
         obstacle goes through the cloth, wherever that goes.
         """
         x, v = self._state.x, self._state.v
-        # With grippers where they are halfway: pulled from where they end, it would gain more than they put in.
-        u = self._descend(t + 0.5 * h, x, v, h, guess)
+        u = self._descend(t + h, x, v, h, guess)
         end = x + h * u
         if self._crosses(t, h, end):
             return None
         error = 0.5 * h * _largest(u - (v + h * guess))
-        # Simpson's rule along the straight way that it goes: a gripper may turn back within such a step.
-        sixth = h / 6.0
-        stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
-        moved = _Step(end, u, (u - v) / h, error, stages)
+        moved = Step(end, u, (u - v) / h, error, ((t + h, h, end, u),), whole=True)
         gain, kinetic = self._gain(t, h, moved)
         if gain > 0.0:
             # What was minimised leaves no more potential energy than there was energy: slower is enough.
@@ -283,27 +266,16 @@ class ImplicitAdvance:
             return False
         return contact.crosses(t, h, self._state.x, end) or contact.crosses(t + h, 0.0, end, end)
 
-    def _makes_energy(self, t: float, h: float, done: _Step) -> bool:
+    def _makes_energy(self, t: float, h: float, done: Step) -> bool:
         gain, kinetic = self._gain(t, h, done)
-        return not gain <= _GAIN * (kinetic + abs(self._work(done)))
+        return not gain <= _GAIN * (kinetic + abs(work(self._plan, t, h, done)))
 
-    def _gain(self, t: float, h: float, done: _Step) -> tuple[float, float]:
+    def _gain(self, t: float, h: float, done: Step) -> tuple[float, float]:
         """Energy after a step less what there was and what grippers and air put in, and the kinetic energy then [J]."""
         before = self._plan.energy(t, self._state.x, self._state.v)
         after = self._plan.energy(t + h, done.x, done.v)
         kinetic = self._plan.energies(t + h, done.x, done.v)[0]
-        return after - before - self._work(done) - _ROUNDING * abs(before), kinetic
-
-    def _work(self, done: _Step) -> float:
-        """Work of the grippers, of obstacles and of moving air over a step [J], as a book notes it."""
-        work = 0.0
-        for moment, weight, x, v in done.stages:
-            work += weight * self._plan.supply(moment, x, v)
-            if self._plan.gripper_count:
-                work = in_order(self._plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), work)
-            if self._plan.contact is not None:
-                work = in_order(self._plan.contact.rates(moment, x, v, weight)[:, 6].tolist(), work)
-        return work
+        return after - before - work(self._plan, t, h, done) - _ROUNDING * abs(before), kinetic
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
         """Solve a = a(t, x + d u, u), u = v + d a; return u and a, or None if it does not converge."""
@@ -339,7 +311,7 @@ class ImplicitAdvance:
         if self._plan.contact is not None:
             paths = self._plan.contact.force.paths
             going = [row for row in paths if row[4:13].any() or row[17:26].any()]
-            starts += [carried(row, t - 0.5 * d, d, x) * moving for row in going]
+            starts += [carried(row, t - d, d, x) * moving for row in going]
         merits = [self._merit(t, x, v, d, start) for start in starts]
         best = min(range(len(starts)), key=lambda i: merits[i] if math.isfinite(merits[i]) else math.inf)
         u = starts[best]
@@ -378,7 +350,7 @@ class ImplicitAdvance:
 
     def _merit(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
         place = x + d * u
-        if self._safe and self._crosses(t - 0.5 * d, d, place):
+        if self._safe and self._crosses(t - d, d, place):
             return math.inf
         # Moving air pushes with a force that is nearly constant, and has no energy of its own.
         slip = 0.5 * self._plan.dissipation(t, place, u) - self._plan.supply(t, place, u)
