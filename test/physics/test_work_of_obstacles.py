@@ -1,0 +1,65 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What obstacles and grippers are booked to have done: where they move far in one step, and in the last half step."""
+
+import math
+
+import numpy as np
+import pytest
+from support.contact_scenes import THICKNESS, contact, drop, flat_sheet, still
+
+from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.control.fallback import finish
+from cloth_sim_ros.physics.integrators.columns import Columns
+
+FRAME = 1.0 / 32.0
+
+
+def driven(shape, place, speed, turn=(0.0, 0.0, 0.0)):
+    """A free sheet about the origin, and an obstacle that moves at a speed [m/s] and turns [rad/s]."""
+    path = still(place, (0.5, 0.5, 0.5, 0.5) if shape == "capsule" else (0.0, 0.0, 0.0, 1.0))
+    path[4:7], path[17:20] = speed, turn
+    model, places = flat_sheet(8, 8, contact(shape, paths=[path]), size=0.5, gravity=False, drag=False)
+    plan, state, _ = drop(model, places)
+    return plan, state
+
+
+@pytest.mark.parametrize(
+    ("shape", "place", "speed", "turn"),
+    [
+        ("box", (0.0, 0.0, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 10.0), (0.0, 0.0, 0.0)),
+        ("box", (0.0, 0.0, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 3.0), (0.0, 8.0, 0.0)),
+        ("sphere", (0.05, 0.0, -0.2 - 1.2 * THICKNESS), (1.0, 0.0, 10.0), (0.0, 0.0, 0.0)),
+        ("capsule", (0.0, 0.02, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 20.0), (0.0, 0.0, 5.0)),
+    ],
+)
+def test_steps_that_finish_a_frame_book_what_an_obstacle_gave(shape, place, speed, turn):
+    """It goes further in one of eight steps than contact reaches; the law's force has no limit in between."""
+    plan, state = driven(shape, place, speed, turn)
+    book = Book(plan.gripper_count, obstacle_count=1)
+    before, momentum = plan.energy(0.0, state.x, state.v), plan.model.masses * state.v
+    done = finish(plan, state, 0.0, FRAME, book, instead_of="explicit steps", most=math.inf)
+    assert done.flagged
+    gained = (plan.model.masses * state.v - momentum).sum(axis=1)
+    assert gained[2] > 0.3 * plan.model.mass * speed[2]
+    # Such steps are taken before their iteration has converged: what they book is near what they did, not equal to it.
+    booked = -FRAME * book.loads[0, 2]
+    assert 0.2 * gained[2] < booked < 5.0 * gained[2]
+    # What was given and is not there was lost; never the other way round.
+    given = plan.energy(FRAME, state.x, state.v) - before
+    assert given <= book.work * (1.0 + 1e-9)
+    assert book.work <= 2.0 * booked * max(np.abs(speed))
+
+
+def test_what_comes_into_contact_in_the_last_half_step_is_booked():
+    """No middle of a step sees the plate in reach: all that it gave is there in the end, as energy of contact."""
+    steps, speed = 64, 5.0
+    h = FRAME / steps
+    reached = THICKNESS + speed * (FRAME - 0.4 * h)
+    plan, state = driven("box", (0.0, 0.0, -0.1 - reached), (0.0, 0.0, speed))
+    columns = Columns(plan, state, 0.0, FRAME, (steps,), touches=True)
+    x, v = columns.combine(1)
+    gained = plan.energy(FRAME, x, v) - plan.energy(0.0, state.x, state.v)
+    assert gained > 0.0
+    assert np.abs(v).max() < 1e-9
+    assert columns.work(1) == pytest.approx(gained, rel=0.5)
