@@ -40,7 +40,7 @@ def load(text: str) -> Any:
     """Return what a text holds, in plain Python values.
 
     Raises:
-        yaml.YAMLError: if it is no YAML, or nested too deeply.
+        yaml.YAMLError: if it is no YAML, gives a key twice, or is nested too deeply.
     """
     import yaml
 
@@ -93,7 +93,20 @@ def _loader() -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """A SafeLoader with other plain scalars."""
+        """A SafeLoader with other plain scalars, which refuses a key that is given twice: the last would win unseen."""
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            seen: set[str] = set()
+            keys = [key for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+            for key in keys:
+                if not isinstance(key, yaml.ScalarNode):
+                    continue
+                if key.value in seen:
+                    line = key.start_mark.line + 1
+                    raise yaml.YAMLError(f"'{key.value}' is given twice, in line {line} again; give it once")
+                seen.add(key.value)
+            made: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+            return made
 
     others = {*_RESOLVED, "tag:yaml.org,2002:timestamp"}
     Loader.yaml_implicit_resolvers = {

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from cloth_sim_ros.scene import parameter_file, ros_sections, ros_yaml
 from cloth_sim_ros.scene.parameters import ParameterError
@@ -106,6 +107,13 @@ def test_other_yaml_that_is_nested_too_deeply_is_no_yaml() -> None:
 
     with pytest.raises(yaml.YAMLError, match="nested too deeply"):
         ros_yaml.load("[" * 3000 + "]" * 3000)
+
+
+@pytest.mark.parametrize(("text", "line"), [("a: 1\nb: 2\na: 3\n", 3), ("s:\n  - x: 1\n    x: 1\n", 3)])
+def test_a_key_that_is_given_twice_is_refused_with_its_line(text: str, line: int) -> None:
+    with pytest.raises(yaml.YAMLError, match=f"given twice, in line {line} again"):
+        ros_yaml.load(text)
+    assert ros_yaml.load("s:\n  - x: 1\n  - x: 1\n") == {"s": [{"x": 1}, {"x": 1}]}
 
 
 def test_what_is_set_twice_is_written_out_twice() -> None:
