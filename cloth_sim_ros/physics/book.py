@@ -121,11 +121,13 @@ class Book:
         return float(self._powers[1])
 
 
-def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float) -> None:
-    """Note one point of a quadrature: time [s], positions and velocities (3, n), weight [s]."""
+def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float, *, touches: bool = True) -> None:
+    """Note one point of a quadrature: time [s], positions and velocities (3, n), weight [s]; obstacles by `touches`."""
     lost, given = plan.powers(t, x, v) if book.powers else (0.0, 0.0)
     none = np.zeros((0, BOOKED_NUMBERS))
     grips = plan.grip_rates(t, x, v, weight) if book.gripper_count else none
-    touches = plan.contact.rates(t, x, v, weight) if plan.contact is not None and book.obstacle_count else none
+    met = none
+    if plan.contact is not None and book.obstacle_count:
+        met = plan.contact.rates(t, x, v, weight) if touches else np.zeros((book.obstacle_count, BOOKED_NUMBERS))
     rubbed = weight * plan.contact.rubbed(x, v) if plan.contact is not None and book.powers else 0.0
-    book.add(grips, touches, (weight * lost, weight * given), weight, rubbed)
+    book.add(grips, met, (weight * lost, weight * given), weight, rubbed)

@@ -52,6 +52,7 @@ class Touching:
         self._library, self._handle = library(), owner.handle
         self._shape = (3, particle_count)
         self._seen = self._moved = self._heard = -1
+        self._ahead = 0.0
         self._taken: Array | None = None
         touching_layers.tell_surface(self._handle, contact)
         faces = contact.faces
@@ -67,11 +68,12 @@ class Touching:
         force = self.force
         if force.changes == self._seen and force.moves == self._moved and force.commands == self._heard:
             return
-        paths = np.ascontiguousarray(force.paths, dtype=np.float64)
+        paths = np.array(force.paths, dtype=np.float64)
         if paths.shape != (self.count, PATH_NUMBERS):
             raise ValueError(f"paths have shape {paths.shape}; they must be {(self.count, PATH_NUMBERS)}")
         if not np.isfinite(paths).all():
             raise ValueError(f"paths of obstacles are {paths.tolist()}; all numbers must be finite")
+        paths[:, :1] -= self._ahead
         if force.changes != self._seen:
             shapes = np.array([SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
             sizes = np.zeros((self.count, 3))
@@ -82,9 +84,9 @@ class Touching:
             radii = np.array(reaches, dtype=np.float64)
             frictions = np.array([obstacle.friction for obstacle in force.obstacles], dtype=np.float64)
             arrays = (array.ctypes.data for array in (shapes, sizes, radii, frictions, paths))
-            numbers = force.thickness, force.damping, force.frequency
             self._taken = None
-            check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *numbers))
+            law = force.thickness, force.damping, force.frequency
+            check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *law))
             tell_meshes(self._handle, force.obstacles)
             if self._features is not None:
                 self._features.tell(force.obstacles, force.thickness)
@@ -96,6 +98,10 @@ class Touching:
             drives = np.array(rows).reshape(len(rows), DRIVE_NUMBERS)
             check(self._library.cloth_plan_pinches(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
         self._seen, self._moved, self._heard = force.changes, force.moves, force.commands
+
+    def place_ahead(self, duration: float) -> None:
+        """Let obstacles be where they are by a duration [s] later than times say."""
+        self._ahead, self._moved = duration, -1
 
     @property
     def anchors_shape(self) -> tuple[int, int, int]:
@@ -287,9 +293,7 @@ class Touching:
         check(self._library.cloth_self_keeps(self._handle, keeps))
 
     def energy_ahead(self, t: float, duration: float, x: Array, v: Array) -> float:
-        """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite where a
-        particle is inside an obstacle.
-        """
+        """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite inside."""
         return self._looked_at(t, duration, x, v)[0]
 
     def _looked_at(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:

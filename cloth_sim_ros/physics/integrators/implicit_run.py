@@ -91,6 +91,8 @@ class ImplicitAdvance:
         self._most = math.inf
         if integrator.work and integrator.step is None:
             self._most = integrator.work * duration * 1e9 / iteration_cost(plan.model)
+        #: By how much obstacles are later than time says where velocities are sought [s].
+        self._ahead = 0.0
         #: Whether nothing finer is tried any more.
         self._spent = False
 
@@ -246,12 +248,16 @@ class ImplicitAdvance:
         obstacle goes through the cloth, wherever that goes.
         """
         x, v = self._state.x, self._state.v
-        u = self._descend(t + h, x, v, h, guess)
+        # With grippers where they are halfway: pulled from where they end, it would gain more than they put in.
+        u = self._descend(t + 0.5 * h, x, v, h, guess)
         end = x + h * u
         if self._crosses(t, h, end):
             return None
         error = 0.5 * h * _largest(u - (v + h * guess))
-        moved = Step(end, u, (u - v) / h, error, ((t + h, h, end, u),), whole=True)
+        # Simpson's rule along the straight way that it goes: a gripper may turn back within such a step.
+        sixth = h / 6.0
+        stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
+        moved = Step(end, u, (u - v) / h, error, stages, whole=self._plan.contact is not None)
         gain, kinetic = self._gain(t, h, moved)
         if gain > 0.0:
             # What was minimised leaves no more potential energy than there was energy: slower is enough.
@@ -308,10 +314,14 @@ class ImplicitAdvance:
         """
         moving = self._plan.model.inverse_masses > 0.0
         starts = [v + d * guess * moving, v.copy(), np.zeros_like(v)]
-        if self._plan.contact is not None:
-            paths = self._plan.contact.force.paths
+        contact = self._plan.contact
+        if contact is not None:
+            # With obstacles where they end: the cloth has to be clear of them there.
+            self._ahead = 0.5 * d
+            contact.place_ahead(self._ahead)
+            paths = contact.force.paths
             going = [row for row in paths if row[4:13].any() or row[17:26].any()]
-            starts += [carried(row, t - d, d, x) * moving for row in going]
+            starts += [carried(row, t - 0.5 * d, d, x) * moving for row in going]
         merits = [self._merit(t, x, v, d, start) for start in starts]
         best = min(range(len(starts)), key=lambda i: merits[i] if math.isfinite(merits[i]) else math.inf)
         u = starts[best]
@@ -321,6 +331,9 @@ class ImplicitAdvance:
             if share <= _LEAST_SHARE:
                 break
             u += share * correction
+        if contact is not None:
+            self._ahead = 0.0
+            contact.place_ahead(0.0)
         return u
 
     def _correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
@@ -350,7 +363,7 @@ class ImplicitAdvance:
 
     def _merit(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
         place = x + d * u
-        if self._safe and self._crosses(t - d, d, place):
+        if self._safe and self._crosses(t - 0.5 * d - self._ahead, d, place):
             return math.inf
         # Moving air pushes with a force that is nearly constant, and has no energy of its own.
         slip = 0.5 * self._plan.dissipation(t, place, u) - self._plan.supply(t, place, u)
