@@ -293,7 +293,7 @@ class Touching:
         check(self._library.cloth_self_keeps(self._handle, keeps))
 
     def energy_ahead(self, t: float, duration: float, x: Array, v: Array) -> float:
-        """Return the energy per mass that contact may have to take up within a duration [s], in U^2/2; infinite inside."""
+        """Return the energy per mass that contact may have to take up in a duration [s], in U^2/2; inside infinite."""
         return self._looked_at(t, duration, x, v)[0]
 
     def _looked_at(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
