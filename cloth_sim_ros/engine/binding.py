@@ -245,13 +245,7 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
         ValueError: for another shape or type, or an array that is not C-contiguous or not aligned.
     """
     # What nearly every call hands over, told by the fewest questions: `carray` is contiguous, aligned and writeable.
-    if (
-        type(array) is np.ndarray
-        and array.dtype is _DOUBLE
-        and array.shape == shape
-        and array.flags.carray
-        and array.size
-    ):
+    if type(array) is _ARRAY and array.dtype is _DOUBLE and array.shape == shape and array.flags.carray and array.size:
         return address(array)
     if not isinstance(array, np.ndarray):
         raise ValueError(f"{name} is of type {type(array).__name__}; it must be an array of shape {shape}")

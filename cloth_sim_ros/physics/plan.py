@@ -243,7 +243,7 @@ class Plan:
         if weights is None:
             return runs, None
         activity, omega2, damping, held, stiff, damped = self._told[:]
-        x, v = result
+        x, v = result[0], result[1]
         self._newest, self._newest_at = (x, v), result_at or out_at
         if self._own:
             omega2, damping = self.rates(x)
@@ -279,8 +279,11 @@ class Plan:
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""
         self._sync()
-        addresses = (doubles("x", x, self._shape), doubles("v", v, self._shape), writable("out", out, self._shape))
-        self._checked(self._library.cloth_accelerations(self._handle, t, *addresses))
+        shape = self._shape
+        places = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)
+        status = self._library.cloth_accelerations(self._handle, t, *places)
+        if status:
+            self._checked(status)
 
     def _checked(self, status: int) -> None:
         if status == 3 and self._called is not None:
