@@ -164,13 +164,13 @@ class Planner:
         if not (poses is left[0] and twists is left[1] and before is left[2]):
             places = doubles("poses", poses, at), doubles("twists", twists, rates), doubles("before", before, rates)
         end = doubles("targets", targets, at)
-        paths, further = np.empty((count, PATH_NUMBERS)), np.empty(13 * count)
-        last, turns = further[: 6 * count].reshape(rates), further[6 * count : 12 * count].reshape(rates)
-        rows, begin = (address(paths), address(further)) if count else (0, 0)
+        paths, further, changes = np.empty((count, PATH_NUMBERS)), np.empty((2, count, 6)), np.empty(count)
+        rows, begin, changed = (address(paths), address(further), address(changes)) if count else (0, 0, 0)
         after = begin, begin + 48 * count
-        check(library().cloth_paths(count, t, duration, *places, end, rows, *after, begin + 96 * count))
+        check(library().cloth_paths(count, t, duration, *places, end, rows, *after, changed))
+        last, turns = further[0], further[1]
         self._left, self._places = (targets, last, turns), (end, *after)
-        return paths, last, turns, further[12 * count :].tolist()
+        return paths, last, turns, changes.tolist()
 
 
 def planned_paths(

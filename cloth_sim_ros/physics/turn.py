@@ -37,7 +37,7 @@ def one_at_a_time(
 
     @functools.wraps(method)
     def alone(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        if not self.turn.acquire(blocking=False):
+        if not self.turn.acquire(False):
             raise RuntimeError(AT_WORK)
         try:
             return method(self, *arguments, **named)

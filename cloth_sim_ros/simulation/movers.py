@@ -95,7 +95,8 @@ class Movers:
         """Take note of a target [m], without an orientation the one before, and return its pose, shape (7,)."""
         target = renewed(self._state, self._names[3])
         if orientation is None:
-            target[index, :3] = position
+            # One by one: an array made of three numbers first takes longer.
+            target[index, 0], target[index, 1], target[index, 2] = position
         else:
             target[index] = (*position, *unit(orientation))
         pose: Array = target[index]
