@@ -21,7 +21,7 @@ namespace {
 using Word = std::int64_t;
 /// Whole numbers and doubles are handed over in registers of their own, and what a function does not take it does not see:
 /// one type calls all of them.
-using Function = Word (*)(Word, Word, Word, Word, Word, Word, Word, Word, Word, Word, double, double, double);
+using Function = Word (*)(Word, Word, Word, Word, Word, Word, Word, Word, Word, Word, double, double, double, double);
 
 std::ifstream file;
 
@@ -103,7 +103,7 @@ int main(int count, char** arguments) {
         const char returned = take<char>();
         const Word result = take(), size = take();
         Word words[10] = {};
-        double numbers[3] = {};
+        double numbers[4] = {};
         int word = 0, number = 0;
         memories.clear();
         std::vector<Word> several, request;
@@ -141,7 +141,7 @@ int main(int count, char** arguments) {
         }
         const Word* const w = words;
         const Word came = reinterpret_cast<Function>(found)(w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9],
-                                                            numbers[0], numbers[1], numbers[2]);
+                                                            numbers[0], numbers[1], numbers[2], numbers[3]);
         ++total;
         ++calls[name];
         if (returned == 'h') plans[result] = came;

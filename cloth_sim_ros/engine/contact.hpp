@@ -226,13 +226,18 @@ public:
     Finding(T near, T ahead) : near_(splat<V>(near)), ahead_(splat<V>(-ahead)) {}
     /// Takes a vector of particles in and returns their gaps: `no_gap` where the mass is zero.
     CLOTH_INLINE V take(const Stand<V>& s, V mass) {
-        const auto moves = mass > V{};
-        const V gap = select(moves, s.gap, splat<V>(no_gap<T>));
+        fastest_ = larger(select(mass > V{}, norm2(s.slip), V{}), fastest_);
+        return take_gap(s, mass);
+    }
+    /// The same without speeds.
+    CLOTH_INLINE V take_gap(const Stand<V>& s, V mass) {
+        const V gap = select(mass > V{}, s.gap, splat<V>(no_gap<T>));
         least_ = smaller(gap, least_);
-        fastest_ = larger(select(moves, norm2(s.slip), V{}), fastest_);
         entering_ = larger(select(fma(ahead_, s.closing, gap) < near_, s.closing, V{}), entering_);
         return gap;
     }
+    V least() const { return least_; }
+    V entering() const { return entering_; }
     Found<T> found() const {
         Found<T> found{no_gap<T>, T(0), T(0)};
         for (int k = 0; k < lanes<T>; ++k) {
@@ -249,13 +254,13 @@ private:
 };
 
 template <Shape S, bool Turns, class T>
-inline Found<T> look(const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, T near, T ahead) {
+inline Finding<T> look(const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, T near, T ahead) {
     using V = vec<T>;
     Finding<T> finding(near, ahead);
     for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>)
         finding.take(stand<S, Turns, V>(placed, size, block.template place<V>(j), block.template velocity<V>(j)),
                      load(block.mass + j));
-    return finding.found();
+    return finding;
 }
 
 }  // namespace cloth

@@ -4,7 +4,7 @@
 // Which obstacles a frame's runs may meet.
 #pragma once
 
-#include "plan.hpp"
+#include "contact_extent.hpp"
 
 namespace cloth {
 
@@ -19,17 +19,10 @@ public:
         contacts.active.clear();
         contacts.sleeps = true;
         if (!contacts.count()) return;
-        const std::int64_t n = plan.count;
-        Vec3<double> low = particle_at(x0, 0), high = low;
-        for (int c = 0; c < 3; ++c) {
-            double least = x0[c * n], most = least;
-            range(x0 + c * n, n, least, most);
-            (c == 0 ? low.x : c == 1 ? low.y : low.z) = least;
-            (c == 0 ? high.x : c == 1 ? high.y : high.z) = most;
-        }
-        const Vec3<double> middle = 0.5 * (low + high);
-        const double radius = 0.5 * root(norm2(high - low));
-        speed_ = fastest(v0) + slack;
+        const Extent cloth(x0, plan.count);
+        const Vec3<double> middle = cloth.middle;
+        const double radius = cloth.radius;
+        speed_ = fastest_of(v0, plan.count) + slack;
         for (std::int64_t k = 0; k < contacts.count(); ++k) {
             if (!contacts.present(k)) continue;
             const double* const path = contacts.path(k);
@@ -57,7 +50,7 @@ public:
     /// Whether a run that ended with velocities v, and met what it says, has to be made again.
     bool missed(const double* v, const double* touched) const {
         if (!plan_.contacts.sleeps && whole_) return false;
-        return touched[2] != 0.0 || (!whole_ && !(fastest(v) <= 2.0 * speed_));
+        return touched[2] != 0.0 || (!whole_ && !(fastest_of(v, plan_.count) <= 2.0 * speed_));
     }
     void wake() {
         plan_.contacts.wake();
@@ -68,34 +61,6 @@ public:
 private:
     /// Added to the fastest particle's speed at the frame's start [m/s]: a cloth at rest may be set in motion.
     static constexpr double slack = 0.5;
-
-    Vec3<double> particle_at(const double* a, std::int64_t i) const {
-        return {a[i], a[plan_.count + i], a[2 * plan_.count + i]};
-    }
-    static void range(const double* from, std::int64_t n, double& least, double& most) {
-        using V = vec<double>;
-        V low = splat<V>(least), high = splat<V>(most);
-        std::int64_t i = 0;
-        for (; i + lanes<double> <= n; i += lanes<double>) {
-            const V a = load(from + i);
-            low = smaller(a, low);
-            high = larger(a, high);
-        }
-        for (; i < n; ++i) least = smaller(from[i], least), most = larger(from[i], most);
-        for (int k = 0; k < lanes<double>; ++k) least = smaller<double>(low[k], least), most = larger<double>(high[k], most);
-    }
-    double fastest(const double* v) const {
-        using V = vec<double>;
-        const std::int64_t n = plan_.count;
-        V most{};
-        double square = 0.0;
-        std::int64_t i = 0;
-        for (; i + lanes<double> <= n; i += lanes<double>)
-            most = larger(norm2(Vec3<V>{load(v + i), load(v + n + i), load(v + 2 * n + i)}), most);
-        for (; i < n; ++i) square = larger(norm2(particle_at(v, i)), square);
-        for (int k = 0; k < lanes<double>; ++k) square = larger<double>(most[k], square);
-        return root(square);
-    }
 
     Plan& plan_;
     double speed_ = 0.0;

@@ -4,6 +4,28 @@
 // What Python sees of obstacles' points and edges; included by library.cpp.
 #pragma once
 
+/// Squared frequency and damping rate of the cloth's contact with itself and with points and edges of obstacles, and how
+/// many pairs were looked at for it.
+static void own_ahead(cloth::Plan& plan, double t, double duration, double expected, const double* x, const double* v,
+                      double* out) {
+    std::fill(out, out + 3, 0.0);
+    const auto add = [&](const cloth::SelfRates& r, auto&& pairs) {
+        out[0] += r.omega2;
+        out[1] += r.damping;
+        if (r.omega2 < std::numeric_limits<double>::infinity()) out[2] += static_cast<double>(pairs());
+    };
+    if (plan.self)
+        add(cloth::self_ahead(plan, duration, expected, x, v),
+            [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
+    if (!plan.features) return;
+    add(cloth::feature_ahead(plan, t, duration, expected, x, v), [&] {
+        std::size_t pairs = 0;
+        for (const cloth::NearFeatures& near : plan.features->obstacles)
+            if (!near.features.points.empty()) pairs += near.triangles.size() + near.edges.size();
+        return pairs;
+    });
+}
+
 /// The surface that points and edges of obstacles are kept out of: triangles (count, 3), its shortest edge at rest [m].
 /// Particles stand where cloth_plan_order put them.
 CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
@@ -58,19 +80,27 @@ CLOTH_API int cloth_features_rest(cloth::Plan* plan, double t, double duration, 
         *out = plan->features_act() ? 0 : 1;
     });
 }
-/// Squared frequency and damping rate, see feature_ahead, and the number of pairs that it looked at. Three numbers.
-CLOTH_API int cloth_features_ahead(cloth::Plan* plan, double t, double duration, double expected, const double* x,
-                                   const double* v, double* out) {
+/// What contact may come to within a duration, eight numbers: energy and visits as cloth_contact_ahead has them; squared
+/// frequency and damping rate as cloth_contact_limits has them, of so many times the energy as `trust` says; and what
+/// cloth_own_ahead has.
+CLOTH_API int cloth_outlook(cloth::Plan* plan, double t, double duration, double trust, double expected, const double* x,
+                            const double* v, double* out) {
     return guarded(plan, [&] {
-        const cloth::SelfRates r =
-            plan->features ? cloth::feature_ahead(*plan, t, duration, expected, x, v) : cloth::SelfRates{};
-        out[0] = r.omega2;
-        out[1] = r.damping;
-        out[2] = 0.0;
-        if (!plan->features || !(r.omega2 < std::numeric_limits<double>::infinity())) return;
-        for (const cloth::NearFeatures& near : plan->features->obstacles)
-            if (!near.features.points.empty()) out[2] += static_cast<double>(near.triangles.size() + near.edges.size());
+        cloth::Visits visits;
+        out[0] = cloth::contact_ahead(*plan, t, duration, x, v, &visits);
+        out[1] = static_cast<double>(visits.all);
+        out[2] = static_cast<double>(visits.rough);
+        const cloth::ContactLimits limits(plan->contacts, trust * out[0]);
+        out[3] = limits.omega2;
+        out[4] = limits.damping;
+        own_ahead(*plan, t, duration, expected, x, v, out + 5);
     });
+}
+/// The same of contact of the cloth's triangles and edges alone: squared frequency and damping rate, see self_ahead and
+/// feature_ahead, and the number of pairs that were looked at.
+CLOTH_API int cloth_own_ahead(cloth::Plan* plan, double t, double duration, double expected, const double* x,
+                              const double* v, double* out) {
+    return guarded(plan, [&] { own_ahead(*plan, t, duration, expected, x, v, out); });
 }
 /// Whether any passes through the cloth on straight ways from x0 at time t to x1, a duration later.
 CLOTH_API int cloth_features_cross(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,

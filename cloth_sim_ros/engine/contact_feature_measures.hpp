@@ -117,6 +117,8 @@ inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
 inline SelfRates feature_ahead(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
     FeatureContact& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
+    // Mostly particles keep everything out.
+    if (!contact.has_any(contacts)) return {};
     const FeatureLaw<double> law = contact.law(contacts);
     const double endless = std::numeric_limits<double>::infinity();
     const Array<double> places = quads_of(plan, x), speeds = quads_of(plan, v);
@@ -230,7 +232,7 @@ public:
         const Contacts& contacts = plan.contacts;
         const Surface& s = contact.surface;
         std::fill(contact.acts.begin(), contact.acts.end(), 0);
-        if (s.triangles.empty()) return;
+        if (s.triangles.empty() || !contact.has_any(contacts)) return;
         const double thickness = contact.law(contacts).thickness();
         speed_ = 2.0 * fastest(v0) + slack;
         Array<double> places;

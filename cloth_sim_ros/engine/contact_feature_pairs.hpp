@@ -280,6 +280,11 @@ struct FeatureContact {
     bool has(const Contacts& contacts, std::int64_t k) const {
         return !obstacles[k].features.points.empty() && contacts.present(k);
     }
+    bool has_any(const Contacts& contacts) const {
+        for (std::int64_t k = 0; k < contacts.count(); ++k)
+            if (has(contacts, k)) return true;
+        return false;
+    }
     void wake(const Contacts& contacts) {
         for (std::int64_t k = 0; k < contacts.count(); ++k) acts[k] = has(contacts, k);
     }

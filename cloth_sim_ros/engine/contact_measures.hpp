@@ -19,42 +19,70 @@ struct NearOne {
     Stand<double> stands() const { return {arm, gap, normal, slip, closing}; }
 };
 
-/// Call `what` for each free particle of each block that is near an obstacle. A block is near if its least gap is below
-/// `widest(speed)` [m], where `speed` is that of its fastest particle as seen from the obstacle [m/s].
-template <class W, class F>
-inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& what) {
-    const std::int64_t n = plan.count;
+/// Blocks of particles one after the other. They lie where they are, but for the last one: whole vectors of it may be read.
+class Blocks {
+public:
+    Blocks(const Plan& plan, const double* x, const double* v) : plan_(plan), x_(x), v_(v) {}
+    /// Those from `first` on; they hold until the next call.
+    Block<double> at(std::int64_t first) {
+        const std::int64_t n = plan_.count, count = std::min(contact_block, n - first);
+        for (std::int64_t i = 0; i < count; ++i)
+            mass_[i] = plan_.inverse[first + i] > 0.0 ? plan_.masses[first + i] : 0.0;
+        if (v_ && count == contact_block) return {x_ + first, v_ + first, n, mass_, count};
+        if (count < contact_block) {
+            std::fill(room_, room_ + 6 * contact_block, 0.0);
+            std::fill(mass_ + count, mass_ + contact_block, 0.0);
+        }
+        for (int c = 0; c < 3; ++c) {
+            std::copy_n(x_ + c * n + first, count, room_ + c * contact_block);
+            if (v_) std::copy_n(v_ + c * n + first, count, room_ + (3 + c) * contact_block);
+        }
+        return {room_, room_ + 3 * contact_block, contact_block, mass_, count};
+    }
+
+private:
+    const Plan& plan_;
+    const double *x_, *v_;
+    alignas(64) double room_[6 * contact_block] = {}, mass_[contact_block];
+};
+
+/// Call `what(obstacle, first, shape, placed, block)` for each block of particles that is near an obstacle, if not
+/// `skips(obstacle, placed)`. A block is near if its least gap is below `widest(speed)` [m], where `speed` is that of its
+/// fastest particle as seen from the obstacle [m/s].
+template <class S, class W, class F>
+inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
+                                F&& what) {
     const Contacts& contacts = plan.contacts;
     const double origin[3] = {};
-    Array<double> room(7 * contact_block, 0.0);
-    double* const mass = room.data() + 6 * contact_block;
+    Blocks blocks(plan, x, v);
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
         if (!contacts.present(obstacle)) continue;
         Placed<double> placed(contacts.pose(obstacle, t), origin, contacts.obstacles[obstacle]);
         if (contacts.pinch_of(obstacle)) placed.lever = placed.place - pose_at(contacts.path(obstacle), t).place;
+        if (skips(obstacle, placed)) continue;
         const Vec3<double>& size = contacts.obstacles[obstacle].size;
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
-            for (std::int64_t first = 0; first < n; first += contact_block) {
-                const std::int64_t count = std::min(contact_block, n - first);
-                if (count < contact_block) std::fill(room.begin(), room.end(), 0.0);
-                for (int c = 0; c < 3; ++c) {
-                    std::copy_n(x + c * n + first, count, room.data() + c * contact_block);
-                    if (v) std::copy_n(v + c * n + first, count, room.data() + (3 + c) * contact_block);
-                }
-                for (std::int64_t i = 0; i < count; ++i)
-                    mass[i] = plan.inverse[first + i] > 0.0 ? plan.masses[first + i] : 0.0;
-                const Block<double> block{room.data(), room.data() + 3 * contact_block, contact_block, mass, count};
-                const auto found = look<shape.value, true, double>(placed, size, block, contacts.thickness, 0.0);
-                if (!(found.gap < widest(found.speed))) continue;
-                for (std::int64_t i = 0; i < count; ++i) {
-                    if (!(mass[i] > 0.0)) continue;
-                    const auto s = stand<shape.value, true, double>(placed, size, block.place<double>(i),
-                                                                    block.velocity<double>(i));
-                    what(NearOne{obstacle, first + i, s.gap, s.closing, mass[i], s.normal, s.arm, s.slip, placed});
-                }
+            for (std::int64_t first = 0; first < plan.count; first += contact_block) {
+                const Block<double> block = blocks.at(first);
+                const auto found = look<shape.value, true, double>(placed, size, block, contacts.thickness, 0.0).found();
+                if (found.gap < widest(found.speed)) what(obstacle, first, shape, placed, block);
             }
         });
     }
+}
+/// Call `what` for each free particle of those blocks.
+template <class W, class F>
+inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& what) {
+    const auto none = [](std::int64_t, const Placed<double>&) { return false; };
+    for_each_near_block(plan, t, x, v, none, widest, [&](std::int64_t obstacle, std::int64_t first, auto shape,
+                                                         const Placed<double>& placed, const Block<double>& block) {
+        const Vec3<double>& size = plan.contacts.obstacles[obstacle].size;
+        for (std::int64_t i = 0; i < block.count; ++i) {
+            if (!(block.mass[i] > 0.0)) continue;
+            const auto s = stand<shape.value, true, double>(placed, size, block.place<double>(i), block.velocity<double>(i));
+            what(NearOne{obstacle, first + i, s.gap, s.closing, block.mass[i], s.normal, s.arm, s.slip, placed});
+        }
+    });
 }
 /// The same for particles in contact.
 template <class F>
@@ -204,68 +232,6 @@ inline void pinch_accelerations(const Plan& plan, double t, const double* x, con
         const Pinch& pinch = contacts.pinches[k];
         out[k] = pinch.present ? pinch.acceleration(law, contacts.thickness, at[0], at[1], felt[k]) : 0.0;
     }
-}
-
-/// How often particles were looked at for being in reach of an obstacle: of any, of one with friction.
-struct Visits {
-    std::int64_t all = 0, rough = 0;
-};
-/// Energy per mass, in U^2/2, that contact may have to take up within `duration`: of particles in contact what it has taken
-/// up already and that of their closing speed; of those that come into contact by then that of the speed that they come
-/// with, weight and wind included.
-inline double contact_ahead(const Plan& plan, double t, double duration, const double* x, const double* v,
-                            Visits* visits = nullptr) {
-    const Contacts& contacts = plan.contacts;
-    const auto law = contacts.law<double>();
-    const double push = 2.0 * root(norm2(Vec3<double>{plan.push(0), plan.push(1), plan.push(2)}));
-    const double thickness = contacts.thickness, per = 1.0 / ContactLaw<double>::speed;
-    const auto reach = [&](double speed) { return thickness + (speed + 0.5 * push * duration) * duration; };
-    // An obstacle that speeds up on its path is counted with the greatest speed of its middle and its end.
-    // Pads are driven to the speed that they have without load.
-    std::vector<Placed<double>> later;
-    const double origin[3] = {};
-    for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle)
-        for (const double share : {0.5, 1.0}) {
-            const Pose pose = pose_at(contacts.path(obstacle), t + share * duration);
-            const Pinch* const pinch = contacts.pinch_of(obstacle);
-            const double way = pinch ? contacts.pinched[contacts.obstacles[obstacle].pinch * pinch_numbers] : 0.0;
-            const double rate = !pinch || duration == 0.0 ? 0.0 : pinch->closed ? -pinch->speed : pinch->speed;
-            later.emplace_back(contacts.shifted(pose, obstacle, way, rate), origin, contacts.obstacles[obstacle]);
-        }
-    double fastest = 0.0, most = 0.0;
-    std::vector<double> pinched(contacts.pinches.size(), 0.0), masses(contacts.pinches.size(), 0.0);
-    for (const Placed<double>& one : later) fastest = larger(root(norm2(one.speed)), fastest);
-    for_each_near(plan, t, x, v, [&](double speed) { return reach(speed + fastest); }, [&](const NearOne& one) {
-        if (visits) {
-            ++visits->all;
-            if (contacts.obstacles[one.obstacle].rough.still > 0.0) ++visits->rough;
-        }
-        double speed = one.closing;
-        for (int k = 0; k < 2; ++k) {
-            const Placed<double>& then = later[2 * one.obstacle + k];
-            const Vec3<double> more = then.speed - one.placed.speed + cross(then.spin - one.placed.spin, one.arm);
-            speed = larger(one.closing + dot(more, one.normal), speed);
-        }
-        speed = larger(speed, 0.0);
-        if (!(one.gap < reach(speed))) return;
-        const double way = larger(one.gap - thickness, 0.0);
-        const double energy = per * per * (speed * speed + 2.0 * push * way) + law.shape(one.gap);
-        const std::int64_t pinch = contacts.obstacles[one.obstacle].pinch;
-        if (pinch >= 0) masses[pinch] += one.mass;
-        double& of = pinch < 0 ? most : pinched[pinch];
-        of = larger(energy, of);
-    });
-    const ContactLaw<double> stop(contacts.thickness, contacts.damping);
-    for (std::size_t k = 0; k < contacts.pinches.size(); ++k) {
-        const Pinch& pinch = contacts.pinches[k];
-        if (!pinch.present) continue;
-        const double way = contacts.pinched[k * pinch_numbers], now = contacts.pinched[k * pinch_numbers + 1];
-        const double driven = duration == 0.0 ? now : (pinch.closed ? smaller(now, -pinch.speed) : larger(now, pinch.speed));
-        const double stopped = pinch.stopped(stop, thickness, way, driven, duration);
-        const double times = 2.0 + masses[k] / pinch.mass + (stopped > 0.0 ? 1.0 : 0.0);
-        most = larger(stiffened(stop, thickness, larger(stopped, pinched[k]), times), most);
-    }
-    return most;
 }
 
 /// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.

@@ -90,10 +90,10 @@ public:
         Touched touched;
         double pinched = 0.0;
         for (const Mine& mine : threads_) {
-            touched.reached = larger(static_cast<double>(mine.reached), touched.reached);
-            touched.gap = smaller(static_cast<double>(mine.gap), touched.gap);
+            touched.reached = larger(static_cast<double>(mine.cloth.most()), touched.reached);
+            touched.gap = smaller(smaller(mine.cloth.least(), mine.pads.least()), touched.gap);
             touched.missed = touched.missed || mine.missed;
-            pinched = larger(static_cast<double>(mine.pinched), pinched);
+            pinched = larger(static_cast<double>(mine.pads.most()), pinched);
         }
         if (run_.steps) touched.reached = pinches_.finish(touched.reached, pinched);
         if (!run_.touched) return;
@@ -124,11 +124,34 @@ private:
         T speed = T(0);  ///< that was counted with; zero where it did not sleep
         bool touches = false;
     };
+    /// What was met, a number in each place of a vector: the least gap, the largest speed with which a particle was about to
+    /// come into contact, and the largest energy per mass of one in contact.
+    struct Met {
+        V gap = splat<V>(no_gap<T>), entering{}, reached{};
+        void take(const Finding<T>& finding) {
+            gap = smaller(finding.least(), gap);
+            entering = larger(finding.entering(), entering);
+        }
+        double least() const {
+            T least = no_gap<T>;
+            for (int k = 0; k < lanes<T>; ++k) least = smaller<T>(gap[k], least);
+            return static_cast<double>(least);
+        }
+        /// The step has to be short enough for the speed of an impact before the particle is in contact.
+        T most() const {
+            T most = T(0);
+            for (int k = 0; k < lanes<T>; ++k) {
+                const T speed = entering[k] / T(ContactLaw<T>::speed);
+                most = larger<T>(speed * speed, larger<T>(reached[k], most));
+            }
+            return most;
+        }
+    };
     struct alignas(128) Mine {
         Poses poses;
         std::vector<Sleep> sleeps;
         Array<T> spread;
-        T reached = T(0), pinched = T(0), gap = no_gap<T>;  ///< pads apart
+        Met cloth, pads;  ///< at obstacles and at pads
         bool missed = false;
         explicit Mine(const ContactRun& run)
             : poses(run.contacts_.paths, run.run_.t, run.run_.step), sleeps(run.blocks_ * run.contacts_.count()),
@@ -187,23 +210,25 @@ private:
         const Vec3<double>& all = contacts_.obstacles[obstacle].size;
         const Vec3<T> size{T(all.x), T(all.y), T(all.z)};
         const T thickness = T(contacts_.thickness), ahead = T(2.0 * run_.step);
-        Found<T> found;
+        Met& met = felt ? mine.pads : mine.cloth;
+        const auto looked = [&] {
+            const Finding<T> finding = look<S, Turns, T>(placed, size, block, thickness, ahead);
+            met.take(finding);
+            return finding.found();
+        };
+        Found<T> found{};
         // A block in contact at its last look is most likely still in contact: it skips `look`, as `push` finds the
         // same.
-        if (!sleep.touches) found = look<S, Turns, T>(placed, size, block, thickness, ahead);
-        const Finding<T> finding(thickness, ahead);
-        if (sleep.touches || found.gap < thickness) {
+        const bool looks = !sleep.touches;
+        if (looks) found = looked();
+        if (!looks || found.gap < thickness) {
+            const Finding<T> finding(thickness, ahead);
             if (held)
-                found = push<S, Turns, true>(mine, placed, size, block, finding, f, sums, held, obstacle, step >= 0, felt);
+                sleep.touches = push<S, Turns, true>(met, placed, size, block, finding, f, sums, held, obstacle, step >= 0, felt);
             else
-                found = push<S, Turns, false>(mine, placed, size, block, finding, f, sums, held, obstacle, false, felt);
+                sleep.touches = push<S, Turns, false>(met, placed, size, block, finding, f, sums, held, obstacle, false, felt);
+            if (!looks && !sleep.touches) found = looked();
         }
-        sleep.touches = found.gap < thickness;
-        mine.gap = smaller(found.gap, mine.gap);
-        // The step has to be short enough for the speed of an impact before the particle is in contact.
-        const T entering = found.entering / T(ContactLaw<T>::speed);
-        T& reached = felt ? mine.pinched : mine.reached;
-        reached = larger(entering * entering, reached);
         mine.missed = mine.missed || (sleep.speed > T(0) && found.speed > T(2) * sleep.speed);
         sleep.speed = T(0);
         if (sleep.touches || !contacts_.sleeps || !run_.steps) return;
@@ -215,11 +240,12 @@ private:
         sleep.until = step + std::max<std::int64_t>(1, soon ? static_cast<std::int64_t>(steps) : left);
         sleep.speed = speed;
     }
-    /// Anchors of the obstacle lie in `held`; they move if `moves`.
+    /// Push a block's particles; return whether any is in contact. Anchors of the obstacle lie in `held`; they move if
+    /// `moves`.
     template <Shape S, bool Turns, bool Rough>
-    Found<T> push(Mine& mine, const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, Finding<T> finding,
-                  T* f, T* sums, [[maybe_unused]] T* held, [[maybe_unused]] std::int64_t obstacle,
-                  [[maybe_unused]] bool moves, Felt* felt) {
+    bool push(Met& met, const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, Finding<T> finding, T* f,
+              T* sums, [[maybe_unused]] T* held, [[maybe_unused]] std::int64_t obstacle, [[maybe_unused]] bool moves,
+              Felt* felt) {
         const FrictionLaw<V> friction(contacts_.obstacles[obstacle].rough, contacts_.frequency);
         const V thickness = splat<V>(T(contacts_.thickness)), per = splat<V>(T(1.0 / ContactLaw<T>::speed));
         [[maybe_unused]] const V half = splat<V>(T(0.5 * run_.step));
@@ -230,7 +256,7 @@ private:
             const V mass = load(block.mass + j);
             const Stand<V> s =
                 stand<S, Turns, V>(placed, size, block.template place<V>(j), block.template velocity<V>(j));
-            const auto inside = finding.take(s, mass) < thickness;
+            const auto inside = finding.take_gap(s, mass) < thickness;
             const auto answer = law_.answer(s.gap, s.closing);
             Vec3<V> force = (mass * answer.push) * s.normal;
             V lost = mass * (answer.push - answer.elastic) * s.closing;
@@ -289,8 +315,8 @@ private:
                 store<T>(sum, load(sum) + chosen(booked[number]));
             }
         }
-        T& most = felt ? mine.pinched : mine.reached;
-        for (int k = 0; k < lanes<T>; ++k) most = larger<T>(reached[k], most);
+        met.take(finding);
+        met.reached = larger(reached, met.reached);
         if (felt) {
             double sums_[2] = {0.0, 0.0};
             for (int way = 0; way < ways; ++way) {
@@ -299,7 +325,7 @@ private:
             }
             *felt = {contacts_.obstacles[obstacle].side * sums_[0], sums_[1]};
         }
-        return finding.found();
+        return any(finding.least() < thickness);
     }
 
     const Contacts& contacts_;

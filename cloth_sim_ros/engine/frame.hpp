@@ -6,6 +6,7 @@
 
 #include <limits>
 
+#include "contact_ahead.hpp"
 #include "contact_approach.hpp"
 #include "contact_feature_measures.hpp"
 #include "grid_forces.hpp"

@@ -63,17 +63,6 @@ CLOTH_API int cloth_self_rests(cloth::Plan* plan, double duration, const double*
         *out = plan->self_rests ? 1 : 0;
     });
 }
-/// Squared frequency and damping rate, see self_ahead, and the number of pairs that it looked at. Three numbers.
-CLOTH_API int cloth_self_ahead(cloth::Plan* plan, double duration, double expected, const double* x, const double* v,
-                               double* out) {
-    return guarded(plan, [&] {
-        const cloth::SelfRates r = cloth::self_ahead(*plan, duration, expected, x, v);
-        out[0] = r.omega2;
-        out[1] = r.damping;
-        const std::size_t pairs = plan->self->triangles.size() + plan->self->edges.size();
-        out[2] = r.omega2 < std::numeric_limits<double>::infinity() ? static_cast<double>(pairs) : 0.0;
-    });
-}
 /// Whether anything passes through anything on straight ways from x0 to x1.
 CLOTH_API int cloth_self_crosses(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::self_crosses(*plan, x0, x1) ? 1 : 0; });

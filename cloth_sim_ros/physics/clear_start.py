@@ -1,10 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a cloth that is not to pass through itself would start: through itself, or too near to itself."""
+"""Where a cloth would start that has to be refused: within an obstacle, through itself, or too near to itself."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from cloth_sim_ros.engine.binding import address, check, doubles, library
 from cloth_sim_ros.physics.forces.contact import OwnSurface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import nearest_points
+from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.powers import in_rows
 
@@ -21,6 +23,20 @@ NEAREST = 0.01
 #: Particles, the stiffest of contact, of which the one nearest to a triangle is told.
 _LOOKED_AT = 16
 _REMEDY = "start from another state, or set contact.self to false"
+
+
+def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]) -> None:
+    """Refuse a cloth that is within an obstacle at time t [s], by the least gap to each [m].
+
+    Raises:
+        ValueError: for such a cloth, naming the obstacle.
+    """
+    for obstacle, gap in zip(obstacles, gaps, strict=True):
+        if gap <= 0.0:
+            raise ValueError(
+                f"the cloth is {-gap:.4g} m deep inside obstacle '{obstacle.name}' at {t:.6g} s, and contact "
+                "has no force there; move the one or the other"
+            )
 
 
 def pierced(owner: Owner, x: Array) -> list[int] | None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Sequence
 
@@ -54,6 +55,9 @@ class Touching:
         self._seen = self._moved = self._heard = -1
         self._ahead = 0.0
         self._taken: Array | None = None
+        #: Room for what the engine tells of what is ahead, made once.
+        self._told = (ctypes.c_double * 8)()
+        self._told_at = ctypes.addressof(self._told)
         touching_layers.tell_surface(self._handle, contact)
         faces = contact.faces
         self._features = None if faces is None else TouchingFeatures(owner, faces, particle_count)
@@ -120,6 +124,9 @@ class Touching:
 
         A state without any, or of other obstacles, has no anchors; its pads are open.
         """
+        if not self.force.remembered:
+            self.sync()
+            return
         anchors, pinched = state.memory.get(ANCHORS), state.memory.get(PINCHED)
         self.lay(anchors if anchors is not None and anchors.shape == self.anchors_shape else None)
         self.lay_pads(pinched if pinched is not None and pinched.shape == self.pinched_shape else None)
@@ -179,6 +186,8 @@ class Touching:
         """Let a state, whose positions and velocities combine runs by weights and are of time t [s], end with the
         anchors and pads of that.
         """
+        if not self.force.remembered:
+            return
         for name, array in zip((ANCHORS, PINCHED), self.ended(t, state.x, state.v, runs, weights), strict=True):
             if array is not None:
                 state.memory[name] = array
@@ -239,20 +248,19 @@ class Touching:
         Raises:
             ValueError: where a particle is inside an obstacle, naming it.
         """
-        energy, near, rough = self._looked_at(t, duration, x, v)
+        self.sync()
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
+        # Neighbours may push, too. What contact holds already is known.
+        factors = CONSTANTS.trust, CONSTANTS.trust if duration > 0.0 else 1.0
+        check(self._library.cloth_outlook(self._handle, t, duration, *factors, *addresses))
+        energy, near, rough, omega2, damping, own_omega2, own_damping, pairs = self._told
         if not math.isfinite(energy):
-            for obstacle, (_, gap) in zip(self.force.obstacles, self.gaps(t, x).tolist(), strict=True):
-                if gap <= 0.0:
-                    raise ValueError(
-                        f"the cloth is {-gap:.4g} m deep inside obstacle '{obstacle.name}' at {t:.6g} s, and contact "
-                        "has no force there; move the one or the other"
-                    )
-        # Neighbours may push, too.
-        omega2, damping = self.limits(CONSTANTS.trust * energy)
-        own = self._own_ahead(t, duration, x, v)
-        if not math.isfinite(own[0]):
+            from cloth_sim_ros.physics.clear_start import check_outside
+
+            check_outside(t, self.force.obstacles, self.gaps(t, x)[:, 1].tolist())
+        if not math.isfinite(own_omega2):
             self.check_clear(t, x)
-        return omega2 + own[0], damping + own[1], NEAR * near + RUBBED * rough + PAIR * own[2]
+        return omega2 + own_omega2, damping + own_damping, NEAR * near + RUBBED * rough + PAIR * pairs
 
     def own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return what contact of the cloth's triangles and edges, with itself and with obstacles, may come to within a
@@ -269,14 +277,10 @@ class Touching:
     def _own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
         """Return the same as `own_ahead`, and how many pairs come into question."""
         self.sync()
-        # What contact holds already is known.
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
         expected = CONSTANTS.trust if duration > 0.0 else 1.0
-        out = np.zeros(3)
-        if self.force.surface is not None:
-            addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-            check(self._library.cloth_self_ahead(self._handle, duration, expected, *addresses))
-        met = (0.0, 0.0, 0.0) if self._features is None else self._features.ahead(t, duration, expected, x, v)
-        return float(out[0]) + met[0], float(out[1]) + met[1], float(out[2]) + met[2]
+        check(self._library.cloth_own_ahead(self._handle, t, duration, expected, *addresses))
+        return self._told[0], self._told[1], self._told[2]
 
     def rests(self, duration: float, x: Array, v: Array) -> bool:
         """Return whether nothing of the cloth gets near itself within a duration [s], so that runs leave that out."""
@@ -301,19 +305,16 @@ class Touching:
         if not self.count:
             return 0.0, 0.0, 0.0
         self.sync()
-        out = np.empty(3)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
         check(self._library.cloth_contact_ahead(self._handle, t, duration, *addresses))
-        energy, near, rough = out.tolist()
-        return energy, near, rough
+        return self._told[0], self._told[1], self._told[2]
 
     def limits(self, energy: float) -> tuple[float, float]:
         """Return squared frequency and damping rate of contact that has taken up an energy per mass, in U^2/2."""
         if not self.count or (energy == 0.0 and not self.force.pads):
             return 0.0, 0.0
-        out = np.empty(2)
-        check(self._library.cloth_contact_limits(self._handle, energy, address(out)))
-        return float(out[0]), float(out[1])
+        check(self._library.cloth_contact_limits(self._handle, energy, self._told_at))
+        return self._told[0], self._told[1]
 
     def held(self, gap: float) -> float:
         """Return the energy per mass that contact holds at a gap [m], in U^2/2; infinite at none."""

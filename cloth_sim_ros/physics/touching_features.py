@@ -49,15 +49,6 @@ class TouchingFeatures:
         check(self._library.cloth_features_rest(self._handle, t, duration, *addresses))
         return bool(out[0])
 
-    def ahead(self, t: float, duration: float, expected: float, x: Array, v: Array) -> tuple[float, float, float]:
-        """Return squared frequency [1/s^2] and damping rate [1/s] that their contact may come to within a duration [s],
-        where it takes up so many times the energy that is expected, and how many pairs come into question for it.
-        """
-        out = np.empty(3)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-        check(self._library.cloth_features_ahead(self._handle, t, duration, expected, *addresses))
-        return float(out[0]), float(out[1]), float(out[2])
-
     def cross(self, t: float, duration: float, start: Array, end: Array) -> bool:
         """Return whether any passes through the cloth on straight ways from one place at time t to another."""
         out = np.empty(1, dtype=np.int64)

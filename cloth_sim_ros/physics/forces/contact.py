@@ -135,6 +135,8 @@ class Contact(EngineForce):
                 )
         #: Pads included, two for each gripper that pinches.
         self.obstacles = (*obstacles, *(box for pads in self.pads for box in pads.boxes()))
+        #: Whether any obstacle has friction.
+        self.rough = any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
         if paths is None:
             paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
             paths[:, 16] = 1.0
@@ -158,11 +160,6 @@ class Contact(EngineForce):
         return len(self.obstacles) - 2 * len(self.pads)
 
     @property
-    def rough(self) -> bool:
-        """Whether any obstacle has friction."""
-        return any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
-
-    @property
     def layered(self) -> bool:
         """Whether layers of the cloth have friction."""
         return self.surface is not None and self.surface.friction[0] > 0.0
@@ -171,6 +168,11 @@ class Contact(EngineForce):
     def anchored(self) -> bool:
         """Whether there is friction anywhere, and so anchors."""
         return self.rough or self.layered
+
+    @property
+    def remembered(self) -> bool:
+        """Whether states have anchors or pads."""
+        return bool(self.pads) or self.anchored
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         for surface in (self.surface, self.faces):
