@@ -50,8 +50,9 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
     const Extent cloth(x, plan.count);
     const double cloth_speed = fastest_of(v, plan.count);
     const auto far = [&](std::int64_t obstacle, const Placed<double>& placed) {
-        return !contacts.pinch_of(obstacle) && cloth.away(contacts.obstacles[obstacle], placed) - cloth.blurred(placed) >
-                                                   2.0 * reach(cloth.seen(cloth_speed, placed) + fastest);
+        return cloth.finite && !contacts.pinch_of(obstacle) &&
+               cloth.away(contacts.obstacles[obstacle], placed) - cloth.blurred(placed) >
+                   2.0 * reach(cloth.seen(cloth_speed, placed) + fastest);
     };
     const auto widest = [&](double speed) { return reach(speed + fastest); };
     for_each_near_block(plan, t, x, v, far, widest, [&](std::int64_t obstacle, std::int64_t, auto shape,

@@ -25,6 +25,7 @@ inline double fastest_of(const double* v, std::int64_t n) {
 struct Extent {
     Vec3<double> middle;
     double radius;
+    bool finite = true;  ///< whether all positions are: a place that is no number is beyond no ball
 
     Extent(const double* x, std::int64_t n) {
         double low[3], high[3];
@@ -52,16 +53,23 @@ struct Extent {
     }
 
 private:
-    static void range(const double* from, std::int64_t n, double& least, double& most) {
+    void range(const double* from, std::int64_t n, double& least, double& most) {
         using V = vec<double>;
-        V low = splat<V>(least), high = splat<V>(most);
+        V low = splat<V>(least), high = splat<V>(most), none{};
+        double rest = 0.0;
         std::int64_t i = 0;
         for (; i + lanes<double> <= n; i += lanes<double>) {
             const V a = load(from + i);
             low = smaller(a, low);
             high = larger(a, high);
+            none = none + (a - a);
         }
-        for (; i < n; ++i) least = smaller(from[i], least), most = larger(from[i], most);
+        for (; i < n; ++i) {
+            least = smaller(from[i], least), most = larger(from[i], most);
+            rest += from[i] - from[i];
+        }
+        for (int k = 0; k < lanes<double>; ++k) rest += none[k];
+        finite = finite && rest == 0.0;
         for (int k = 0; k < lanes<double>; ++k) least = smaller<double>(low[k], least), most = larger<double>(high[k], most);
     }
 };
