@@ -263,9 +263,7 @@ class Touching:
         return omega2 + own_omega2, damping + own_damping, NEAR * near + RUBBED * rough + PAIR * pairs
 
     def own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
-        """Return what contact of the cloth's triangles and edges, with itself and with obstacles, may come to within a
-        duration [s] from time t on, as `ahead` does.
-        """
+        """Return the same as `ahead` of contact of the cloth's triangles and edges, with itself and with obstacles."""
         return self._own_ahead(t, duration, x, v)[:2]
 
     def work(self, t: float, duration: float, state: State) -> float:
