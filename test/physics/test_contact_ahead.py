@@ -1,0 +1,46 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What contact is about to come to: an obstacle that is left out at one look would have been left out by each particle."""
+
+import numpy as np
+import pytest
+from support.contact_scenes import SHAPES, contact, flat_sheet, moving
+
+from cloth_sim_ros.physics.plan import compile
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("push", [0.0, 1.0])
+def test_an_obstacle_far_from_all_of_the_cloth_is_left_out_as_it_is_far_from_each_particle(shape, push):
+    """An anchored particle meets nothing; where it is far away, the ball about the cloth reaches every obstacle."""
+    rng, seen = np.random.default_rng(7), set()
+    model, places = flat_sheet(5, 6, contact(shape), size=0.4, gravity=push > 0.0, anchors=[0])
+    plan = compile(model)
+    for seed in range(400):
+        path = moving(seed)
+        path[1:4] *= rng.choice([0.2, 1.0, 5.0])
+        path[4:13] *= rng.choice([0.0, 1e-2, 1.0])
+        path[17:26] *= rng.choice([0.0, 1.0])
+        plan.contact.force.move(path[None])
+        x = np.ascontiguousarray(places.T)
+        v = np.ascontiguousarray(rng.choice([0.0, 0.1, 10.0]) * rng.normal(size=x.shape))
+        v[:, 0] = 0.0
+        duration, t = float(rng.choice([0.0, 1e-3, 1.0 / 60.0])), float(rng.uniform(0.0, 0.1))
+        together = plan.contact.energy_ahead(t, duration, x, v)
+        x[:, 0] = rng.choice([-1.0, 1.0], 3) * 1e4
+        apart = plan.contact.energy_ahead(t, duration, x, v)
+        assert together == apart
+        seen.add("far" if together == 0.0 else "inside" if together == np.inf else "near")
+    assert {"far", "near"} <= seen
+
+
+def test_a_place_that_is_no_number_is_far_from_nothing():
+    model, places = flat_sheet(4, 4, contact("sphere"), size=0.3)
+    plan = compile(model)
+    path = moving(1)
+    path[1:4], path[4:13], path[17:26] = (0.0, 0.0, 50.0), 0.0, 0.0
+    plan.contact.force.move(path[None])
+    x = np.ascontiguousarray(places.T)
+    assert plan.contact.energy_ahead(0.0, 0.01, x, np.zeros_like(x)) == 0.0
+    x[1, 5] = np.nan
+    assert plan.contact.energy_ahead(0.0, 0.01, x, np.zeros_like(x)) == plan.contact.energy_ahead(0.0, 0.0, x, x * 0.0)
