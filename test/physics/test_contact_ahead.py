@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What contact is about to come to: an obstacle that is left out at one look would have been left out by each particle."""
+"""What contact is about to come to: an obstacle left out at one look would have been left out by each particle."""
 
 import numpy as np
 import pytest
