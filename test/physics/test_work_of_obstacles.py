@@ -10,7 +10,10 @@ from support.contact_scenes import THICKNESS, contact, drop, flat_sheet, still
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control.fallback import finish
+from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.columns import Columns
+from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
+from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 
 FRAME = 1.0 / 32.0
 
@@ -63,3 +66,18 @@ def test_what_comes_into_contact_in_the_last_half_step_is_booked():
     assert gained > 0.0
     assert np.abs(v).max() < 1e-9
     assert columns.work(1) == pytest.approx(gained, rel=0.5)
+
+
+def test_a_step_that_is_given_up_leaves_obstacles_where_they_are(monkeypatch):
+    """While velocities are sought they are ahead; what goes wrong then must not leave them there."""
+    plan, state = driven("box", (0.0, 0.0, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 10.0))
+    before = plan.contact.gaps(FRAME, state.x)
+
+    def fails(*_):
+        raise UnstableError("no matrix")
+
+    monkeypatch.setattr(StageMatrix, "solve", fails)
+    monkeypatch.setattr(ImplicitAdvance, "_step", lambda *_: None)
+    with pytest.raises(UnstableError):
+        finish(plan, state, 0.0, FRAME, None, instead_of="explicit steps", most=math.inf)
+    assert np.array_equal(plan.contact.gaps(FRAME, state.x), before)

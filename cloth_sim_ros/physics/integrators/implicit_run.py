@@ -309,17 +309,28 @@ class ImplicitAdvance:
         return None
 
     def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
-        """Return velocities u of a stage that lower what it minimises, from the best of some starts: rest, and those
-        that go along with an obstacle that moves, which stays as far away as it is.
+        """Return velocities u of a stage that lower what it minimises, with obstacles where they end: the cloth has to
+        be clear of them there.
+        """
+        contact = self._plan.contact
+        if contact is None:
+            return self._descended(t, x, v, d, guess)
+        self._ahead = 0.5 * d
+        contact.place_ahead(self._ahead)
+        try:
+            return self._descended(t, x, v, d, guess)
+        finally:
+            self._ahead = 0.0
+            contact.place_ahead(0.0)
+
+    def _descended(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
+        """Return the same, from the best of some starts: rest, and those that go along with an obstacle that moves,
+        which stays as far away as it is.
         """
         moving = self._plan.model.inverse_masses > 0.0
         starts = [v + d * guess * moving, v.copy(), np.zeros_like(v)]
-        contact = self._plan.contact
-        if contact is not None:
-            # With obstacles where they end: the cloth has to be clear of them there.
-            self._ahead = 0.5 * d
-            contact.place_ahead(self._ahead)
-            paths = contact.force.paths
+        if self._plan.contact is not None:
+            paths = self._plan.contact.force.paths
             going = [row for row in paths if row[4:13].any() or row[17:26].any()]
             starts += [carried(row, t - 0.5 * d, d, x) * moving for row in going]
         merits = [self._merit(t, x, v, d, start) for start in starts]
@@ -331,9 +342,6 @@ class ImplicitAdvance:
             if share <= _LEAST_SHARE:
                 break
             u += share * correction
-        if contact is not None:
-            self._ahead = 0.0
-            contact.place_ahead(0.0)
         return u
 
     def _correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
