@@ -19,9 +19,12 @@ static void own_ahead(cloth::Plan& plan, double t, double duration, double expec
             [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
     if (!plan.features) return;
     add(cloth::feature_ahead(plan, t, duration, expected, x, v), [&] {
+        // What is not there was not looked at: its lists are of another call.
         std::size_t pairs = 0;
-        for (const cloth::NearFeatures& near : plan.features->obstacles)
-            if (!near.features.points.empty()) pairs += near.triangles.size() + near.edges.size();
+        for (std::int64_t k = 0; k < plan.contacts.count(); ++k) {
+            const cloth::NearFeatures& near = plan.features->obstacles[k];
+            if (plan.features->has(plan.contacts, k)) pairs += near.triangles.size() + near.edges.size();
+        }
         return pairs;
     });
 }

@@ -224,3 +224,11 @@ def test_pads_that_stand_in_a_cell_are_told():
         plan.contact.check_clear(0.0, state.x)
     force.drive(np.array([[False, False]]))
     plan.contact.check_clear(0.0, state.x)
+
+
+def test_pads_that_are_nowhere_cost_nothing_whatever_was_near_them_before():
+    """What a frame is said to cost decides how it is stepped: it must not depend on what was asked for before."""
+    plan, state, _, force = between(way=0.8 * THICKNESS)
+    assert plan.contact.work(0.0, FRAME, state) > 0.0
+    force.drive(np.array([[False, False]]))
+    assert plan.contact.work(0.0, FRAME, state) == 0.0
