@@ -1,0 +1,126 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is asked of a plan beside runs: bounds of its rates, energies, powers, derivatives."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import BOOKED_NUMBERS, address, check, doubles, writable
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.gripping import Gripping
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.powers import in_order
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.touching import Touching
+
+
+class Measures:
+    """A plan's answers about given positions [m] and velocities [m/s], (3, particle_count) float64, C-contiguous."""
+
+    model: Model
+    contact: Touching | None
+    _library: ctypes.CDLL
+    _handle: int
+    _shape: tuple[int, int]
+    _own: list[Force]
+    _drag: float
+    _gripping: Gripping | None
+    _pair_counts: list[int]
+
+    def _sync(self) -> None:
+        raise NotImplementedError
+
+    def rates(self, x: Array) -> tuple[float, float]:
+        """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x.
+
+        Contact is left out: what it comes to depends on how the cloth moves, see `ahead`.
+        """
+        self._sync()
+        place, stiff, damped = doubles("x", x, self._shape), None, None
+        if self._own:
+            blocks = np.zeros((2, 6, self.model.particle_count))
+            for force in self._own:
+                force.add_stiffness(x, blocks[0])
+                force.add_damping(x, blocks[1])
+            stiff, damped = address(blocks[0]), address(blocks[1])
+        out = np.empty(2)
+        check(self._library.cloth_rates(self._handle, place, stiff, damped, address(out)))
+        return float(out[0]), float(out[1])
+
+    def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
+        """Return kinetic and potential energy [J] at time t; without velocities the kinetic one is 0."""
+        self._sync()
+        out = np.empty(2)
+        speed = None if v is None else doubles("v", v, self._shape)
+        check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), speed, address(out)))
+        return float(out[0]), in_order((force.energy(t, x) for force in self._own), float(out[1]))
+
+    def energy(self, t: float, x: Array, v: Array) -> float:
+        """Return kinetic plus potential energy [J]."""
+        kinetic, potential = self.energies(t, x, v)
+        return kinetic + potential
+
+    def powers(self, t: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return the powers that damping takes and that moving air gives [W]; the joints of grippers aside."""
+        self._sync()
+        out = np.empty(2)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        check(self._library.cloth_powers(self._handle, *addresses, address(out)))
+        lost = in_order((force.dissipation(t, x, v) for force in self._own), float(out[0]))
+        return lost, in_order((force.supply(t, x, v) for force in self._own), float(out[1]))
+
+    def grip_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+        """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
+        (grippers, BOOKED_NUMBERS).
+        """
+        if self._gripping is None:
+            return np.zeros((0, BOOKED_NUMBERS))
+        return self._gripping.rates(t, x, v, weight)
+
+    def dissipation(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that damping takes out of the motion [W], that of grips and of contact included."""
+        lost = in_order(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+        return lost if self.contact is None else in_order(self.contact.rates(t, x, v)[:, 7].tolist(), lost)
+
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that moving air puts into the motion [W]."""
+        return self.powers(t, x, v)[1]
+
+    def add_bounds(self, x: Array, stiff: Array, damped: Array, t: float = 0.0) -> None:
+        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m] at time t: u'Ku <= sum of u_i' B_i u_i."""
+        self._sync()
+        shape = (6, self.model.particle_count)
+        addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
+        check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
+        damped[:3] += self._drag * self.model.masses
+        if self._gripping is not None:
+            self._gripping.add_bounds(stiff, damped)
+        if self.contact is not None:
+            self.contact.add_bounds(t, x, stiff, damped)
+        for force in self._own:
+            force.add_stiffness(x, stiff)
+            force.add_damping(x, damped)
+
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
+        """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
+        self._sync()
+        given = {"x": x, "v": v, "dx": dx, "dv": dv}
+        addresses = [doubles(name, array, self._shape) for name, array in given.items()]
+        addresses.append(writable("out", out, self._shape))
+        check(self._library.cloth_product(self._handle, t, *addresses))
+        for force in self._own:
+            force.add_jacobian_product(t, x, v, dx, dv, out)
+
+    def pair_blocks(self, number: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
+        """Return blocks B (count, 6) of the plan's list of springs or joints of a number, see `StageMatrix`."""
+        if not 0 <= number < len(self._pair_counts) or self._pair_counts[number] != count:
+            raise ValueError(f"list {number} of {count} springs or joints; the plan has lists of {self._pair_counts}")
+        out = np.empty((count, 6))
+        place = doubles("x", x, self._shape)
+        check(self._library.cloth_pair_blocks(self._handle, number, place, stiffness, damping, out.ctypes.data))
+        return out
