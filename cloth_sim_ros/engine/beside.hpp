@@ -27,11 +27,16 @@ struct Beside {
     std::vector<double> ox, ov, of;  ///< the same for the caller, (3, n)
     std::vector<Poses> poses;        ///< of each thread
     std::vector<double> grips;       ///< (grips, booked_numbers)
+    std::vector<T> quarters;         ///< what hinges' forces are multiplied by for a quarter of an impulse over mass
+    bool sparse, fast = false;       ///< whether hinges are asked for less often; whether there are other lists
     std::optional<ContactRun<T>> contact;
     std::optional<SelfRun> self;
     std::optional<FeatureRun> features;
 
-    Beside(Plan& plan, const Run& run) : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
+    Beside(Plan& plan, const Run& run)
+        : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
+        for (const List& list : plan.lists) fast = fast || !list.slow;
+        sparse = run.every > 1 && plan.bends();
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
@@ -44,6 +49,10 @@ struct Beside {
         }
     }
     bool needed() const { return !plan.lists.empty() || alone(); }
+    /// Whether any of that acts in a step, or asks where particles are.
+    bool acts(std::int64_t step) const {
+        return needed() && (!sparse || run.bends(step) || fast || self || features || whole());
+    }
     /// Whether something asks for all positions at once, by component.
     bool whole() const { return plan.callback || run.powers; }
     /// Whether one thread works.
@@ -74,6 +83,16 @@ struct Beside {
         shares = &plan.shares<T>(borders);
         x.assign(4 * (plan.count + 1), T(0));
         v.assign(4 * (plan.count + 1), T(0));
+        if (sparse) {
+            for (Array<T>& lead : plan.room<T>().leads) lead.assign(4 * (plan.count + 1), T(0));
+            quarters.resize(plan.count);
+            for (std::int64_t i = 0; i < plan.count; ++i)
+                quarters[plan.rank[i]] = static_cast<T>(0.25 * run.every * run.step * plan.inverse[i]);
+            for (Share<T>& share : *shares) {
+                share.bent.resize(4 * (plan.count + 1));
+                share.seen.resize(4 * (plan.count + 1));
+            }
+        }
         if (whole()) {
             ox.resize(3 * plan.count);
             ov.resize(3 * plan.count);
@@ -89,12 +108,41 @@ struct Beside {
         const bool booked = run.powers && step >= 0;
         Powers seen;
         for (std::size_t k = 0; k < share.lists.size(); ++k)
-            add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, booked ? &seen : nullptr);
+            if (!(sparse && plan.lists[k].slow))
+                add_forces<T>(plan.lists[k], share.lists[k], x.data(), v.data(), f, booked ? &seen : nullptr);
+        if (sparse && run.bends(step)) bend(step, share, booked ? &seen : nullptr);
         if constexpr (sizeof(T) == 8) {
             if (self) self->add(step, x.data(), v.data(), f, booked ? seen.lost : nullptr);
             if (features) features->add(step, x.data(), v.data(), f);
         }
         return whole() ? asked(step, f, booked, seen) : Done::well;
+    }
+    /// Hinges in a step that stands for `every` of them: their impulse, and what they lose, is that of all. Velocities just
+    /// before such an impulse lack half of it, and damping of hinges has to see the mean: the half is foretold by the mean
+    /// of the last two, as steps foretell theirs.
+    void bend(std::int64_t step, Share<T>& share, Powers* booked) {
+        const std::int64_t turn = step < 0 ? 0 : step / run.every + 1;
+        auto& leads = plan.room<T>().leads;
+        const T* const lead = leads[(turn + 1) % 2].data();
+        T *const next = leads[turn % 2].data(), *const last = leads[2].data();
+        for (std::int64_t i = 4 * share.low; i < 4 * share.high; i += 4)
+            store4(share.seen.data() + i, quad<T>(load4(v.data() + i) + load4(lead + i)));
+        std::fill(share.bent.begin() + 4 * share.low, share.bent.begin() + 4 * share.high, T(0));
+        Powers lost;
+        for (std::size_t k = 0; k < share.lists.size(); ++k)
+            if (plan.lists[k].slow)
+                add_forces<T>(plan.lists[k], share.lists[k], x.data(), share.seen.data(), share.bent.data(),
+                              booked ? &lost : nullptr);
+        for (int k = 0; booked && k < 16; ++k) booked->lost[k] += static_cast<double>(run.every) * lost.lost[k];
+        const T weight = static_cast<T>(step < 0 ? 0 : run.every);
+        T* const f = share.f.data();
+        for (std::int64_t p = share.first; p < share.last; ++p) {
+            const quad<T> bent = load4(share.bent.data() + 4 * p), all{weight, weight, weight, weight};
+            const quad<T> quarter{quarters[p], quarters[p], quarters[p], quarters[p]}, now = quarter * bent;
+            store4(f + 4 * p, fma(all, bent, load4(f + 4 * p)));
+            store4(next + 4 * p, quad<T>(now + (step < 0 ? now : load4(last + 4 * p))));
+            store4(last + 4 * p, now);
+        }
     }
     Done asked(std::int64_t step, T* f, bool booked, const Powers& seen) {
         const std::int64_t n = plan.count;
@@ -161,7 +209,7 @@ struct Beside {
                                    {moving[0], moving[at.pitch], moving[2 * at.pitch]}, book);
             ring[j] += f.x, ring[at.pitch + j] += f.y, ring[2 * at.pitch + j] += f.z;
         }
-        if (!needed()) return;
+        if (!acts(step)) return;
         const T* const from = (*shares)[thread].f.data() + 4 * first;
         std::int64_t j = 0;
         for (; j + lanes<T> <= columns; j += lanes<T>) {

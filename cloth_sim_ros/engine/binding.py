@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 12
+ABI = 13
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -32,7 +32,7 @@ AT_WORK = (
 #: Runs of one frame at most; see frame.hpp.
 MOST_RUNS = 8
 #: Numbers that a frame tells of its combination; see `told` in frame.hpp.
-TOLD_NUMBERS = 6
+TOLD_NUMBERS = 9
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
@@ -85,6 +85,7 @@ class Frame(ctypes.Structure):
         ("books", ctypes.c_int64),
         ("anchors", ctypes.c_void_p),
         ("pinched", ctypes.c_void_p),
+        ("every", ctypes.c_int64),
     )
 
 

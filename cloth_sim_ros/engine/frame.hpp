@@ -66,18 +66,21 @@ struct Frame {
     /// nothing is wanted and there is none.
     double* notes;
     std::int64_t powers;    ///< whether powers are noted
-    /// Six numbers about the frame's end, or null.
+    /// Nine numbers about the frame's end, or null.
     /// 0: largest change of a particle's velocity over the frame [m/s]. It is infinite where the result is not finite,
     /// lies beyond an obstacle's surface, or the cloth may have passed through itself.
     /// 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s], contact aside.
     /// 3: energy per mass, in U^2/2, that contact with obstacles has to take up from the frame's end on.
     /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself and with points and
     /// edges of obstacles.
+    /// 6, 7: bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges alone; 8: of the squared frequency that
+    /// springs have across themselves. Zero without hinges.
     double* told;
     std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
     std::int64_t books;     ///< whether what obstacles do is booked
     double* anchors;        ///< of each run at its end, as `Contacts` has them, or null
     double* pinched;        ///< of each run at its end, (runs, pinches, pinch_numbers), or null
+    std::int64_t every;     ///< steps for which hinges are asked for once
 };
 
 inline Done make_runs(Plan& plan, const Frame& frame) {
@@ -106,7 +109,8 @@ inline Done make_runs(Plan& plan, const Frame& frame) {
                       touched ? notes + size + 2 : nullptr,
                       touched && frame.books,
                       frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
-                      frame.pinched ? frame.pinched + k * pinches * pinch_numbers : nullptr};
+                      frame.pinched ? frame.pinched + k * pinches * pinch_numbers : nullptr,
+                      frame.every};
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
         const bool missed = touched && approach.missed(run.v, run.touched + obstacles * booked_numbers);
@@ -169,6 +173,9 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
         const Rates r = rates_of(plan, x, nullptr, nullptr);
         frame.told[1] = r.omega2;
         frame.told[2] = r.damping;
+        frame.told[6] = r.hinges2;
+        frame.told[7] = r.hinge_damping;
+        frame.told[8] = r.across2;
     }
     return Done::well;
 }

@@ -64,6 +64,18 @@ public:
         }
     }
 
+    /// The part of their stiffness that lies across springs.
+    vec<T> across(std::int64_t row, std::int64_t j) const {
+        vec<T> sum{};
+        for (int f = 0; f < family_count; ++f) {
+            if (!grid_.families[f].present) continue;
+            const Ends e = family_ends[f];
+            for (const auto& [up, left] : {std::pair{e.row0, e.column0}, std::pair{e.row1, e.column1}})
+                if (row >= up) sum = sum + load(numbers(row - up, f) + 4 * pitch_ + j - left);
+        }
+        return sum;
+    }
+
     const bool damped;
     double unit_stiffness = 0.0, unit_damping = 0.0;
 
@@ -107,9 +119,9 @@ private:
     Array<T> numbers_;
 };
 
-/// Add the blocks of all particles to stiff and damp, each (6, n).
+/// Add the blocks of all particles to stiff and damp, each (6, n), and the part across springs to `across` (n) or null.
 inline void add_grid_bounds(const Grid& grid, const Tables<double>& tables, const double* x, double* stiff,
-                            double* damp) {
+                            double* damp, double* across = nullptr) {
     GridBounds<double> bounds(grid, tables, x);
     const std::int64_t n = grid.count();
     for (std::int64_t row = 0; row < grid.rows; ++row) {
@@ -117,6 +129,7 @@ inline void add_grid_bounds(const Grid& grid, const Tables<double>& tables, cons
         for (std::int64_t j = 0; j < grid.columns; j += lanes<double>) {
             Sym3<vec<double>> k, c;
             bounds.of(row, j, k, c);
+            const vec<double> aside = across ? bounds.across(row, j) : vec<double>{};
             for (int lane = 0; lane < lanes<double> && j + lane < grid.columns; ++lane) {
                 const std::int64_t i = row * grid.columns + j + lane;
                 const auto one = [lane](const Sym3<vec<double>>& b) {
@@ -124,6 +137,7 @@ inline void add_grid_bounds(const Grid& grid, const Tables<double>& tables, cons
                 };
                 if (stiff) add_block(stiff, n, i, one(k));
                 if (damp && bounds.damped) add_block(damp, n, i, one(c));
+                if (across) across[i] += aside[lane];
             }
         }
     }

@@ -94,7 +94,7 @@ private:
         Barrier barrier(bands_);
         const auto prepare = [&](int b, std::int64_t turn) {
             begin(b, turn);
-            export_rows(b);
+            if (beside_.acts(turn - 1)) export_rows(b);
         };
         Pool::shared().run(
             bands_,
@@ -102,7 +102,7 @@ private:
                 for (std::int64_t turn = 0; turn < turns; ++turn) {
                     prepare(b, turn);
                     barrier.wait();
-                    beside_.forces(turn - 1, b);
+                    if (beside_.acts(turn - 1)) beside_.forces(turn - 1, b);
                     barrier.wait();
                     end(b, turn, turns);
                 }
@@ -110,7 +110,8 @@ private:
             [&] {
                 for (std::int64_t turn = 0; turn < turns && done == Done::well; ++turn) {
                     for (int b = 0; b < bands_; ++b) prepare(b, turn);
-                    for (int b = 0; b < bands_ && done == Done::well; ++b) done = beside_.forces(turn - 1, b);
+                    if (beside_.acts(turn - 1))
+                        for (int b = 0; b < bands_ && done == Done::well; ++b) done = beside_.forces(turn - 1, b);
                     for (int b = 0; b < bands_ && done == Done::well; ++b) end(b, turn, turns);
                 }
             });

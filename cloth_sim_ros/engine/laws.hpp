@@ -29,6 +29,8 @@ template <class V>
 struct Bound {
     Sym3<V> stiff, damp;
     V norm, rest;
+    /// The part of `stiff` across a spring, which nothing damps.
+    V across{};
 };
 
 /// S1, a damped spring of rest length l0 > 0: F = -k (|d| - l0) d^ - c (u . d^) d^ on the far end, k = k_s / l0.
@@ -71,7 +73,7 @@ struct Spring {
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Axis<V> at = axis(p, d[0]);
-        b[0] = b[1] = {outer(at.along, at.unit, at.across), outer(at.damping, at.unit, V{}), splat<V>(1), V{}};
+        b[0] = b[1] = {outer(at.along, at.unit, at.across), outer(at.damping, at.unit, V{}), splat<V>(1), V{}, at.across};
     }
     /// The same as numbers: along dd' + across I, and damping dd'.
     template <class V>

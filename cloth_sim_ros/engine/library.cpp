@@ -16,7 +16,7 @@
 using cloth::Plan;
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 12; }
+CLOTH_API int cloth_engine_abi() { return 13; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -286,8 +286,8 @@ CLOTH_API int cloth_contact_limits(const Plan* plan, double reached, double* out
 CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
     return guarded(plan, [&] {
         const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp);
-        out[0] = r.omega2;
-        out[1] = r.damping;
+        const double numbers[5] = {r.omega2, r.damping, r.hinges2, r.hinge_damping, r.across2};
+        std::copy(numbers, numbers + 5, out);
     });
 }
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {

@@ -52,6 +52,7 @@ public:
         this->corners.assign(corners, corners + count * width);
         if (numbers) this->params.assign(params, params + count * numbers);
         if (common) std::copy(common, common + 5, this->common);
+        slow = kind == Kind::crossed || kind == Kind::altitude;
         damped = kind == Kind::panel3 || kind == Kind::panel4;
         for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
@@ -98,6 +99,8 @@ public:
 
     Kind kind;
     bool damped = false;
+    /// Hinges: they cost most of a sheet that has them and pull least, so runs may ask for them less often.
+    bool slow = false;
     std::int64_t count;
     int width = 0, numbers = 0;
     std::vector<std::int64_t> corners;

@@ -43,8 +43,10 @@ inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3
     blocks[5 * n + i] += b.yz;
 }
 
-/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n).
-inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp) {
+/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n); and to `across` (n), which may be null, the
+/// part of the stiffness that lies across springs.
+inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
+                            double* across = nullptr) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         for (std::int64_t e = 0; e < list.count; ++e) {
@@ -57,6 +59,7 @@ inline void add_list_bounds(const List& list, const double* x, std::int64_t n, d
                 const double rest = bound[i].rest;
                 if (stiff) add_block(stiff, n, p, {k.xx + rest, k.yy + rest, k.zz + rest, k.xy, k.xz, k.yz});
                 if (damp && list.damped) add_block(damp, n, p, bound[i].damp);
+                if (across) across[p] += bound[i].across;
             }
         }
     });

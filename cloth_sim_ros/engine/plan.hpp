@@ -29,6 +29,8 @@ struct Share {
     std::int64_t low = 0, high = 0;    ///< those that its elements touch
     std::vector<Elements<T>> lists;
     Array<T> f;
+    /// Where hinges are asked for less often than the rest: their forces, and the velocities that they see.
+    Array<T> bent, seen;
 };
 /// What runs write into, kept from one to the next: memory that is new costs more than a short run.
 template <class T>
@@ -36,6 +38,8 @@ struct Rooms {
     std::vector<Array<T>> state, ring, boxes;
     Array<T> quads[2], more[3], window, contact_masses;
     std::vector<Share<T>> shares;
+    /// Halves of hinges' next impulses over masses as foretold, in turn, and quarters of the last ones.
+    Array<T> leads[3];
 };
 
 struct Plan {
@@ -133,6 +137,12 @@ struct Plan {
         borders.back() = count;
         return borders;
     }
+    /// Whether there are hinges.
+    bool bends() const {
+        for (const List& list : lists)
+            if (list.slow) return true;
+        return false;
+    }
     bool touches() const { return contacts.count() || self; }
     bool rubs() const { return self && self->rubs(); }
     /// Numbers of all anchors.
@@ -170,6 +180,10 @@ struct Run {
     bool books = false;         ///< whether what obstacles do is booked
     double* anchors = nullptr;  ///< those at the end, (obstacles, anchor_numbers, n), or null
     double* pinched = nullptr;  ///< where pads are at the end, (pinches, pinch_numbers), or null
+    std::int64_t every = 1;     ///< hinges act in the middle one of so many steps, for all of them; odd, divides `steps`
+
+    /// Whether hinges are asked for in a step. At the start they are only looked at.
+    bool bends(std::int64_t step) const { return step < 0 || step % every == every / 2; }
 };
 
 enum class Done : int { well, callback_failed };

@@ -45,6 +45,8 @@ inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
 
 struct Rates {
     double omega2, damping;
+    /// Of hinges alone, and of what tension and compression of springs do across them; zero without hinges.
+    double hinges2 = 0.0, hinge_damping = 0.0, across2 = 0.0;
 };
 /// Sharper bounds where few particles stand out, as the light ones of an irregular mesh do. Of a sum over its corners an
 /// element's square may be shared out by any positive weights of the particles (laws.hpp). A particle that stands out
@@ -53,9 +55,10 @@ struct Rates {
 /// after a few rounds, each round's bound holds, and the lowest is taken.
 class Sharpened {
 public:
-    /// `blocks` (12, n) of all parts with equal weights, and what stiffness and damping come to for each particle.
+    /// `blocks` (12, n) of all parts with equal weights, and what stiffness and damping come to for each particle; or of
+    /// hinges alone.
     Sharpened(const Plan& plan, const double* x, const Array<double>& blocks, const Array<double>& k,
-              const Array<double>& c)
+              const Array<double>& c, bool hinges)
         : plan_(plan), sides_{Side(k), Side(c)} {
         if (!sides_[0].unequal && !sides_[1].unequal) return;
         place_.assign(plan.count, -1);
@@ -66,7 +69,7 @@ public:
         for (std::int64_t i = 0; i < plan.count; ++i)
             if (stands_out[i]) place(i);
         for (const List& list : plan.lists)
-            with_law(list.kind, [&](auto law) { take<decltype(law)>(list, x, stands_out); });
+            if (list.slow || !hinges) with_law(list.kind, [&](auto law) { take<decltype(law)>(list, x, stands_out); });
         gather(blocks);
         for (int round = 0; round < rounds; ++round) improve(stands_out);
     }
@@ -199,11 +202,37 @@ inline void add_grips(const Plan& plan, double* stiff, double* damp) {
     }
 }
 
+/// What hinges come to by themselves at x, and springs across; the blocks of all of them are added to `blocks` (12, n).
+inline Rates hinge_rates(const Plan& plan, const double* x, double* blocks) {
+    const std::int64_t n = plan.count;
+    Array<double> own(12 * n, 0.0), across(n, 0.0), k(n), c(n);
+    if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, blocks, blocks + 6 * n, across.data());
+    for (const List& list : plan.lists) {
+        double* const to = list.slow ? own.data() : blocks;
+        add_list_bounds(list, x, n, to, to + 6 * n, list.slow ? nullptr : across.data());
+    }
+    for (std::int64_t i = 0; i < 12 * n; ++i) blocks[i] += own[i];
+    eigenvalues(own.data(), n, k.data());
+    eigenvalues(own.data() + 6 * n, n, c.data());
+    for (std::int64_t i = 0; i < n; ++i) {
+        k[i] *= plan.inverse[i];
+        c[i] *= plan.inverse[i];
+        across[i] *= plan.inverse[i];
+    }
+    const Rates bent = Sharpened(plan, x, own, k, c, true).rates();
+    Rates r{};
+    r.hinges2 = bent.omega2;
+    r.hinge_damping = bent.damping;
+    r.across2 = largest_or_nan(across.data(), n);
+    return r;
+}
+
 /// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside. `stiff` [N/m] and
 /// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces.
 inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const double* damp) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
+    Rates rates{};
     if (plan.lists.empty() && plan.grid && !stiff) {
         // Single precision takes half the time. Its rounding is far below the safety margin of a step.
         const Grid& grid = *plan.grid;
@@ -227,7 +256,10 @@ inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const do
         blocks.assign(12 * n, 0.0);
         if (stiff) std::copy(stiff, stiff + 6 * n, blocks.begin());
         if (damp) std::copy(damp, damp + 6 * n, blocks.begin() + 6 * n);
-        add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);
+        if (plan.bends())
+            rates = hinge_rates(plan, x, blocks.data());
+        else
+            add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);
         for (int axis = 0; axis < 3; ++axis) add_grips(plan, &blocks[axis * n], &blocks[(6 + axis) * n]);
         eigenvalues(blocks.data(), n, k.data());
         eigenvalues(blocks.data() + 6 * n, n, c.data());
@@ -238,9 +270,11 @@ inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const do
         c[i] *= plan.inverse[i];
         free = free || plan.inverse[i] > 0.0;
     }
-    const Rates rates = blocks.empty() ? Rates{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)}
-                                       : Sharpened(plan, x, blocks, k, c).rates();
-    return {rates.omega2, rates.damping + (free ? plan.drag : 0.0)};
+    const Rates all = blocks.empty() ? Rates{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)}
+                                     : Sharpened(plan, x, blocks, k, c, false).rates();
+    rates.omega2 = all.omega2;
+    rates.damping = all.damping + (free ? plan.drag : 0.0);
+    return rates;
 }
 
 }  // namespace cloth

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import Gridded, Listed, Surrounded
+from cloth_sim_ros.physics.parts import Gridded, Listed, Surrounded, least_decay
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.contact import Contact
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 #: Operations of a step: to move a particle, of a spring of a grid, of an element of a list, gathering included. What is
 #: chosen by them is the same on any machine.
 MOVE, GRID_SPRING = 40, 26
+#: Kinds of elements that may be asked for less often than the rest.
+HINGES = ("crossed", "altitude")
 ELEMENT = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 
 
@@ -99,6 +102,14 @@ class Assembly:
         """Elements of each list; 0 where it is none of springs or joints."""
         return [len(part.particles) if part.kind in ("spring", "joint") else 0 for part in self.listed]
 
+    def decay(self) -> float:
+        """Return the least c / k [s] of springs and joints, see `least_decay`."""
+        pairs = [part.numbers for part in self.listed if part.kind in ("spring", "joint")]
+        found = [least_decay(numbers[:, -2], numbers[:, -1]) for numbers in pairs]
+        families = () if self.gridded is None else self.gridded.families
+        found += [least_decay(each.stiffness / each.rest_length, each.damping) for each in families]
+        return min(found, default=math.inf)
+
     def step_cost(self) -> float:
         """Estimated time of a step for one particle [ns]."""
         count = self.model.particle_count
@@ -108,6 +119,11 @@ class Assembly:
         total += sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed)
         # A call of Python takes the time of a hundred particles.
         return CONSTANTS.operation * total / count + CONSTANTS.own * (count + 100) / count * len(self.own)
+
+    def hinge_cost(self) -> float:
+        """What hinges take of it [ns]."""
+        total = sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed if part.kind in HINGES)
+        return CONSTANTS.operation * total / self.model.particle_count
 
     def _order(self, handle: int) -> None:
         """Let neighbours lie close together inside runs; nobody outside sees that order."""

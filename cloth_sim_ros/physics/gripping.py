@@ -23,6 +23,7 @@ from cloth_sim_ros.engine.binding import (
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.owner import Owner
+from cloth_sim_ros.physics.parts import least_decay
 
 
 class Gripping:
@@ -97,6 +98,10 @@ class Gripping:
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_grip_rates(self._handle, t, *addresses, weight, out.ctypes.data))
         return out
+
+    def decay(self) -> float:
+        """Return the least c / k [s] of what is held; infinity where nothing is."""
+        return least_decay(self.force.stiffness, self.force.damping)
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
         """Add stiffness [N/m] and damping [N s/m] to blocks (6, n)."""

@@ -31,6 +31,7 @@ class Measures:
     _drag: float
     _gripping: Gripping | None
     _pair_counts: list[int]
+    _decay: float
 
     def _sync(self) -> None:
         raise NotImplementedError
@@ -40,6 +41,10 @@ class Measures:
 
         Contact is left out: what it comes to depends on how the cloth moves, see `ahead`.
         """
+        return self.bounds(x)[:2]
+
+    def bounds(self, x: Array) -> tuple[float, float, tuple[float, float, float]]:
+        """Return the same, and those of hinges as `Told` has them."""
         self._sync()
         place, stiff, damped = doubles("x", x, self._shape), None, None
         if self._own:
@@ -48,9 +53,14 @@ class Measures:
                 force.add_stiffness(x, blocks[0])
                 force.add_damping(x, blocks[1])
             stiff, damped = address(blocks[0]), address(blocks[1])
-        out = np.empty(2)
+        out = np.empty(5)
         check(self._library.cloth_rates(self._handle, place, stiff, damped, address(out)))
-        return float(out[0]), float(out[1])
+        omega2, damping, *hinges = out.tolist()
+        return omega2, damping, (hinges[0], hinges[1], hinges[2])
+
+    def decay(self) -> float:
+        """Return the least c / k [s] of springs, joints and grips; 0 where one is undamped."""
+        return self._decay if self._gripping is None else min(self._decay, self._gripping.decay())
 
     def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
         """Return kinetic and potential energy [J] at time t; without velocities the kinetic one is 0."""

@@ -72,3 +72,10 @@ class Surrounded:
 
 
 Part: TypeAlias = Listed | Gridded | Uniform | Surrounded
+
+
+def least_decay(stiffness: Any, damping: Any) -> float:
+    """Return the least c / k [s] of what has any stiffness; infinity where nothing has."""
+    k, c = np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float)
+    some = k > 0.0
+    return float((c[some] / k[some]).min()) if some.any() else np.inf

@@ -31,7 +31,7 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
-from cloth_sim_ros.physics.assembly import Assembly
+from cloth_sim_ros.physics.assembly import HINGES, Assembly
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.cores import available
 from cloth_sim_ros.physics.forces.force import Array, Force
@@ -76,13 +76,13 @@ class Plan(Measures):
         self._library = library()
         self._shape = (3, model.particle_count)
         parts = Assembly.of(model)
-        self._own, self._drag = parts.own, parts.drag
-        #: Estimated time of a step for one particle [ns].
-        self.step_cost = parts.step_cost()
-        #: Whether a step is long enough for a second thread to be worth meeting it.
-        self._long = self.step_cost * model.particle_count >= 1e3 * CONSTANTS.call and (
-            parts.gridded is None or parts.gridded.rows >= 16
-        )
+        self._own, self._drag, self._decay = parts.own, parts.drag, parts.decay()
+        #: Whether there are hinges that may be asked for less often than the rest; forces in numpy are asked with them.
+        self.bends = not parts.own and any(part.kind in HINGES for part in parts.listed)
+        #: Estimated time of a step for one particle [ns], and what hinges take of it.
+        self.step_cost, self._hinge_cost = parts.step_cost(), parts.hinge_cost()
+        #: Whether there is enough for two threads: rows, if it has any.
+        self._wide = parts.gridded is None or parts.gridded.rows >= 16
         self._pair_counts = parts.pair_counts()
         self.turn = threading.Lock()
         # The engine's request, made once: what a frame asks for is written into it.
@@ -166,6 +166,7 @@ class Plan(Measures):
         powers: bool = False,
         touches: bool = False,
         threads: int | None = None,
+        every: int = 1,
     ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
         """Run a stretch of time several times, each from the start with its own number of equal steps.
 
@@ -179,6 +180,7 @@ class Plan(Measures):
             powers: whether powers are noted.
             touches: whether what obstacles do is noted.
             threads: of a sheet; None chooses. No bit depends on it.
+            every: steps for which hinges are asked for once, in the middle one; odd, and a divisor of all ``steps``.
 
         Returns:
             The runs, and positions, velocities and what is told of their combination.
@@ -190,6 +192,8 @@ class Plan(Measures):
         count, grippers, obstacles = len(steps), self.gripper_count, 0
         if steps != self._asked:
             self._ask(steps)
+        if every != 1 and (every < 1 or every % 2 == 0 or any(one % every for one in steps)):
+            raise ValueError(f"hinges every {every} steps of {list(steps)}; that must be odd and divide each of them")
         if not (isfinite(t) and isfinite(duration)):
             raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
         x0, v0 = self._places(*start)
@@ -219,7 +223,7 @@ class Plan(Measures):
             self._steps_at,
             self._weights_at,
             narrow,
-            self._threads() if threads is None else threads,
+            self._threads(every) if threads is None else threads,
             x0,
             v0,
             out_at,
@@ -230,6 +234,7 @@ class Plan(Measures):
             not self._own,
             touches,
             *ends_at,
+            every,
         )
         status = self._library.cloth_frame(self._handle, self._frame_at)
         if status:
@@ -241,12 +246,12 @@ class Plan(Measures):
             runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
         if weights is None:
             return runs, None
-        activity, omega2, damping, held, stiff, damped = self._told[:]
+        activity, omega2, damping, held, stiff, damped, h, c, s = self._told[:]
         x, v = result[0], result[1]
         self._newest, self._newest_at = (x, v), result_at or out_at
         if self._own:
             omega2, damping = self.rates(x)
-        return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped)))
+        return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped), (h, c, s)))
 
     def _places(self, x: Array, v: Array) -> tuple[int, int]:
         """Addresses of positions and velocities; of the newest combination, which mostly comes next, they are known."""
@@ -272,8 +277,14 @@ class Plan(Measures):
         """Return the estimated time [ns] that what may meet within a duration [s] from t on adds to an evaluation."""
         return 0.0 if self.contact is None else CONSTANTS.operation * self.contact.work(t, duration, state)
 
-    def _threads(self) -> int:
-        return available() if self._long else 1
+    def cost(self, every: int) -> float:
+        """Return the estimated time of a step for one particle [ns], of so many in which hinges are asked for once."""
+        return self.step_cost - (every - 1) / every * self._hinge_cost
+
+    def _threads(self, every: int) -> int:
+        # A step has to be long enough for a second thread to be worth meeting it.
+        long = self.cost(every) * self._shape[1] >= 1e3 * CONSTANTS.call
+        return available() if long and self._wide else 1
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""

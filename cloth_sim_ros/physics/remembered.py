@@ -88,6 +88,21 @@ class Stability(Remembered):
 
 
 @attrs.define
+class Hinges(Remembered):
+    """What is remembered of hinges, by scenes that have some alone."""
+
+    key = "control.hinges"
+
+    #: Bounds of their squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance, and of the
+    #: squared frequency across springs; negative when unknown.
+    omega2: float = number(-1.0)
+    damping: float = number(-1.0)
+    across2: float = number(-1.0)
+    #: Steps that an impulse of them stands for.
+    every: float = number(1.0, least=1.0)
+
+
+@attrs.define
 class Error(Remembered):
     """What the rule of the error remembers."""
 
@@ -228,7 +243,18 @@ SETTLED = "contact.settled"
 #: velocities [m/s] that a sheet fell asleep with.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
 #: What step control remembers.
-RULES: tuple[type[Remembered], ...] = (Stability, Error, Touch, Precision, Noise, Energy, Fallback, Implicit, Choice)
+RULES: tuple[type[Remembered], ...] = (
+    Stability,
+    Hinges,
+    Error,
+    Touch,
+    Precision,
+    Noise,
+    Energy,
+    Fallback,
+    Implicit,
+    Choice,
+)
 #: Names under which versions up to 0.1 kept what other rules remembered: it is not taken over.
 BEFORE = ("stepper", "automatic", "sleep")
 

@@ -116,6 +116,8 @@ class Told(NamedTuple):
     contact: float
     #: Squared frequency and damping rate of the cloth's contact with itself from there.
     own: tuple[float, float] = (0.0, 0.0)
+    #: Bounds of squared frequency and damping rate of hinges alone, and of the squared frequency across springs.
+    hinges: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def finite(self) -> bool:

@@ -13,6 +13,7 @@ import attrs
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import StepLimitError, UnstableError
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.remembered import Hinges
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -147,7 +148,8 @@ class Forecaster:
         """Of a step for one particle by the model of costs, contact as it is now included [s]."""
         simulation, state = self._simulation, self._simulation.state
         met = simulation.plan.contact_cost(simulation.time, simulation.scene.period, state)
-        return 1e-9 * (simulation.plan.step_cost + met / state.particle_count)
+        bent = simulation.plan.cost(int(Hinges.of(state).every))
+        return 1e-9 * (bent + met / state.particle_count)
 
     def _remedy(self, factor: float) -> str:
         scene = self._simulation.scene

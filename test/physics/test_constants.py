@@ -31,6 +31,12 @@ REASONS = {
         10.0: "expected evaluations of an implicit step, two stages of five iterations; hard ones take more",
         64.0: "a cap divided by 2^64 is none",
     },
+    "hinges.py": {
+        9.0: "a ninth of what hinges take is left, which is what a step takes without",
+        4.0: "fewer impulses in a run could not tell runs apart",
+        3.0: "by waves driven by w_b^2 / w and damped by tau w^2",
+        0.6: "the rule's bounds are within a tenth of the eigenvalues' (test_hinge_rule.py); the rest is for motion",
+    },
     "precision.py": {
         24.0: "bits of single precision",
         4.0: "judgements of a motion that begins: after 0, 1, 3 and 7 frames; a further one repeats the last",

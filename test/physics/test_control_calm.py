@@ -33,6 +33,7 @@ _SCENES: dict[str, dict[str, Any]] = {
     "single precision": {"tolerance": 5e-3, "material.damping": 0.3},
     "little work": {"work_limit": 0.02},
     "fixed step": {"step": 5e-4},
+    "hinges": {"bending.model": "altitude", "material.bending_modulus": 1e-5, "cloth.resolution": (14, 14)},
     "a ball out of reach": {
         "obstacles": ["it"],
         "it.shape": "sphere",

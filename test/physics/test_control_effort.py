@@ -18,7 +18,7 @@ STEPS = 100
 
 def effort(*, cap: float, evaluations: int) -> Any:
     """Of a free sheet, which implicit steps could finish."""
-    beside: dict[str, Any] = dict.fromkeys(("state", "book", "stability", "energy", "precision", "touch"))
+    beside: dict[str, Any] = dict.fromkeys(("state", "book", "stability", "energy", "precision", "hinges", "touch"))
     plan = SimpleNamespace(model=SimpleNamespace(particle_count=900))
     made: Any = Effort
     return made(

@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.integrators.base import (
 )
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Choice, Stability, restart
+from cloth_sim_ros.physics.remembered import Choice, Hinges, Stability, restart
 from cloth_sim_ros.physics.state import State
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> floa
     rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
     refuse_boundless(*rates)
     steps = max(1.0, duration / (CONSTANTS.safety * leapfrog_limit(*rates)))
-    cost = steps * plan.step_cost * plan.model.particle_count
+    cost = steps * plan.cost(int(Hinges.of(state).every)) * plan.model.particle_count
     return cost + steps * plan.contact_cost(t, duration, state)
 
 

@@ -12,16 +12,17 @@ from __future__ import annotations
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.book_ends import note_runs
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
+from cloth_sim_ros.physics.control.choice import Choice, Options, asides, binds, reason
 from cloth_sim_ros.physics.control.error import is_of, predicted_of_one
 from cloth_sim_ros.physics.control.fallback import part_cost, whole_work, work_cap
+from cloth_sim_ros.physics.control.hinges import HingeRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.touch import TouchRule
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability, Touch
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Hinges, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 #: Rules that a calm advance does not ask, and that keep what they remember.
@@ -60,9 +61,17 @@ def attempt(
     if columns > 1 or not longest > 0.0 or steps_for(duration, CONSTANTS.part) > 1:
         return None
     refine = error.refine
-    steps = steps_for(duration, longest / max(refine, 1.0))
+    every, least = 1, 1.0
+    if plan.bends:
+        # Whether damping takes the fastest waves out matters to combinations alone.
+        hinges = HingeRule(plan, Hinges.of(state), allowed=not near > 0.0)
+        hinges.choose(longest, duration, anew=False)
+        every, least = hinges.within(longest, duration)
+        if every != hinges.memory.every:
+            return None
+    steps = -(-steps_for(duration, longest / max(refine, least)) // every) * every
     stability.longest = max(stability.longest, min(bare, duration))
-    if not _fits(options, plan, duration, (bare, limit), stability.longest, refine, steps, near):
+    if not _fits(options, plan, duration, (bare, limit), stability.longest, max(refine, least), steps, near, every):
         return None
     if touch is not None and touch.is_brief(longest, duration):
         return None
@@ -82,6 +91,7 @@ def attempt(
         narrow=narrow,
         powers=book is not None and book.powers,
         touches=book is not None and book.obstacle_count > 0,
+        every=every,
     )
     runs, result = made
     assert result is not None
@@ -94,8 +104,9 @@ def attempt(
         reached, gap, own = runs[0].met
         met, touch.held = touch.limit_after(reached, own, told), contact.held(gap)
         harder = touch.is_harder(touch.held)
+    harder = harder or (every > 1 and hinges.exceed(every * finest, told))
     if not told.finite or harder or not here <= budget or not finest <= (met or 0.5 * finest):
-        return Ran(state.x, t, duration, steps, narrow, made)
+        return Ran(state.x, t, duration, steps, narrow, every, made)
     stability.omega2, stability.damping = told.omega2, told.damping
     error.wait = max(0.0, error.wait - 1.0)
     if book is not None:
@@ -104,9 +115,11 @@ def attempt(
     if touch is not None and contact is not None:
         contact.pass_on(state, t + duration, runs, (1.0,))
         touch.store(state, judged=False)
+    if plan.bends:
+        hinges.told = told.hinges
+        hinges.memory.store(state)
     stability.store(state)
     error.store(state)
-    words = reason(options, choice, steps, finest)
     return Advance(
         steps,
         steps + 1,
@@ -117,7 +130,7 @@ def attempt(
         binds(options, choice, steps, finest),
         here,
         0,
-        f"{words}; in single precision" if narrow else words,
+        reason(options, choice, steps, finest) + asides(every, narrow),
     )
 
 
@@ -145,6 +158,7 @@ def _fits(
     refine: float,
     steps: int,
     near: float,
+    every: int,
 ) -> bool:
     """Whether an attempt that is judged fits the frame's work: else there is something to decide.
 
@@ -157,9 +171,10 @@ def _fits(
         refine: steps relative to those that stability needs.
         steps: of the attempt.
         near: estimated time that contact adds to a force evaluation [ns].
+        every: steps for which hinges are asked for once.
     """
     bare, limit = limits
-    cap, _ = work_cap(plan, whole_work(plan, options.work, duration, near), duration, most, 0.0, near, limit)
+    cap, _ = work_cap(plan, whole_work(plan, options.work, duration, near, every), duration, most, 0.0, near, limit)
     longest = min(CONSTANTS.safety * limit, duration)
     work = steps * SUMS[2] + (2 + part_cost(plan, near))
     return work <= cap and duration / bare <= cap and duration * refine <= cap / SUMS[2] * longest

@@ -50,6 +50,12 @@ def reason(options: Options, choice: Choice, steps: int, step: float) -> str:
     return _words(options.name, options.tolerance, options.step, bound, choice.columns, refined, steps == 1, step)
 
 
+def asides(every: int, narrow: bool) -> str:
+    """Return in words what else was chosen: how often hinges were asked for, and the precision."""
+    words = f"; bending every {every} steps" if every > 1 else ""
+    return f"{words}; in single precision" if narrow else words
+
+
 # Most frames are stepped as the one before.
 @lru_cache(maxsize=64)
 def _words(

@@ -10,11 +10,12 @@ import attrs
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control.choice import Choice, Options
-from cloth_sim_ros.physics.control.energy import EnergyRule
+from cloth_sim_ros.physics.control.energy import EnergyRule, put_in
 from cloth_sim_ros.physics.control.fallback import FINISHED, within_reach
+from cloth_sim_ros.physics.control.hinges import HingeRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.touch import TouchRule
-from cloth_sim_ros.physics.integrators.columns import Ran
+from cloth_sim_ros.physics.integrators.columns import Columns, Ran
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Stability
 from cloth_sim_ros.physics.state import State
@@ -31,6 +32,7 @@ class Effort:
     stability: Stability
     energy: EnergyRule
     precision: PrecisionRule
+    hinges: HingeRule
     touch: TouchRule
     #: Length of the advance [s].
     duration: float
@@ -66,6 +68,17 @@ class Effort:
     def may_finish(self) -> bool:
         """Whether explicit steps do that themselves, by what was left over."""
         return self.touches and self.options.tolerance is not None and not self.finishing
+
+    def makes_energy(self, columns: Columns, choice: Choice, times: tuple[float, float], step: float) -> bool:
+        """Whether a choice of runs between two times [s] makes energy from nowhere; that of one swings by its step."""
+        state, contact, end = self.state, self.plan.contact, self.state.share()
+        columns.pass_on(choice.columns, end)
+        work, evaluations = put_in(self.plan, state, columns, times[0], choice.columns)
+        self.evaluations += evaluations
+        exceeds = self.energy.exceeds((times[0], state), (times[1], end), step, work, refine=choice.refine)
+        if contact is not None:
+            contact.take(state)
+        return exceeds
 
     def fewer(self, columns: int, needed: Callable[[int], float]) -> int:
         """Return how many runs to combine. Where the cloth touches it is as many as fit: fewer of them do better than

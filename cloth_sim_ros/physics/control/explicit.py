@@ -11,11 +11,12 @@ import math
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control import calm
-from cloth_sim_ros.physics.control.choice import Choice, Options, binds, reason
+from cloth_sim_ros.physics.control.choice import Choice, Options, asides, binds, reason
 from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, is_of
 from cloth_sim_ros.physics.control.fallback import finish, part_cost, whole_work, within_reach, work_cap
+from cloth_sim_ros.physics.control.hinges import HingeRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.control.stretch import Stretch
@@ -29,7 +30,7 @@ from cloth_sim_ros.physics.integrators.base import (
 )
 from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Noise, Precision, Stability, Touch
+from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Hinges, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
 
@@ -89,8 +90,14 @@ class ExplicitAdvance:
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), duration))
         self._fallen = Fallback.of(state).fallen
+        allowed = options.tolerance is not None and stability.damped
         touch = TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory)
         met = touch.look_ahead(t, duration, state)
+        # Contact's waves may be as fast as any, and damped by nothing.
+        hinges = HingeRule(plan, Hinges.of(state), allowed=allowed and not met > 0.0)
+        hinges.choose(min(CONSTANTS.safety * limit, duration), duration, anew=judge)
+        # What is known of the error holds for as many steps an impulse alone.
+        judge = judge or (options.tolerance is not None and hinges.every != hinges.memory.every)
         self._effort = Effort(
             options=options,
             plan=plan,
@@ -99,6 +106,7 @@ class ExplicitAdvance:
             stability=memory,
             energy=EnergyRule(plan, Energy.of(state), settled),
             precision=PrecisionRule(plan, precision, noise, duration, budget),
+            hinges=hinges,
             touch=touch,
             duration=duration,
             cap=math.inf,
@@ -111,7 +119,7 @@ class ExplicitAdvance:
         self._whole = Stretch(self._effort, t, duration, Choice(columns, error.refine, judge), rule, stability)
         self._limit = self._whole.limit
         #: Force evaluations that the frame may take in all.
-        self._most = whole_work(plan, options.work, duration, met)
+        self._most = whole_work(plan, options.work, duration, met, hinges.every)
         work, self._left_over = work_cap(plan, self._most, duration, memory.longest, self._fallen, met, self._limit)
         self._allow(work)
 
@@ -154,6 +162,9 @@ class ExplicitAdvance:
             whole.rule.halved(whole.choice.columns, self._mean_refinement())
         for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
             memory.store(state)
+        if self._plan.bends:
+            effort.hinges.memory.every = float(effort.hinges.every)
+            effort.hinges.memory.store(state)
         if effort.precision.noise.power >= 0.0 or Noise.key in state.memory:
             effort.precision.noise.store(state)
         effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
@@ -211,8 +222,7 @@ class ExplicitAdvance:
         words = reason(self._options, whole.choice, whole.first, whole.finest)
         if whole.pieces > 1:
             words += f" in the finest of {whole.pieces} stretches"
-        if effort.narrow:
-            words += "; in single precision"
+        words += asides(whole.every, effort.narrow)
         if flagged and effort.spent:
             words += f"; the tolerance was missed within the frame's work limit of {self._options.work:g}"
         elif flagged:

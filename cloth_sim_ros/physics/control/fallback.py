@@ -31,7 +31,7 @@ def within_reach(plan: Plan) -> bool:
     return plan.model.particle_count <= CONSTANTS.implicit
 
 
-def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0) -> float:
+def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0, every: int = 1) -> float:
     """Return the force evaluations that the work of an advance is worth; infinite where it has no limit.
 
     Args:
@@ -39,10 +39,11 @@ def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0) -> fl
         work: limit in real time by the plan's estimated cost; 0 for none.
         duration: of the advance [s].
         met: estimated time that contact adds to a force evaluation [ns].
+        every: force evaluations in which hinges are asked for once.
     """
     if work == 0.0:
         return math.inf
-    return work * duration / (1e-9 * plan.step_cost * plan.model.particle_count + 1e-9 * met)
+    return work * duration / (1e-9 * plan.cost(every) * plan.model.particle_count + 1e-9 * met)
 
 
 def work_cap(

@@ -50,6 +50,8 @@ class StabilityRule:
             memory.omega2, memory.damping = plan.rates(state.x)
         #: Highest angular frequency at the start [1/s].
         self.omega = math.sqrt(memory.omega2)
+        #: How much finer impulses of hinges ask steps to be.
+        self.impulses = 1.0
         self.damped = memory.omega2 == 0.0 or (
             memory.damping * duration >= CONSTANTS.damped and any(map(_damps, plan.model.forces))
         )
@@ -57,6 +59,10 @@ class StabilityRule:
     def least(self, columns: int) -> float:
         """Return how much finer than stability asks of one run the steps of a combination must be, at least."""
         return 1.0 if self.damped else 1.0 / UNDAMPED_SHARES[columns - 1]
+
+    def asks(self, columns: int) -> float:
+        """Return the same, impulses of hinges included: the error may come to ask for others."""
+        return max(self.impulses, self.least(columns))
 
     def parts(self, columns: int, steps: int, duration: float) -> int:
         """Return into how many parts a frame is cut whose first run takes so many steps."""

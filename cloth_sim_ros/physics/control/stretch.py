@@ -15,7 +15,6 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.choice import Choice
 from cloth_sim_ros.physics.control.effort import Effort
 from cloth_sim_ros.physics.control.ending import EVALUATIONS, missed_velocity
-from cloth_sim_ros.physics.control.energy import put_in
 from cloth_sim_ros.physics.control.error import ErrorRule, Sums
 from cloth_sim_ros.physics.control.stability import UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
@@ -72,6 +71,8 @@ class Stretch:
         self._rejected, self._halve = 0, False
         self._kept: Columns | None = None
         self._sums, self._counts_first, self._held = Sums(), 0, 0.0
+        #: Steps that an impulse of hinges stands for.
+        self.every, self._stability.impulses = effort.hinges.within(self.longest, duration)
 
     @property
     def longest(self) -> float:
@@ -87,7 +88,7 @@ class Stretch:
         effort = self._effort
         state, memory, book = effort.state, effort.stability, effort.book
         self.start = start = state.share()
-        begun = memory.omega2, memory.damping
+        begun = memory.omega2, memory.damping, effort.hinges.told
         noted = None if book is None else book.noted()
         longest = self.longest
         if self._duration * self.choice.refine > self.most * longest:
@@ -106,7 +107,7 @@ class Stretch:
             if error is not None:
                 return error
             state.go_back(start)
-            memory.omega2, memory.damping = begun
+            memory.omega2, memory.damping, effort.hinges.told = begun
             if book is not None and noted is not None:
                 book.go_back(noted)
             effort.rejected += 1
@@ -146,13 +147,14 @@ class Stretch:
         """Run all parts; return the sum of their errors, or None if something else has to be tried from the start."""
         options, choice, rule = self._effort.options, self.choice, self.rule
         longest = self.longest
+        self.every, self._stability.impulses = self._effort.hinges.within(longest, self._duration)
         if options.step is not None:
             longest = options.step if options.step <= self.limit else min(options.step, longest)
-        least = 1.0 if options.tolerance is None else self._stability.least(choice.columns)
+        least = 1.0 if options.tolerance is None else self._stability.asks(choice.columns)
         steps = steps_for(self._duration, longest / max(choice.refine, least))
         parts = self._parts(choice.columns, steps)
-        self._counts_first = max(1, math.ceil(steps / parts))
         length = self._duration / parts
+        self._counts_first = max(1, math.ceil(steps / parts / self.every)) * self.every
         self.finest = length / self._counts_first
         self.first, self.steps = parts * self._counts_first, 0
         self._sums, self._halve, self._held = Sums(), False, 0.0
@@ -202,18 +204,11 @@ class Stretch:
         unknown = options.tolerance is None or self._sums.error > self.rule.budget
         varied = choice.columns > 1 or self._halvings > 0
         if unknown and effort.energy.looks(memory.omega2, after, varied=varied, refine=choice.refine):
-            end = state.share()
-            columns.pass_on(choice.columns, end)
             # A combination's energy does not swing, and from steps of one length to another the swing stays behind.
             step = 0.0 if varied else self.finest
-            work, evaluations = put_in(effort.plan, state, columns, t, choice.columns)
-            effort.evaluations += evaluations
-            exceeds = effort.energy.exceeds((t, state), (t + length, end), step, work, refine=choice.refine)
-            if effort.plan.contact is not None:
-                effort.plan.contact.take(state)
-            if exceeds:
+            if effort.makes_energy(columns, choice, (t, t + length), step):
                 return self._instead(2.0, "making energy from nowhere")
-        memory.omega2, memory.damping = told.omega2, told.damping
+        memory.omega2, memory.damping, effort.hinges.told = told.omega2, told.damping, told.hinges
         if effort.book is not None:
             columns.note(choice.columns, effort.book)
         self.steps += sum(columns.counts[: choice.columns])
@@ -223,7 +218,8 @@ class Stretch:
     def _within(self, columns: Columns) -> bool:
         """Whether a part's steps are within the limit that the motion came to; if not, choose what to try next."""
         limit = self._effort.touch.limit_met(columns, self.choice.columns) or 0.5 * self.finest
-        if self.finest <= limit:
+        hinges, told = self._effort.hinges, columns.told(self.choice.columns)
+        if self.finest <= limit and (self.every == 1 or not hinges.exceed(self.every * self.finest, told)):
             return True
         self.limit = min(self.limit, limit)
         return self._instead(1.0, "not within their stability limit")
@@ -231,11 +227,13 @@ class Stretch:
     def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
         """The runs of a part; those of the first are kept over attempts with the same steps."""
         effort, kept = self._effort, self._kept
-        counts = step_counts(self._counts_first, len(RATIOS))
+        counts = step_counts(self._counts_first, len(RATIOS), self.every)
         if effort.options.tolerance is not None:
             # What it changes was measured over a whole advance, and does not shrink with the stretch.
             effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
-        same = part == 0 and kept is not None and (kept.counts, kept.duration) == (counts, length)
+        same = (
+            part == 0 and kept is not None and (kept.counts, kept.duration, kept.every) == (counts, length, self.every)
+        )
         if same and kept is not None and effort.narrow >= kept.narrow:
             effort.narrow = kept.narrow
             return kept
@@ -251,6 +249,7 @@ class Stretch:
             omega=self._slowest,
             touched=1.0 / effort.duration,
             ran=effort.ran,
+            every=self.every,
         )
         if part == 0:
             self._kept = columns
@@ -305,7 +304,8 @@ class Stretch:
         sums.add(errors, choice.columns, predicted, activity)
         if accepted or sums.error <= CONSTANTS.trust * sums.parts * rule.floor(choice.columns):
             return True  # no step gets below rounding
-        wanted, refine = rule.choose([each / passed for each in sums.errors], choice.refine)
+        taken = max(choice.refine, self._stability.impulses)
+        wanted, refine = rule.choose([each / passed for each in sums.errors], taken)
         # A single estimate tells nothing of that.
         gained = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
         return not self._seek(wanted, refine, smooth=gained)
@@ -327,7 +327,7 @@ class Stretch:
         `smooth`: combinations gained on one another, as they do where the motion is smooth.
         """
         self._effort.precision.missed += 1
-        finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.least(columns)))
+        finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.asks(columns)))
         affordable = self.affords(columns, finer)
         if not smooth and (not affordable or self._beyond_order(refine)) and self._can_halve():
             self._halve = True
@@ -369,7 +369,7 @@ class Stretch:
 
     def work(self, columns: int, refine: float) -> float:
         """Force evaluations of an attempt that is judged, the calls that it takes included."""
-        steps = steps_for(self._duration, self.longest / max(refine, self._stability.least(columns)))
+        steps = steps_for(self._duration, self.longest / max(refine, self._stability.asks(columns)))
         calls = self._parts(columns, steps) * (columns + 1 + self._effort.part_cost)
         return steps * SUMS[columns + 1] + calls
 

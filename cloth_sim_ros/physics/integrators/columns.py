@@ -34,12 +34,14 @@ SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 
 @lru_cache(maxsize=256)
-def step_counts(first: int, columns: int) -> tuple[int, ...]:
-    """Return the columns' step counts for a first column of so many steps; each is larger than the one before."""
-    counts = [first]
+def step_counts(first: int, columns: int, every: int = 1) -> tuple[int, ...]:
+    """Return the columns' step counts for a first column of so many steps; each is larger than the one before, and a
+    multiple of `every`, as the first is.
+    """
+    counts = [first // every]
     for ratio in RATIOS[1:columns]:
-        counts.append(max(counts[-1] + 1, math.ceil(first * ratio - 1e-9)))
-    return tuple(counts)
+        counts.append(max(counts[-1] + 1, math.ceil(counts[0] * ratio - 1e-9)))
+    return tuple(every * count for count in counts)
 
 
 @lru_cache(maxsize=16)
@@ -74,9 +76,10 @@ class Ran(NamedTuple):
     x: Array
     t: float
     duration: float
-    #: Number of steps, and whether it calculated in single precision.
+    #: Number of steps, whether it calculated in single precision, and how often it asked for hinges.
     steps: int
     narrow: bool
+    every: int
     #: What the plan returned for it.
     made: tuple[list[Run], tuple[Array, Array, Told] | None]
 
@@ -96,6 +99,7 @@ class Columns:
         omega: highest angular frequency [1/s], see `difference`.
         touched: the same where contact is [1/s]: one over the time for which what it throws off is looked ahead.
         ran: a run that is there, which is taken where it is the one that is missing.
+        every: steps for which hinges are asked for once.
     """
 
     def __init__(
@@ -112,11 +116,12 @@ class Columns:
         omega: float = math.inf,
         touched: float = math.inf,
         ran: Ran | None = None,
+        every: int = 1,
     ) -> None:
         self._plan, self._start, self._t, self.duration = plan, start, t, duration
         self._powers, self._touches = powers, touches
         self.counts = tuple(counts)
-        self.narrow = narrow
+        self.narrow, self.every = narrow, every
         self._omega, self._touched, self._ran = omega, touched, ran
         self.evaluations = 0
         self._runs: list[Run] = []
@@ -154,7 +159,8 @@ class Columns:
                 own = contact.own_ahead(end, 0.0, x, v)
                 if not held < math.inf or contact.passes(end, 0.0, self._runs[columns - 1].x, x):
                     activity = math.inf
-            told = Told(activity, *self._plan.rates(x), held, own)
+            omega2, damping, hinges = self._plan.bounds(x)
+            told = Told(activity, omega2, damping, held, own, hinges)
             self._told[columns] = told
         return told
 
@@ -252,6 +258,7 @@ class Columns:
             narrow=self.narrow,
             powers=self._powers,
             touches=self._touches,
+            every=self.every,
         )
         self._runs.extend(runs)
         self.evaluations += sum(steps) + len(steps)
@@ -264,4 +271,5 @@ class Columns:
         ran = self._ran
         if ran is None or steps != (ran.steps,) or ran.x is not self._start.x:
             return None
-        return ran.made if (ran.t, ran.duration, ran.narrow) == (self._t, self.duration, self.narrow) else None
+        asked = self._t, self.duration, self.narrow, self.every
+        return ran.made if (ran.t, ran.duration, ran.narrow, ran.every) == asked else None

@@ -1,0 +1,138 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hinges asked for once in several steps: order, bits, what damping takes, and where it is done."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.bench.garment import obj_file, parameters
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
+_PERIOD = 1.0 / 60.0
+_GRID: dict[str, Any] = {
+    "cloth.resolution": [14, 15],
+    "bending.model": "altitude",
+    "material.bending_modulus": 1e-4,
+}
+
+
+def _scene(kind: str, **values: Any) -> Scene:
+    if kind == "mesh":
+        given = {**parameters(bending="altitude", tolerance=1e-3), "cloth.anchors": ["0", "40"], **values}
+        return Scene.from_parameters(given, files={"garment.obj": obj_file(220)})
+    return Scene.from_parameters({**_GRID, "bending.model": kind, **values})
+
+
+def _moving(kind: str, frames: int = 25, **values: Any) -> tuple[Plan, np.ndarray, np.ndarray, float]:
+    """A plan, and positions and velocities of its cloth after some frames."""
+    simulation = Simulation(_scene(kind, **values))
+    for _ in range(frames):
+        simulation.advance([])
+    state = simulation.state
+    return simulation.plan, np.ascontiguousarray(state.x), np.ascontiguousarray(state.v), frames * _PERIOD
+
+
+def _end(moving: Any, steps: int, every: int, **options: Any) -> np.ndarray:
+    plan, x, v, t = moving
+    (run,), _ = plan.runs(t, _PERIOD, (x, v), [steps], every=every, **options)
+    return run.ends.copy()
+
+
+@pytest.mark.parametrize("kind", ["altitude", "crossed", "mesh"])
+def test_impulses_keep_the_second_order(kind: str) -> None:
+    moving = _moving(kind)
+    steps = 90 if kind == "mesh" else 36
+    fine = [_end(moving, factor * steps, 1)[0] for factor in (16, 32)]
+    exact = (4.0 * fine[1] - fine[0]) / 3.0
+    for every in (3, 9):
+        errors = [np.abs(_end(moving, factor * steps, every)[0] - exact).max() for factor in (2, 4)]
+        assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["altitude", "mesh"])
+@pytest.mark.parametrize("narrow", [False, True])
+def test_impulses_have_the_same_bits_by_any_number_of_threads(kind: str, narrow: bool) -> None:
+    moving = _moving(kind)
+    one = _end(moving, 90, 9, narrow=narrow, threads=1)
+    for threads in (2, 3, 7):
+        assert np.array_equal(_end(moving, 90, 9, narrow=narrow, threads=threads), one)
+    # What runs before leave behind makes no difference.
+    _end(moving, 45, 3, narrow=narrow)
+    _end(moving, 45, 1, narrow=narrow)
+    assert np.array_equal(_end(moving, 90, 9, narrow=narrow, threads=1), one)
+
+
+@pytest.mark.parametrize("kind", ["altitude", "mesh"])
+def test_what_damping_takes_is_that_of_all_steps(kind: str) -> None:
+    plan, x, v, t = _moving(kind)
+    lost = {}
+    for every in (1, 3, 9):
+        (run,), _ = plan.runs(t, _PERIOD, (x, v), [360], every=every, powers=True)
+        before, after = plan.energy(t, x, v), plan.energy(t + _PERIOD, run.x, run.v)
+        lost[every] = run.powers[0]
+        # What is no longer there was taken by damping.
+        assert before - after == pytest.approx(run.powers[0], rel=2e-3, abs=1e-9)
+    assert lost[3] == pytest.approx(lost[1], rel=1e-3)
+    assert lost[9] == pytest.approx(lost[1], rel=1e-2)
+
+
+@pytest.mark.parametrize(("steps", "every"), [(36, 2), (36, 0), (36, -3), (36, 5)])
+def test_impulses_that_fit_no_run_are_refused(steps: int, every: int) -> None:
+    with pytest.raises(ValueError, match=rf"hinges every {every} steps of \[{steps}\]"):
+        _end(_moving("altitude", 1), steps, every)
+
+
+def _said(**values: Any) -> list[str]:
+    simulation = Simulation(_scene("altitude", **{"material.bending_modulus": 1e-5, **values}))
+    said = []
+    for _ in range(12):
+        done = simulation.advance([])
+        assert done.advance is not None
+        said.append(done.advance.reason)
+    return said
+
+
+def test_frames_take_impulses_and_say_so() -> None:
+    said = _said()
+    # Nothing is known of the first one.
+    assert "bending every" not in said[0]
+    assert all("; bending every " in words for words in said[4:])
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"material.damping": 0.0},
+        {"tolerance": 0.0},
+        {"tolerance": 0.0, "step": 1e-4, "integrator": "leapfrog"},
+        {
+            "obstacles": ["it"],
+            "it.shape": "plane",
+            "cloth.size": [0.3, 0.3],
+            "cloth.position": [0.0, 0.0, 0.003],
+            "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+            "contact.thickness": 0.003,
+        },
+        {"integrator": "implicit"},
+    ],
+    ids=["undamped", "no tolerance", "fixed step", "contact", "implicit"],
+)
+def test_nothing_else_takes_impulses(values: dict[str, Any]) -> None:
+    assert not any("bending every" in words for words in _said(**values))
+
+
+def test_a_hung_sheet_ends_where_it_does_without() -> None:
+    """Over two seconds, within the tolerance."""
+    ends = []
+    for tolerance in (1e-3, 1e-6):
+        simulation = Simulation(_scene("crossed", **{"material.bending_modulus": 1e-5, "tolerance": tolerance}))
+        for _ in range(120):
+            simulation.advance([])
+        ends.append(simulation.positions.copy())
+    assert np.abs(ends[0] - ends[1]).max() < 1e-3

@@ -1,0 +1,163 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Impulses of hinges by the rule let no wave grow: by the eigenvalues of the steps of a single wave, in numpy."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.control.hinges import MOST, HingeRule
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.remembered import Hinges
+
+#: Squared frequencies of waves along springs, relative to the fastest: many close to it, at the limit of steps.
+WAVES = np.unique([*np.linspace(0.0, 1.0, 61), *np.geomspace(1e-4, 1.0, 30), *(1.0 - np.geomspace(1e-4, 0.1, 20))])
+
+
+def growth(h: float, every: int, along: tuple[float, float], bent: tuple[float, float]) -> float:
+    """Return by how much a wave x'' = -a x - b x' grows over `every` steps of the leapfrog, at most.
+
+    Args:
+        h: length of a step [s].
+        every: steps of an impulse.
+        along: squared frequency [1/s^2] and damping rate [1/s] of what is asked for in each step.
+        bent: of what is asked for in the middle one.
+    """
+    steps = np.zeros((6, 6))
+    for k in range(6):
+        x, v, seen, before, lead, last = np.eye(6)[k]
+        for step in range(every):
+            a = -along[0] * x - along[1] * seen
+            if step == every // 2:
+                impulse = every * (-bent[0] * x - bent[1] * (seen + lead))
+                quarter = 0.25 * h * impulse
+                a, lead, last = a + impulse, quarter + last, quarter
+            v += h * a
+            seen, before = v + 0.25 * h * (a + before), a
+            x += h * v
+        steps[:, k] = x, v, seen, before, lead, last
+    return float(np.abs(np.linalg.eigvals(steps)).max())
+
+
+def rule(decay: float, told: tuple[float, float, float], every: int = 1, bent: float = 0.9) -> HingeRule:
+    """The rule of a plan whose hinges take that part of a step."""
+
+    def cost(steps: int) -> float:
+        return 1.0 - bent * (steps - 1) / steps
+
+    plan: Any = SimpleNamespace(bends=True, decay=lambda: decay, cost=cost)
+    return HingeRule(plan, Hinges(*told, float(every)), allowed=True)
+
+
+def along_grows(h: float, every: int, decay: float, bent: tuple[float, float]) -> float:
+    """The most that any wave grows along springs of a highest frequency of 1/s; hinges add to its stiffness."""
+    most = 0.0
+    for square in WAVES:
+        for part in (1.0, 0.3):
+            stiffness = min(part * bent[0], 1.0 - square)
+            damping = stiffness * bent[1] / bent[0]
+            most = max(most, growth(h, every, (square, decay * square), (stiffness, damping)))
+    return most
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_wave_along_springs_grows(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    decay, every = 10.0 ** rng.uniform(-3.0, 0.0), int(rng.choice([3, 5, 7, 9]))
+    own = 0.0 if seed % 2 else 10.0 ** rng.uniform(-1.5, 1.7)
+    h = leapfrog_limit(1.0, decay) * rng.uniform(0.3, 0.96)
+    # Hinges as strong as the rule lets them be for steps of that length.
+    low, high = 1e-9, 1.0
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        fits = rule(decay, (middle, own * middle, 0.0)).least(every, h) <= 1.0
+        low, high = (middle, high) if fits else (low, middle)
+    assert 1e-8 < low < 1.0
+    assert along_grows(h, every, decay, (low, own * low)) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(("decay", "own", "times"), [(0.2, 0.0, 2.5), (0.05, 10.0, 6.0), (0.2, 40.0, 6.0)])
+def test_waves_along_springs_grow_where_hinges_are_stronger(decay: float, own: float, times: float) -> None:
+    h = 0.96 * leapfrog_limit(1.0, decay)
+    low, high = 1e-9, 1.0
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        fits = rule(decay, (middle, own * middle, 0.0)).least(3, h) <= 1.0
+        low, high = (middle, high) if fits else (low, middle)
+    assert along_grows(h, 3, decay, (times * low, times * own * low)) > 1.0 + 1e-3
+
+
+@pytest.mark.parametrize("every", [3, 5, 9])
+@pytest.mark.parametrize("own", [0.0, 0.3, 3.0])
+def test_no_wave_across_springs_grows(every: int, own: float) -> None:
+    for across in np.geomspace(1e-4, 0.3, 12):
+        for bent in np.geomspace(1e-5, 0.1, 10):
+            # Waves along springs are damped by as much as can be: these do not count.
+            at = rule(1e9, (bent, own * bent, across))
+            h = 1.0 / at.least(every, 1.0)
+            for square in np.linspace(0.0, across, 20):
+                assert growth(h, every, (square, 0.0), (bent, own * bent)) <= 1.0 + 1e-9
+
+
+def test_waves_across_springs_grow_where_they_swing_half_a_turn_between_impulses() -> None:
+    at = rule(1e9, (1e-3, 0.0, 0.1))
+    h = 1.7 / at.least(3, 1.0)
+    assert max(growth(h, 3, (square, 0.0), (1e-3, 0.0)) for square in np.linspace(0.0, 0.1, 400)) > 1.0 + 1e-4
+
+
+def test_what_costs_least_is_chosen() -> None:
+    soft = rule(1e9, (1e-6, 0.0, 0.0))
+    soft.choose(1.0, 45.0, anew=True)
+    assert soft.every == MOST
+    # Four impulses of seven steps are fewer steps than four of nine.
+    few = rule(1e9, (1e-6, 0.0, 0.0))
+    few.choose(1.0, 28.0, anew=True)
+    assert few.every == 7
+    # Stiffer hinges ask for impulses so close together that steps would have to be shorter.
+    stiff = rule(1e9, (3.0, 0.0, 0.0))
+    stiff.choose(1.0, 45.0, anew=True)
+    assert stiff.every == 1
+    # Hinges that take little are not worth more steps.
+    cheap = rule(1e9, (1e-6, 0.0, 0.0), bent=0.01)
+    cheap.choose(1.0, 46.0, anew=True)
+    assert cheap.every == 1
+
+
+def test_impulses_stay_while_that_pays() -> None:
+    kept = rule(1e9, (1e-6, 0.0, 0.0), every=3)
+    kept.choose(1.0, 45.0, anew=False)
+    assert kept.every == 3
+    stiff = rule(1e9, (3.0, 0.0, 0.0), every=3)
+    stiff.choose(1.0, 45.0, anew=False)
+    assert stiff.every == 1
+
+
+def test_a_stretch_has_four_impulses_at_least() -> None:
+    soft = rule(1e9, (1e-6, 0.0, 0.0), every=9)
+    assert soft.within(1e-3, 36e-3) == (9, pytest.approx(0.0, abs=1.0))
+    assert soft.within(1e-3, 35e-3)[0] == 7
+    assert soft.within(1e-3, 12e-3)[0] == 3
+    assert soft.within(1e-3, 11e-3) == (1, 1.0)
+
+
+def test_springs_without_damping_allow_no_impulses() -> None:
+    undamped = rule(0.0, (1e-6, 0.0, 0.0), every=9)
+    undamped.choose(1.0, 45.0, anew=True)
+    assert undamped.every == 1
+    assert undamped.within(1.0, 45.0) == (1, 1.0)
+
+
+def test_what_turns_out_unstable_is_told() -> None:
+    at = rule(0.2, (1e-3, 0.0, 0.0), every=3)
+    told: Any = SimpleNamespace(hinges=(1e-3, 0.0, 0.0))
+    longest = 3.0 / at.least(3, 1.0)
+    assert not at.exceed(longest, told)
+    assert at.every == 3
+    stiffer: Any = SimpleNamespace(hinges=(1e-1, 0.0, 0.0))
+    assert at.exceed(longest, stiffer)
+    assert at.every == 1
