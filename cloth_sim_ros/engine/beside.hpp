@@ -21,6 +21,7 @@ template <class T>
 struct Beside {
     Plan& plan;
     const Run& run;
+    const bool lists;  ///< whether there are any that no rows take
     double origin[3] = {};
     Array<T>&x, &v;                  ///< positions and velocities that damping sees, a quad a particle
     std::vector<Share<T>>* shares = nullptr;  ///< with the forces
@@ -31,7 +32,8 @@ struct Beside {
     std::optional<SelfRun> self;
     std::optional<FeatureRun> features;
 
-    Beside(Plan& plan, const Run& run) : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
+    Beside(Plan& plan, const Run& run)
+        : plan(plan), run(run), lists(plan.lists_beside()), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
@@ -43,7 +45,7 @@ struct Beside {
             if (plan.features_act()) features.emplace(*plan.features, plan.contacts, run);
         }
     }
-    bool needed() const { return !plan.lists.empty() || alone(); }
+    bool needed() const { return lists || alone(); }
     /// Whether something asks for all positions at once, by component.
     bool whole() const { return plan.callback || run.powers; }
     /// Whether one thread works.
