@@ -21,6 +21,9 @@ template <class T>
 struct Beside {
     Plan& plan;
     const Run& run;
+    const bool sparse;  ///< whether hinges are asked for less often
+    const bool lists;   ///< whether there are any that no rows take
+    const bool fast;    ///< whether any of them are others than hinges
     double origin[3] = {};
     Array<T>&x, &v;                  ///< positions and velocities that damping sees, a quad a particle
     std::vector<Share<T>>* shares = nullptr;  ///< with the forces
@@ -28,15 +31,13 @@ struct Beside {
     std::vector<Poses> poses;        ///< of each thread
     std::vector<double> grips;       ///< (grips, booked_numbers)
     std::vector<T> quarters;         ///< what hinges' forces are multiplied by for a quarter of an impulse over mass
-    bool sparse, fast = false;       ///< whether hinges are asked for less often; whether there are other lists
     std::optional<ContactRun<T>> contact;
     std::optional<SelfRun> self;
     std::optional<FeatureRun> features;
 
     Beside(Plan& plan, const Run& run)
-        : plan(plan), run(run), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
-        for (const List& list : plan.lists) fast = fast || !list.slow;
-        sparse = run.every > 1 && plan.bends();
+        : plan(plan), run(run), sparse(run.every > 1 && plan.bends()), lists(sparse || plan.lists_beside()),
+          fast(plan.springs_beside()), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
@@ -48,7 +49,7 @@ struct Beside {
             if (plan.features_act()) features.emplace(*plan.features, plan.contacts, run);
         }
     }
-    bool needed() const { return !plan.lists.empty() || alone(); }
+    bool needed() const { return lists || alone(); }
     /// Whether any of that acts in a step, or asks where particles are.
     bool acts(std::int64_t step) const {
         return needed() && (!sparse || run.bends(step) || fast || self || features || whole());
@@ -80,7 +81,7 @@ struct Beside {
         if (features) features->pinch(contact->pinches());
     }
     void make(const std::vector<std::int64_t>& borders) {
-        shares = &plan.shares<T>(borders);
+        shares = &plan.shares<T>(borders, sparse);
         x.assign(4 * (plan.count + 1), T(0));
         v.assign(4 * (plan.count + 1), T(0));
         if (sparse) {

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "beside.hpp"
+#include "grid_bends.hpp"
 #include "grid_takers.hpp"
 
 namespace cloth {
@@ -16,8 +17,8 @@ public:
     /// Accelerations at the start of a run without steps go where its velocities at the end would.
     GridForces(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), beside_(plan, run), window_(plan.rooms.window),
-          pitch_(plan.tables.pitch), moving_(plan.mode() != Mode::still) {
-        window_.resize((rows_of_window * (seen + 3) + 3 * 3 + 3) * pitch_ + 64 / sizeof(T));
+          bends_(plan.row_tables<T>()), pitch_(plan.tables.pitch), moving_(plan.mode() != Mode::still) {
+        window_.resize((rows_of_window * (seen + 3) + 2 * 3 * 3 + 3) * pitch_ + 64 / sizeof(T));
         beside_.hold(1);
         beside_.touch_rows(1, pitch_);
     }
@@ -34,7 +35,8 @@ public:
         }
         const TakeRow<T> take = row_taker<T>(grid_.shape(), plan_.mode());
         const GridConstants<T> constants = grid_constants<T>(plan_);
-        T *const ring = window_.data() + rows_of_window * (seen + 3) * pitch_, *const out = ring + 3 * 3 * pitch_;
+        T *const ring = window_.data() + rows_of_window * (seen + 3) * pitch_, *const bent = ring + 3 * 3 * pitch_;
+        T* const out = bent + 3 * 3 * pitch_;
         std::fill(ring, out, T(0));
         load_row(0);
         load_row(1);
@@ -53,6 +55,9 @@ public:
             at.accelerations = whole ? run_.v + row * grid_.columns : out;
             at.apart = whole ? plan_.count : pitch_;
             beside_.add_row(0, row, -1, at, false);
+            T* sums[3];
+            for (int k = 0; k < 3; ++k) sums[k] = bent + (row + k) % 3 * 3 * pitch_;
+            if (!bends_.empty()) take_bends(bends_, row, at, sums, true, nullptr, false);
             take(at, constants, {}, true);
             for (int c = 0; !whole && c < 3; ++c)
                 std::copy_n(out + c * pitch_, grid_.columns, run_.v + c * plan_.count + row * grid_.columns);
@@ -87,6 +92,7 @@ private:
     const Grid& grid_;
     Beside<T> beside_;
     Array<T>& window_;
+    const std::vector<RowTable<T>>& bends_;
     const std::int64_t pitch_;
     const bool moving_;
 };

@@ -7,6 +7,7 @@
 #pragma once
 
 #include "beside.hpp"
+#include "grid_bends.hpp"
 #include "grid_takers.hpp"
 #include "threads.hpp"
 
@@ -17,8 +18,9 @@ class GridRun {
 public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), beside_(plan, run),
-          mode_(plan.mode()), state_(plan.room<T>().state), ring_(plan.room<T>().ring), boxes_(plan.room<T>().boxes),
-          pitch_(tables_.pitch), length_(row_length<T>(grid_.columns)),
+          bends_(plan.row_tables<T>()), mode_(plan.mode()), state_(plan.room<T>().state),
+          ring_(plan.room<T>().ring), boxes_(plan.room<T>().boxes), pitch_(tables_.pitch),
+          length_(row_length<T>(grid_.columns)),
           stride_(components<T> * pitch_) {
         const bool more = beside_.needed();
         const std::int64_t most = std::max<std::int64_t>(1, grid_.rows / reach);
@@ -40,7 +42,7 @@ public:
         ring_.resize(state_.size());
         for (int b = 0; b < bands_; ++b) {
             state_[b].resize((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T));
-            ring_[b].resize(levels_ * 9 * pitch_ + 64 / sizeof(T));
+            ring_[b].resize(levels_ * rings() * 9 * pitch_ + 64 / sizeof(T));
         }
         boxes_.resize(std::max<std::size_t>((bands_ - 1) * 4, boxes_.size()));
         for (auto& box : boxes_) box.resize(halo_ * stride_);
@@ -53,6 +55,8 @@ public:
         const std::int64_t turns = 1 + (run_.steps + levels_ - 1) / levels_;
         const Done done = beside_.needed() ? go_together(turns) : go_apart(turns);
         for (int b = 0; (beside_.self || beside_.features) && b < bands_; ++b) export_rows(b);
+        // One thread works where powers are noted.
+        if (run_.powers) run_.powers[0] += run_.step * powers_.sum(powers_.lost);
         if (done == Done::well) beside_.finish();
         return done;
     }
@@ -70,6 +74,8 @@ private:
         const std::int64_t wanted = bytes > (std::int64_t{3} << 18) ? 4 : std::min(bands_, 2);
         return static_cast<int>(std::max<std::int64_t>(1, std::min(wanted, rows / (4 * reach))));
     }
+    /// Rings of three rows of forces: the springs', and one for what else is taken by rows.
+    int rings() const { return bends_.empty() ? 1 : 2; }
     T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
 
     /// Sheets with nothing beside: neighbours alone wait for each other.
@@ -225,15 +231,19 @@ private:
     }
     void step_row(int b, std::int64_t level, std::int64_t row, bool own, std::int64_t step) {
         RowPlace<T> at;
+        T* sums[3];
         const std::int64_t turn = (row - border_[b] + halo_) % 3;
         for (int k = 0; k < 3; ++k) {
             at.row[k] = row_of(b, row + k);
             at.ring[k] = ring_[b].data() + (3 * level + (turn + k) % 3) * 3 * pitch_;
+            sums[k] = at.ring[k] + levels_ * 9 * pitch_;
         }
         at.entry = tables_.of(row);
         at.pitch = pitch_;
         at.length = length_;
         if (own) beside_.add_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
+        Powers* const powers = run_.powers && step >= 0 ? &powers_ : nullptr;
+        if (!bends_.empty()) take_bends(bends_, row, at, sums, own, powers, beside_.sparse);
         take_(at, constants_, motion_of<T>(run_, step), own);
     }
     void export_rows(int b) {
@@ -263,6 +273,8 @@ private:
     const Grid& grid_;
     const Tables<T>& tables_;
     Beside<T> beside_;
+    const std::vector<RowTable<T>>& bends_;
+    Powers powers_;
     Mode mode_;
     std::vector<Array<T>>&state_, &ring_, &boxes_;
     std::int64_t pitch_, length_, stride_, halo_ = 0;

@@ -60,7 +60,7 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
 }
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
                               const double* common) {
-    return guarded(plan, [&] { plan->lists.emplace_back(static_cast<cloth::Kind>(kind), count, corners, params, common); });
+    return guarded(plan, [&] { plan->add_list({static_cast<cloth::Kind>(kind), count, corners, params, common}); });
 }
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
     return guarded(plan, [&] {

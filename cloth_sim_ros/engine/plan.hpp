@@ -9,7 +9,7 @@
 
 #include "contact.hpp"
 #include "contact_feature_pairs.hpp"
-#include "grid.hpp"
+#include "grid_lies.hpp"
 #include "held.hpp"
 #include "list.hpp"
 #include "self_contact.hpp"
@@ -37,9 +37,12 @@ template <class T>
 struct Rooms {
     std::vector<Array<T>> state, ring, boxes;
     Array<T> quads[2], more[3], window, contact_masses;
-    std::vector<Share<T>> shares;
+    /// Where rows take their hinges, and where these are asked for less often.
+    std::vector<Share<T>> shares[2];
     /// Halves of hinges' next impulses over masses as foretold, in turn, and quarters of the last ones.
     Array<T> leads[3];
+    std::vector<RowTable<T>> tables;
+    bool tabled = false;  ///< whether `tables` is of the plan's lists
 };
 
 struct Plan {
@@ -49,6 +52,8 @@ struct Plan {
     Tables<double> tables;
     Tables<float> narrow_tables;
     std::vector<List> lists;
+    /// Where those that a sheet's rows take have their numbers, see `row_places`; empty for each other.
+    std::vector<std::vector<std::int64_t>> places;
     /// Rate of linear drag [1/s], and accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Held held;
@@ -86,21 +91,69 @@ struct Plan {
             return narrow_tables;
         }
     }
-    /// The lists shared out among threads by borders between particles.
+    void add_list(List list) {
+        lists.push_back(std::move(list));
+        places.clear();
+        rooms.tabled = narrow_rooms.tabled = false;
+    }
+    /// Find out which lists a sheet's rows take: its hinges, and then the springs between their wings. Sheets without
+    /// hinges have their springs in families.
+    void place_lists() {
+        if (places.size() == lists.size()) return;
+        places.assign(lists.size(), {});
+        bool hinges = false;
+        for (std::size_t k = 0; grid && k < lists.size(); ++k) {
+            if (lists[k].kind == Kind::crossed) places[k] = row_places<Crossed>(*grid, lists[k]);
+            if (lists[k].kind == Kind::altitude) places[k] = row_places<Altitude>(*grid, lists[k]);
+            hinges = hinges || !places[k].empty();
+        }
+        for (std::size_t k = 0; hinges && k < lists.size(); ++k)
+            if (lists[k].kind == Kind::spring) places[k] = row_places<Spring>(*grid, lists[k]);
+    }
+    /// Whether there are lists that no rows take; and whether any of these are others than hinges.
+    bool lists_beside() {
+        place_lists();
+        for (std::size_t k = 0; k < lists.size(); ++k)
+            if (places[k].empty()) return true;
+        return false;
+    }
+    bool springs_beside() {
+        place_lists();
+        for (std::size_t k = 0; k < lists.size(); ++k)
+            if (places[k].empty() && !lists[k].slow) return true;
+        return false;
+    }
+    /// The lists that a sheet's rows take.
     template <class T>
-    std::vector<Share<T>>& shares(const std::vector<std::int64_t>& borders) {
-        auto& all = room<T>().shares;
+    const std::vector<RowTable<T>>& row_tables() {
+        Rooms<T>& own = room<T>();
+        if (own.tabled) return own.tables;
+        place_lists();
+        own.tables.clear();
+        for (std::size_t k = 0; k < lists.size(); ++k)
+            if (!places[k].empty()) own.tables.emplace_back(*grid, lists[k], places[k]);
+        own.tabled = true;
+        return own.tables;
+    }
+    /// The lists shared out among threads by borders between particles: those that no rows take, and all hinges where
+    /// runs are `sparse`.
+    template <class T>
+    std::vector<Share<T>>& shares(const std::vector<std::int64_t>& borders, bool sparse) {
+        auto& all = room<T>().shares[sparse];
         bool known = all.size() + 1 == borders.size();
         for (std::size_t k = 0; known && k < all.size(); ++k)
             known = all[k].first == borders[k] && all[k].last == borders[k + 1] && all[k].lists.size() == lists.size();
         if (known) return all;
+        place_lists();
         all.assign(borders.size() - 1, Share<T>{});
         for (std::size_t k = 0; k < all.size(); ++k) {
             Share<T>& share = all[k];
             share.first = share.low = borders[k];
             share.last = share.high = borders[k + 1];
             for (const List& list : lists) {
-                share.lists.push_back(list.template taken<T>(rank.data(), count, share.first, share.last));
+                share.lists.emplace_back();
+                if (!places[share.lists.size() - 1].empty() && !(sparse && list.slow)) continue;
+                share.lists.back() = list.template taken<T>(rank.data(), count, share.first, share.last);
                 const Elements<T>& elements = share.lists.back();
                 for (int c = 0; c < list.width; ++c)
                     for (const std::uint32_t place : elements.corner[c]) {

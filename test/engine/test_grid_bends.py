@@ -1,0 +1,175 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hinges of a grid, which the engine takes by rows, against the same hinges taken from lists."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.engine.instruction_set import libraries
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.sheets.surface import grid_hinges
+
+ROOT = Path(__file__).resolve().parents[2]
+SPACING = 0.05
+KINDS = ("altitude", "crossed")
+SHAPES = [(8, 9), (19, 16), (33, 37)]
+
+
+def scene(kind, shape, *, damped=True, left_out=0.0, as_lists=False, twice=False, order=0):
+    """A creased sheet whose hinges differ from each other, with springs between their wings; and its start.
+
+    The same hinge written from the other end of its edge lies on the grid in no way that rows know: with one of them in
+    it a list is taken as a list. `order` is the hinges' in their list.
+    """
+    rows, columns = shape
+    random = np.random.default_rng(3)
+    count = rows * columns
+    hinges = grid_hinges(rows, columns)
+    hinges = hinges[random.random(len(hinges)) >= left_out]
+    if twice:
+        hinges = np.concatenate([hinges, hinges[:1]])
+    numbers = np.stack(
+        [
+            random.uniform(-0.3, 0.3, len(hinges)) * SPACING,
+            random.uniform(0.5, 2.0, len(hinges)),
+            random.uniform(1e-3, 4e-3, len(hinges)) * damped,
+        ]
+    )
+    shuffled = np.random.default_rng(order).permutation(len(hinges))
+    hinges, numbers = hinges[shuffled], numbers[:, shuffled]
+    index = np.arange(count).reshape(rows, columns)
+    pairs = np.concatenate(
+        [
+            np.stack([index[:, :-2].ravel(), index[:, 2:].ravel()], axis=1),
+            np.stack([index[:-2].ravel(), index[2:].ravel()], axis=1),
+        ]
+    )
+    soft = random.uniform(0.1, 0.3, len(pairs))
+    if as_lists:
+        hinges[0] = hinges[0][[1, 0, 3, 2]]
+        pairs[0] = pairs[0][::-1]
+    bends = (
+        AltitudeSprings(hinges, *numbers)
+        if kind == "altitude"
+        else CrossedSprings(hinges[:, :2], hinges[:, 2:], *numbers)
+    )
+    wings = OppositeSprings(pairs, 2.0 * SPACING, soft, 1e-4 * damped)
+    families = [
+        GridFamily(name=name, stiffness=3.0, rest_length=reach * SPACING, damping=2e-3 * damped)
+        for name, reach in (("right", 1.0), ("down", 1.0), ("diagonal", 2.0**0.5), ("antidiagonal", 2.0**0.5))
+    ]
+    forces = [GridSprings(rows, columns, families), bends, wings, Gravity((0.0, 0.0, -9.81))]
+    if damped:
+        forces.append(Drag(0.4))
+    x = np.zeros((3, rows, columns))
+    x[0], x[1] = SPACING * np.arange(columns), -SPACING * np.arange(rows)[:, None]
+    x = x.reshape(3, -1) + random.uniform(-0.2, 0.2, (3, count)) * SPACING
+    v = random.uniform(-0.5, 0.5, (3, count))
+    return compile(Model(np.full(count, 2e-3), forces, anchors=[0, columns - 1])), np.ascontiguousarray(x), v
+
+
+def run(given, steps=24, **options):
+    plan, x, v = given
+    (done,), _ = plan.runs(0.0, 2e-4 * steps, (x, v), [steps], **options)
+    return done
+
+
+def accelerations(given):
+    plan, x, v = given
+    out = np.empty_like(x)
+    plan.accelerations(0.0, x, v, out)
+    return out
+
+
+@pytest.mark.parametrize("left_out", [0.0, 0.1, 0.6])
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_rows_do_what_lists_do(kind, shape, damped, left_out):
+    options = {"damped": damped, "left_out": left_out}
+    rows, lists = scene(kind, shape, **options), scene(kind, shape, **options, as_lists=True)
+    one, other = accelerations(rows), accelerations(lists)
+    scale = np.abs(other).max()
+    np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-13 * scale)
+    # Rows know no order of the hinges; sparse ones are taken from lists.
+    shuffled = accelerations(scene(kind, shape, **options, order=1))
+    assert np.array_equal(one, shuffled) == (left_out < 0.6)
+    for narrow, near in ((False, 1e-13), (True, 1e-6)):
+        one, other = run(rows, narrow=narrow).ends, run(lists, narrow=narrow).ends
+        for here, there in zip(one, other, strict=True):
+            np.testing.assert_allclose(here, there, rtol=0.0, atol=near * np.abs(there).max())
+        assert np.isfinite(one).all()
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_bit_depends_on_threads_nor_on_noted_powers(kind, damped, narrow):
+    given = scene(kind, (130, 97), damped=damped)
+    alone = run(given, narrow=narrow, threads=1).ends
+    for threads in (2, 5, 8, 16):
+        np.testing.assert_array_equal(run(given, narrow=narrow, threads=threads).ends, alone)
+    np.testing.assert_array_equal(run(given, narrow=narrow, powers=True).ends, alone)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_damping_takes_is_noted(kind):
+    rows, lists = scene(kind, (19, 16)), scene(kind, (19, 16), as_lists=True)
+    for narrow, near in ((False, 1e-12), (True, 1e-5)):
+        one, other = (run(given, narrow=narrow, powers=True).powers for given in (rows, lists))
+        assert other[0] > 0.0
+        np.testing.assert_allclose(one, other, rtol=near)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_hinges_twice_in_one_place_both_act(kind):
+    rows, lists = scene(kind, (8, 9), twice=True), scene(kind, (8, 9), twice=True, as_lists=True)
+    one, other = accelerations(rows), accelerations(lists)
+    np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-13 * np.abs(other).max())
+
+
+def digest() -> str:
+    """Of runs by the engine that the process has."""
+    told = hashlib.sha256()
+    for kind in KINDS:
+        for shape in SHAPES:
+            for damped in (True, False):
+                given = scene(kind, shape, damped=damped)
+                told.update(accelerations(given).tobytes())
+                for narrow in (False, True):
+                    done = run(given, narrow=narrow, powers=True)
+                    told.update(done.ends.tobytes() + done.notes.tobytes())
+    return told.hexdigest()
+
+
+@pytest.mark.parametrize("name", libraries())
+def test_no_bit_depends_on_the_instruction_set(name):
+    if not (ROOT / "cloth_sim_ros" / "engine" / f"_{name}.so").exists():
+        pytest.skip(f"{name}: not built")
+    done = subprocess.run(
+        [sys.executable, "-c", "import test_grid_bends; print(test_grid_bends.digest())"],
+        env={
+            **os.environ,
+            "CLOTH_SIM_ROS_ENGINE": name,
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(Path(__file__).parent)]),
+        },
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.strip() == digest(), done.stderr
