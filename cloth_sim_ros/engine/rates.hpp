@@ -202,10 +202,12 @@ inline void add_grips(const Plan& plan, double* stiff, double* damp) {
     }
 }
 
-/// What hinges come to by themselves at x, and springs across; the blocks of all of them are added to `blocks` (12, n).
+/// What hinges come to by themselves at x, and springs across, with what the caller's own forces have in `blocks` (12, n)
+/// in any direction; the blocks of all of them are added to those.
 inline Rates hinge_rates(const Plan& plan, const double* x, double* blocks) {
     const std::int64_t n = plan.count;
-    Array<double> own(12 * n, 0.0), across(n, 0.0), k(n), c(n);
+    Array<double> own(12 * n, 0.0), across(n), k(n), c(n);
+    for (std::int64_t i = 0; i < n; ++i) across[i] = blocks[i] + blocks[n + i] + blocks[2 * n + i];
     if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, blocks, blocks + 6 * n, across.data());
     for (const List& list : plan.lists) {
         double* const to = list.slow ? own.data() : blocks;

@@ -77,8 +77,8 @@ class Plan(Measures):
         self._shape = (3, model.particle_count)
         parts = Assembly.of(model)
         self._own, self._drag, self._decay = parts.own, parts.drag, parts.decay()
-        #: Whether there are hinges that may be asked for less often than the rest; forces in numpy are asked with them.
-        self.bends = not parts.own and any(part.kind in HINGES for part in parts.listed)
+        #: Whether there are hinges, which may be asked for less often than the rest.
+        self.bends = any(part.kind in HINGES for part in parts.listed)
         #: Estimated time of a step for one particle [ns], and what hinges take of it.
         self.step_cost, self._hinge_cost = parts.step_cost(), parts.hinge_cost()
         #: Whether there is enough for two threads: rows, if it has any.
@@ -250,7 +250,7 @@ class Plan(Measures):
         x, v = result[0], result[1]
         self._newest, self._newest_at = (x, v), result_at or out_at
         if self._own:
-            omega2, damping = self.rates(x)
+            omega2, damping, (h, c, s) = self.bounds(x)
         return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped), (h, c, s)))
 
     def _places(self, x: Array, v: Array) -> tuple[int, int]:

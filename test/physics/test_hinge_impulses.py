@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.bench.garment import obj_file, parameters
-from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.forces.force import Force
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.remembered import Hinges
+from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -86,6 +91,36 @@ def test_what_damping_takes_is_that_of_all_steps(kind: str) -> None:
 def test_impulses_that_fit_no_run_are_refused(steps: int, every: int) -> None:
     with pytest.raises(ValueError, match=rf"hinges every {every} steps of \[{steps}\]"):
         _end(_moving("altitude", 1), steps, every)
+
+
+class _Held(Force):
+    """Every particle is held where it is by a spring without damping, in numpy."""
+
+    name = "held"
+
+    def __init__(self, stiffness: float, at: np.ndarray) -> None:
+        self.stiffness, self.at = stiffness, at
+
+    def add_force(self, t: float, x: np.ndarray, v: np.ndarray, f: np.ndarray) -> None:
+        f -= self.stiffness * (x - self.at)
+
+    def energy(self, t: float, x: np.ndarray) -> float:
+        return 0.5 * self.stiffness * float(((x - self.at) ** 2).sum())
+
+    def add_stiffness(self, x: np.ndarray, blocks: np.ndarray) -> None:
+        blocks[:3] += self.stiffness
+
+
+@pytest.mark.parametrize(("stiffness", "apart"), [(1e-3, True), (3000.0, False)])
+def test_a_force_in_numpy_counts_as_a_wave_that_nothing_damps(stiffness: float, apart: bool) -> None:
+    model = _scene("altitude", **{"material.bending_modulus": 1e-5}).model()
+    at = Simulation(_scene("altitude")).state.x.copy()
+    held = compile(Model(model.masses, [*model.forces, _Held(stiffness, at)], anchors=model.anchors))
+    state, taken = State(at.T), set()
+    for frame in range(8):
+        make_integrator("auto", tolerance=1e-3).advance(held, state, frame * _PERIOD, _PERIOD)
+        taken.add(int(Hinges.of(state).every))
+    assert max(taken) >= 5 if apart else max(taken) == 1
 
 
 def _said(**values: Any) -> list[str]:
