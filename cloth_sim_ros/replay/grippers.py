@@ -107,7 +107,8 @@ class GripperTracks:
                 self.radius = float(event["values"].get("gripper.radius", self.radius))
             elif kind == "reset":
                 self._reset()
-        if record.steps:
+        # Of a cloth that sleeps no step is taken, and yet time passes.
+        if record.steps or not record.paused:
             for track in self.tracks.values():
                 if track.pose is not None:
                     track.pose = track.target.copy()

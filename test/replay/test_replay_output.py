@@ -73,6 +73,25 @@ def test_what_happened_is_shown(tmp_path: Path) -> None:
     assert spheres[-1] == [[0.0, 0.0, 0.0]]
 
 
+def test_a_gripper_that_comes_while_the_cloth_sleeps_is_seen_to_hold_what_it_holds(tmp_path: Path) -> None:
+    maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"gravity": [0.0, 0.0, 0.0]}))
+    corner = maker.simulation.positions[-1]
+    maker.add([Target("gripper", tuple((corner + 0.5).tolist()))])
+    for _ in range(90):
+        maker.add()
+    assert maker.simulation.asleep
+    maker.add([Target("gripper", tuple(corner.tolist()))])
+    assert maker.simulation.asleep
+    maker.add([Grasp("gripper", True)])
+    held = len(maker.simulation.grippers.held(0))
+    assert held > 0
+    out = tmp_path / "out.rrd"
+    assert main([str(maker.finish()), "--save", str(out)]) == 0
+    assert [line for lines in rows(out, "/log", "TextLog:text")[1] for line in lines] == [
+        f"gripper closes, holds {held} particles"
+    ]
+
+
 def test_anchors_that_change_are_shown_and_not_grabbed(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"cloth.anchors": [""], "gripper.radius": 0.08}))
     last = maker.simulation.state.particle_count - 1
