@@ -174,7 +174,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         "i",
         ("h", "d", _X, _X, "d", lambda _, plan: binding.BOOKED_NUMBERS * plan["grippers"]),
     ),
-    "cloth_rates": ("i", ("h", _X, _B, _B, _fixed(5))),
+    "cloth_rates": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_eigenvalues": ("i", (_given(6, 1), "i", _given(1, 1))),
     "cloth_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),

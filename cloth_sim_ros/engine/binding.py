@@ -142,7 +142,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_self_pierced": (_INT, _P, _P, _P),
     "cloth_self_rests": (_INT, _P, _D, _P, _P, _P),
     "cloth_self_crosses": (_INT, _P, _P, _P, _P),
-    "cloth_rates": (_INT, _P, _P, _P, _P, _P),
+    "cloth_rates": (_INT, _P, _P, _P, _P, _I, _P),
     "cloth_bounds": (_INT, _P, _P, _P, _P),
     "cloth_eigenvalues": (_INT, _P, _I, _P),
     "cloth_product": (_INT, _P, _D, _P, _P, _P, _P, _P),

@@ -74,9 +74,9 @@ struct Frame {
     /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself and with points and
     /// edges of obstacles.
     /// 6, 7: bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges alone; 8: of the squared frequency that
-    /// springs have across themselves. Zero without hinges.
+    /// springs have across themselves. Zero without hinges, or where they are not wanted.
     double* told;
-    std::int64_t rates;     ///< whether bounds of frequency and damping are wanted
+    std::int64_t rates;     ///< whether bounds of frequency and damping are wanted; 2: those of hinges as well
     std::int64_t books;     ///< whether what obstacles do is booked
     double* anchors;        ///< of each run at its end, as `Contacts` has them, or null
     double* pinched;        ///< of each run at its end, (runs, pinches, pinch_numbers), or null
@@ -170,7 +170,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
         follow(feature_ahead(plan, end, 0.0, 1.0, x, x + 3 * n),
                [&] { return features_cross(plan, end, 0.0, finest, x); });
     if (frame.rates) {
-        const Rates r = rates_of(plan, x, nullptr, nullptr);
+        const Rates r = rates_of(plan, x, nullptr, nullptr, frame.rates > 1);
         frame.told[1] = r.omega2;
         frame.told[2] = r.damping;
         frame.told[6] = r.hinges2;

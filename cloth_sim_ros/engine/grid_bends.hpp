@@ -64,10 +64,10 @@ constexpr bool has_corner(int row, int column) {
     return false;
 }
 
-/// Add the forces of a row's elements. All ways are taken, those that are missing with zeros: in one piece the particles'
+/// Add the forces of a row's elements, and note what damping takes if Watched. All ways are taken, those that are missing with zeros: in one piece the particles'
 /// numbers are loaded once for all of them, and their forces are added up before any is stored.
-template <class Law, class T, bool Damped>
-CLOTH_SCHEDULED void add_bends(const BendPlace<T>& place) {
+template <class Law, class T, bool Damped, bool Watched>
+CLOTH_SCHEDULED void add_bends(const BendPlace<T>& place, Powers* powers) {
     using V = vec<T>;
     constexpr int C = Law::corners;
     const BendPlace<T> at = place;
@@ -79,6 +79,10 @@ CLOTH_SCHEDULED void add_bends(const BendPlace<T>& place) {
             const BendSight<Law, T> sight(at, lie, K, j, Damped);
             Vec3<V> f[C];
             Law::force(sight.params, sight.d, sight.u, f + 1, Damped);
+            if constexpr (Watched) {
+                const V lost = Law::lost(sight.params, sight.d, sight.u);
+                for (int k = 0; k < lanes<T>; ++k) powers->lost[(j + k) & 15] += static_cast<double>(lost[k]);
+            }
             f[0] = -f[1];
             for (int c = 2; c < C; ++c) f[0] = f[0] - f[c];
             for (int c = 0; c < C; ++c) sum[lie.row[c]][lie.column[c]] = sum[lie.row[c]][lie.column[c]] + f[c];
@@ -104,16 +108,6 @@ CLOTH_SCHEDULED void add_bends(const BendPlace<T>& place) {
         put(std::integral_constant<int, 2>{});
     }
 }
-/// Note what damping takes of a row's elements.
-template <class Law, class T>
-inline void note_bends(const BendPlace<T>& at, Powers& powers) {
-    for (int way = 0; way < lies<Law>; ++way)
-        for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
-            const BendSight<Law, T> sight(at, lie_of<Law>(way), way, j, true);
-            const vec<T> lost = Law::lost(sight.params, sight.d, sight.u);
-            for (int k = 0; k < lanes<T>; ++k) powers.lost[(j + k) & 15] += static_cast<double>(lost[k]);
-        }
-}
 
 /// Take one row of a sheet's elements: add its sum, now complete, to the forces in the sheet's ring if the row is the
 /// caller's `own`. `ring` has this row's sums, the next one's and those of the one after; the last is begun here. What
@@ -135,11 +129,12 @@ inline void take_bends(const std::vector<RowTable<T>>& tables, std::int64_t row,
         place.length = at.length;
         const auto add = [&](auto law) {
             using Law = decltype(law);
-            if (table.damped)
-                add_bends<Law, T, true>(place);
+            if (table.damped && powers)
+                add_bends<Law, T, true, true>(place, powers);
+            else if (table.damped)
+                add_bends<Law, T, true, false>(place, nullptr);
             else
-                add_bends<Law, T, false>(place);
-            if (table.damped && powers) note_bends<Law, T>(place, *powers);
+                add_bends<Law, T, false, false>(place, nullptr);
         };
         switch (table.kind) {
             case Kind::spring: add(Spring{}); break;

@@ -283,9 +283,10 @@ CLOTH_API int cloth_contact_limits(const Plan* plan, double reached, double* out
         out[1] = limits.damping;
     });
 }
-CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, double* out) {
+CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, std::int64_t hinges,
+                         double* out) {
     return guarded(plan, [&] {
-        const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp);
+        const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp, hinges != 0);
         const double numbers[5] = {r.omega2, r.damping, r.hinges2, r.hinge_damping, r.across2};
         std::copy(numbers, numbers + 5, out);
     });

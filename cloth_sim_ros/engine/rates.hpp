@@ -230,8 +230,8 @@ inline Rates hinge_rates(const Plan& plan, const double* x, double* blocks) {
 }
 
 /// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside. `stiff` [N/m] and
-/// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces.
-inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const double* damp) {
+/// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces. Those of hinges alone are told if wanted.
+inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
     Rates rates{};
@@ -258,7 +258,7 @@ inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const do
         blocks.assign(12 * n, 0.0);
         if (stiff) std::copy(stiff, stiff + 6 * n, blocks.begin());
         if (damp) std::copy(damp, damp + 6 * n, blocks.begin() + 6 * n);
-        if (plan.bends())
+        if (hinges && plan.bends())
             rates = hinge_rates(plan, x, blocks.data());
         else
             add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);

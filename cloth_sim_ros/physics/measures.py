@@ -41,10 +41,11 @@ class Measures:
 
         Contact is left out: what it comes to depends on how the cloth moves, see `ahead`.
         """
-        return self.bounds(x)[:2]
+        omega2, damping, *_ = self.bounds(x)
+        return omega2, damping
 
-    def bounds(self, x: Array) -> tuple[float, float, tuple[float, float, float]]:
-        """Return the same, and those of hinges as `Told` has them."""
+    def bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
+        """Return the same, and if wanted those of hinges as `Told` has them; else zeros."""
         self._sync()
         place, stiff, damped = doubles("x", x, self._shape), None, None
         if self._own:
@@ -54,9 +55,9 @@ class Measures:
                 force.add_damping(x, blocks[1])
             stiff, damped = address(blocks[0]), address(blocks[1])
         out = np.empty(5)
-        check(self._library.cloth_rates(self._handle, place, stiff, damped, address(out)))
-        omega2, damping, *hinges = out.tolist()
-        return omega2, damping, (hinges[0], hinges[1], hinges[2])
+        check(self._library.cloth_rates(self._handle, place, stiff, damped, hinges, address(out)))
+        found: list[float] = out.tolist()
+        return found
 
     def decay(self) -> float:
         """Return the least c / k [s] of springs, joints and grips; 0 where one is undamped."""

@@ -192,8 +192,10 @@ class Plan(Measures):
         count, grippers, obstacles = len(steps), self.gripper_count, 0
         if steps != self._asked:
             self._ask(steps)
-        if every != 1 and (every < 1 or every % 2 == 0 or any(one % every for one in steps)):
-            raise ValueError(f"hinges every {every} steps of {list(steps)}; that must be odd and divide each of them")
+        if every != 1 and (type(every) is not int or every < 1 or every % 2 == 0 or any(one % every for one in steps)):
+            raise ValueError(
+                f"hinges every {every} steps of {list(steps)}; give an odd number that divides each of them"
+            )
         if not (isfinite(t) and isfinite(duration)):
             raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
         x0, v0 = self._places(*start)
@@ -231,7 +233,7 @@ class Plan(Measures):
             address(notes),
             powers,
             told_at,
-            not self._own,
+            0 if self._own else 1 + (every > 1),
             touches,
             *ends_at,
             every,
@@ -246,12 +248,12 @@ class Plan(Measures):
             runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
         if weights is None:
             return runs, None
-        activity, omega2, damping, held, stiff, damped, h, c, s = self._told[:]
+        activity, omega2, damping, held, stiff, damped, *hinges = self._told[:]
         x, v = result[0], result[1]
         self._newest, self._newest_at = (x, v), result_at or out_at
         if self._own:
-            omega2, damping, (h, c, s) = self.bounds(x)
-        return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped), (h, c, s)))
+            omega2, damping, *hinges = self.bounds(x, hinges=every > 1)
+        return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped), hinges))
 
     def _places(self, x: Array, v: Array) -> tuple[int, int]:
         """Addresses of positions and velocities; of the newest combination, which mostly comes next, they are known."""

@@ -13,6 +13,8 @@ from typing import Any, ClassVar, Protocol, Self
 import attrs
 import numpy as np
 
+from cloth_sim_ros.physics.constants import CONSTANTS
+
 
 class HasMemory(Protocol):
     """A state, as far as this module knows it."""
@@ -100,6 +102,8 @@ class Hinges(Remembered):
     across2: float = number(-1.0)
     #: Steps that an impulse of them stands for.
     every: float = number(1.0, least=1.0)
+    #: Judgements since runs were combined last.
+    since: float = number(CONSTANTS.wait, least=0.0)
 
 
 @attrs.define

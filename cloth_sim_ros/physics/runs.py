@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
@@ -116,8 +117,9 @@ class Told(NamedTuple):
     contact: float
     #: Squared frequency and damping rate of the cloth's contact with itself from there.
     own: tuple[float, float] = (0.0, 0.0)
-    #: Bounds of squared frequency and damping rate of hinges alone, and of the squared frequency across springs.
-    hinges: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: Bounds of squared frequency and damping rate of hinges alone, and of the squared frequency across springs; zeros
+    #: where each step asks for hinges.
+    hinges: Sequence[float] = (0.0, 0.0, 0.0)
 
     @property
     def finite(self) -> bool:

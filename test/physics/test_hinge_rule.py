@@ -50,7 +50,7 @@ def rule(decay: float, told: tuple[float, float, float], every: int = 1, bent: f
     def cost(steps: int) -> float:
         return 1.0 - bent * (steps - 1) / steps
 
-    plan: Any = SimpleNamespace(bends=True, decay=lambda: decay, cost=cost)
+    plan: Any = SimpleNamespace(bends=True, decay=lambda: decay, cost=cost, bounds=lambda x, hinges: [0.0, 0.0, *told])
     return HingeRule(plan, Hinges(*told, float(every)), allowed=True)
 
 
@@ -112,29 +112,44 @@ def test_waves_across_springs_grow_where_they_swing_half_a_turn_between_impulses
 
 def test_what_costs_least_is_chosen() -> None:
     soft = rule(1e9, (1e-6, 0.0, 0.0))
-    soft.choose(1.0, 45.0, anew=True)
+    soft.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert soft.every == MOST
     # Four impulses of seven steps are fewer steps than four of nine.
     few = rule(1e9, (1e-6, 0.0, 0.0))
-    few.choose(1.0, 28.0, anew=True)
+    few.choose(np.zeros((3, 1)), 1e-3, 28e-3, 1)
     assert few.every == 7
     # Stiffer hinges ask for impulses so close together that steps would have to be shorter.
-    stiff = rule(1e9, (3.0, 0.0, 0.0))
-    stiff.choose(1.0, 45.0, anew=True)
+    stiff = rule(1e9, (3e6, 0.0, 0.0))
+    stiff.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert stiff.every == 1
     # Hinges that take little are not worth more steps.
     cheap = rule(1e9, (1e-6, 0.0, 0.0), bent=0.01)
-    cheap.choose(1.0, 46.0, anew=True)
+    cheap.choose(np.zeros((3, 1)), 1e-3, 37e-3, 1)
     assert cheap.every == 1
 
 
 def test_impulses_stay_while_that_pays() -> None:
     kept = rule(1e9, (1e-6, 0.0, 0.0), every=3)
-    kept.choose(1.0, 45.0, anew=False)
+    kept.keep(1e-3, 36e-3)
     assert kept.every == 3
-    stiff = rule(1e9, (3.0, 0.0, 0.0), every=3)
-    stiff.choose(1.0, 45.0, anew=False)
+    stiff = rule(1e9, (3e6, 0.0, 0.0), every=3)
+    stiff.keep(1e-3, 36e-3)
     assert stiff.every == 1
+    # Four of them are no longer there.
+    few = rule(1e9, (1e-6, 0.0, 0.0), every=9)
+    few.keep(1e-3, 34e-3)
+    assert few.every == 1
+
+
+def test_where_runs_are_combined_each_step_has_its_impulse_for_a_while() -> None:
+    at = rule(1e9, (1e-6, 0.0, 0.0), every=9)
+    at.choose(np.zeros((3, 1)), 1e-3, 36e-3, 2)
+    assert at.every == 1
+    chosen = []
+    for _ in range(20):
+        at.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
+        chosen.append(at.every)
+    assert chosen == [1] * 15 + [MOST] * 5
 
 
 def test_a_stretch_has_four_impulses_at_least() -> None:
@@ -147,7 +162,7 @@ def test_a_stretch_has_four_impulses_at_least() -> None:
 
 def test_springs_without_damping_allow_no_impulses() -> None:
     undamped = rule(0.0, (1e-6, 0.0, 0.0), every=9)
-    undamped.choose(1.0, 45.0, anew=True)
+    undamped.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert undamped.every == 1
     assert undamped.within(1.0, 45.0) == (1, 1.0)
 

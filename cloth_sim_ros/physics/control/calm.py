@@ -62,10 +62,11 @@ def attempt(
         return None
     refine = error.refine
     every, least = 1, 1.0
-    if plan.bends:
+    bent = Hinges.of(state) if plan.bends else None
+    if bent is not None and bent.every > 1.0:
         # Whether damping takes the fastest waves out matters to combinations alone.
-        hinges = HingeRule(plan, Hinges.of(state), allowed=not near > 0.0)
-        hinges.choose(longest, duration, anew=False)
+        hinges = HingeRule(plan, bent, allowed=not near > 0.0)
+        hinges.keep(longest, duration)
         every, least = hinges.within(longest, duration)
         if every != hinges.memory.every:
             return None
@@ -115,7 +116,7 @@ def attempt(
     if touch is not None and contact is not None:
         contact.pass_on(state, t + duration, runs, (1.0,))
         touch.store(state, judged=False)
-    if plan.bends:
+    if every > 1:
         hinges.told = told.hinges
         hinges.memory.store(state)
     stability.store(state)

@@ -130,5 +130,8 @@ def put_in(plan: Plan, state: State, columns: Columns, t: float, count: int) -> 
     if not (moved or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
         return columns.work(count), 0
     # The work of air and of obstacles is noted on demand alone.
-    noted = Columns(plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=columns.narrow)
+    narrow, every = columns.narrow, columns.every
+    noted = Columns(
+        plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=narrow, every=every
+    )
     return noted.work(count), noted.evaluations

@@ -95,7 +95,11 @@ class ExplicitAdvance:
         met = touch.look_ahead(t, duration, state)
         # Contact's waves may be as fast as any, and damped by nothing.
         hinges = HingeRule(plan, Hinges.of(state), allowed=allowed and not met > 0.0)
-        hinges.choose(min(CONSTANTS.safety * limit, duration), duration, anew=judge)
+        longest = min(CONSTANTS.safety * limit, duration)
+        if judge:
+            hinges.choose(state.x, longest, duration, columns)
+        else:
+            hinges.keep(longest, duration)
         # What is known of the error holds for as many steps an impulse alone.
         judge = judge or (options.tolerance is not None and hinges.every != hinges.memory.every)
         self._effort = Effort(

@@ -11,8 +11,10 @@ so there must be no such waves. Derived in docs/time_stepping.md.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
@@ -39,37 +41,50 @@ class HingeRule:
 
     def __init__(self, plan: Plan, memory: Hinges, *, allowed: bool) -> None:
         self._plan, self.memory = plan, memory
-        self._decay = plan.decay() if allowed and plan.bends and memory.omega2 >= 0.0 else 0.0
+        self._decay = plan.decay() if allowed and plan.bends else 0.0
         #: Steps that an impulse stands for, an odd number.
-        self.every = int(memory.every) if self._decay else 1
+        self.every = int(memory.every) if self._decay and memory.omega2 >= 0.0 else 1
 
     @property
-    def told(self) -> tuple[float, float, float]:
+    def told(self) -> Sequence[float]:
         """Bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges, and of the first across springs."""
         return self.memory.omega2, self.memory.damping, self.memory.across2
 
     @told.setter
-    def told(self, bounds: tuple[float, float, float]) -> None:
+    def told(self, bounds: Sequence[float]) -> None:
         self.memory.omega2, self.memory.damping, self.memory.across2 = bounds
 
-    def choose(self, longest: float, duration: float, *, anew: bool) -> None:
-        """Choose them for an advance: what costs least where the error asks for nothing. Where it asks for shorter
-        steps they stay, so that it falls as its order says.
+    def keep(self, longest: float, duration: float) -> None:
+        """Keep them for an advance of a duration [s] where steps may be so long [s], while that pays."""
+        if self._decay and self._costs(self.every, longest, duration) > self._costs(1, longest, duration):
+            self.every = 1
+
+    def choose(self, x: Array, longest: float, duration: float, columns: int) -> None:
+        """Choose them anew for an advance that is judged: what costs least where the error asks for nothing. Steps that
+        get shorter for its sake keep them, so that it falls as its order says.
 
         Args:
+            x: positions [m].
             longest: stable step without [s].
             duration: of the advance [s].
-            anew: whether they may become more; else they stay while that pays.
+            columns: runs that the error asks for. Where it wants more than the second order, the error of impulses,
+                m squared times that of steps, would cost more runs and shorter steps; so it does for a while after.
         """
         if not self._decay:
             return
+        self.memory.since = 0.0 if columns > 1 else self.memory.since + 1.0
+        if self.memory.since < CONSTANTS.wait:
+            self.every = 1
+        else:
+            self.told = self._plan.bounds(x, hinges=True)[2:]
+            self.every = min(range(1, MOST + 1, 2), key=lambda every: self._costs(every, longest, duration))
 
-        def cost(every: int) -> float:
-            steps = duration / longest * max(1.0, self.least(every, longest))
-            return self._plan.cost(every) * every * math.ceil(steps / every)
-
-        if anew or cost(self.every) > cost(1):
-            self.every = min(range(1, MOST + 1, 2), key=cost)
+    def _costs(self, every: int, longest: float, duration: float) -> float:
+        """Estimated cost of an advance by the longest steps; infinite where impulses would be too few."""
+        steps = steps_for(duration, longest / max(1.0, self.least(every, longest)))
+        if every > 1 and steps < LEAST * every * steps_for(duration, CONSTANTS.part):
+            return math.inf
+        return self._plan.cost(every) * every * math.ceil(steps / every)
 
     def within(self, longest: float, duration: float) -> tuple[int, float]:
         """Return the steps that an impulse stands for in a stretch of a duration [s], where steps may be so long [s],
@@ -91,7 +106,7 @@ class HingeRule:
         self.every = 1
         return True
 
-    def _reach(self, bounds: tuple[float, float, float], share: float) -> float:
+    def _reach(self, bounds: Sequence[float], share: float) -> float:
         """Return how far apart impulses may be [s] with such bounds as `told` has, by a share of what is stable."""
         omega2, damping, across2 = bounds
         if omega2 <= 0.0:

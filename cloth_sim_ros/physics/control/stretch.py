@@ -63,8 +63,7 @@ class Stretch:
         self._stability, self._ahead, self._halvings, self.most = stability, ahead, halvings, most
         self.limit, self.start = effort.touch.limit_ahead(t, duration, effort.state), effort.state
         #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
-        self.steps = self.first = 0
-        self.finest = math.inf
+        self.steps, self.first, self.finest = 0, 0, math.inf
         #: Stretches that it was cut into.
         self.pieces = 1
         #: Attempts that did not hold, and whether it is halved next.
@@ -208,7 +207,8 @@ class Stretch:
             step = 0.0 if varied else self.finest
             if effort.makes_energy(columns, choice, (t, t + length), step):
                 return self._instead(2.0, "making energy from nowhere")
-        memory.omega2, memory.damping, effort.hinges.told = told.omega2, told.damping, told.hinges
+        memory.omega2, memory.damping, bent = told.omega2, told.damping, told.hinges
+        effort.hinges.told = bent if self.every > 1 else effort.hinges.told
         if effort.book is not None:
             columns.note(choice.columns, effort.book)
         self.steps += sum(columns.counts[: choice.columns])
@@ -218,8 +218,8 @@ class Stretch:
     def _within(self, columns: Columns) -> bool:
         """Whether a part's steps are within the limit that the motion came to; if not, choose what to try next."""
         limit = self._effort.touch.limit_met(columns, self.choice.columns) or 0.5 * self.finest
-        hinges, told = self._effort.hinges, columns.told(self.choice.columns)
-        if self.finest <= limit and (self.every == 1 or not hinges.exceed(self.every * self.finest, told)):
+        exceed, told = self._effort.hinges.exceed, columns.told(self.choice.columns)
+        if self.finest <= limit and (self.every == 1 or not exceed(self.every * self.finest, told)):
             return True
         self.limit = min(self.limit, limit)
         return self._instead(1.0, "not within their stability limit")
@@ -231,10 +231,8 @@ class Stretch:
         if effort.options.tolerance is not None:
             # What it changes was measured over a whole advance, and does not shrink with the stretch.
             effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
-        same = (
-            part == 0 and kept is not None and (kept.counts, kept.duration, kept.every) == (counts, length, self.every)
-        )
-        if same and kept is not None and effort.narrow >= kept.narrow:
+        same = kept is not None and (kept.counts, kept.duration, kept.every) == (counts, length, self.every)
+        if same and part == 0 and kept is not None and effort.narrow >= kept.narrow:
             effort.narrow = kept.narrow
             return kept
         columns = Columns(
@@ -386,7 +384,9 @@ class Stretch:
             return False
         columns = effort.fewer(choice.columns, lambda count: self._ahead + self.work(count, refine))
         if self.affords(columns, refine):
-            self.choice = Choice(columns, refine, choice.judge or columns < choice.columns)
+            # What is known of the error is of as many steps an impulse of hinges.
+            anew = choice.judge or columns < choice.columns or self.every != effort.hinges.every
+            self.choice = Choice(columns, refine, anew)
             if options.tolerance is None and finer > 1.0:
                 self.rule.refined(refine)
             return False

@@ -159,7 +159,7 @@ class Columns:
                 own = contact.own_ahead(end, 0.0, x, v)
                 if not held < math.inf or contact.passes(end, 0.0, self._runs[columns - 1].x, x):
                     activity = math.inf
-            omega2, damping, hinges = self._plan.bounds(x)
+            omega2, damping, *hinges = self._plan.bounds(x, hinges=self.every > 1)
             told = Told(activity, omega2, damping, held, own, hinges)
             self._told[columns] = told
         return told
