@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             asked = {
                 "obstacles": options.obstacles,
                 "contact": options.contact,
+                "hinges": seed % 2 == 1,
                 "frames": 30 if options.contact else 60,
             }
             paths = make_random_session(Path(folder), seed, **asked, watch=coverage)

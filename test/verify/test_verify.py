@@ -76,7 +76,7 @@ def test_a_session_runs_again_to_the_last_bit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_random_sessions_run_again_to_the_last_bit(tmp_path: Path, seed: int) -> None:
-    verdict = verify(make_random_session(tmp_path, seed))
+    verdict = verify(make_random_session(tmp_path, seed, hinges=seed % 2 == 1))
     assert verdict.same, verdict.first_reason
     # One that was cut off lacks what its last chunk held.
     assert verdict.frames == verdict.clouds == 60 or verdict.missing
