@@ -34,7 +34,11 @@ class Measures:
     _decay: float
 
     def _sync(self) -> None:
-        raise NotImplementedError
+        """Tell the engine what grippers hold, what obstacles there are and how both move, where that changed."""
+        if self.contact is not None:
+            self.contact.sync()
+        if self._gripping is not None:
+            self._gripping.sync()
 
     def rates(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x.

@@ -136,13 +136,6 @@ class Plan(Measures):
 
     # What follows is called in every frame.
 
-    def _sync(self) -> None:
-        """Tell the engine what grippers hold, what obstacles there are and how both move, where that changed."""
-        if self.contact is not None:
-            self.contact.sync()
-        if self._gripping is not None:
-            self._gripping.sync()
-
     @property
     def obstacle_count(self) -> int:
         """Number of obstacles."""
