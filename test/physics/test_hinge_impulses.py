@@ -27,6 +27,10 @@ _GRID: dict[str, Any] = {
 }
 
 
+#: Hinges that pull and damp as much as can be told from springs.
+_STIFF = {"material.bending_modulus": 3e-3, "material.damping": 1.0}
+
+
 def _scene(kind: str, **values: Any) -> Scene:
     if kind == "mesh":
         given = {**parameters(bending="altitude", tolerance=1e-3), "cloth.anchors": ["0", "40"], **values}
@@ -35,12 +39,14 @@ def _scene(kind: str, **values: Any) -> Scene:
 
 
 def _moving(kind: str, frames: int = 25, **values: Any) -> tuple[Plan, np.ndarray, np.ndarray, float]:
-    """A plan, and positions and velocities of its cloth after some frames."""
+    """A plan, and positions and velocities of its cloth after some frames, crumpled: flat, hinges do nothing."""
     simulation = Simulation(_scene(kind, **values))
     for _ in range(frames):
         simulation.advance([])
-    state = simulation.state
-    return simulation.plan, np.ascontiguousarray(state.x), np.ascontiguousarray(state.v), frames * _PERIOD
+    state, rng = simulation.state, np.random.default_rng(3)
+    x = state.x + 1e-3 * rng.normal(size=state.x.shape)
+    v = state.v + 0.1 * rng.normal(size=state.x.shape)
+    return simulation.plan, x, v, frames * _PERIOD
 
 
 def _end(moving: Any, steps: int, every: int, **options: Any) -> np.ndarray:
@@ -51,12 +57,12 @@ def _end(moving: Any, steps: int, every: int, **options: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", ["altitude", "crossed", "mesh"])
 def test_impulses_keep_the_second_order(kind: str) -> None:
-    moving = _moving(kind)
-    steps = 90 if kind == "mesh" else 36
-    fine = [_end(moving, factor * steps, 1)[0] for factor in (16, 32)]
+    moving = _moving(kind, **_STIFF)
+    steps = 720
+    fine = [_end(moving, factor * steps, 1)[0] for factor in (8, 16)]
     exact = (4.0 * fine[1] - fine[0]) / 3.0
     for every in (3, 9):
-        errors = [np.abs(_end(moving, factor * steps, every)[0] - exact).max() for factor in (2, 4)]
+        errors = [np.abs(_end(moving, factor * steps, every)[0] - exact).max() for factor in (1, 2)]
         assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
@@ -75,16 +81,14 @@ def test_impulses_have_the_same_bits_by_any_number_of_threads(kind: str, narrow:
 
 @pytest.mark.parametrize("kind", ["altitude", "mesh"])
 def test_what_damping_takes_is_that_of_all_steps(kind: str) -> None:
-    plan, x, v, t = _moving(kind)
+    plan, x, v, t = _moving(kind, **_STIFF)
     lost = {}
     for every in (1, 3, 9):
-        (run,), _ = plan.runs(t, _PERIOD, (x, v), [360], every=every, powers=True)
-        before, after = plan.energy(t, x, v), plan.energy(t + _PERIOD, run.x, run.v)
+        (run,), _ = plan.runs(t, _PERIOD, (x, v), [2880], every=every, powers=True)
         lost[every] = run.powers[0]
-        # What is no longer there was taken by damping.
-        assert before - after == pytest.approx(run.powers[0], rel=2e-3, abs=1e-9)
-    assert lost[3] == pytest.approx(lost[1], rel=1e-3)
-    assert lost[9] == pytest.approx(lost[1], rel=1e-2)
+    # Of single steps in place of all of them three thousandths would be missing.
+    assert lost[3] == pytest.approx(lost[1], rel=1e-5)
+    assert lost[9] == pytest.approx(lost[1], rel=1e-4)
 
 
 @pytest.mark.parametrize(("steps", "every"), [(36, 2), (36, 0), (36, -3), (36, 5), (36, 3.0)])
