@@ -8,6 +8,7 @@ import importlib.util
 import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import attrs
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.integrate import solve_ivp
 from cloth_sim_ros.bench.jacobian import SparseJacobian
 from cloth_sim_ros.bench.problems import PERIOD, Problem
 from cloth_sim_ros.bench.reference import RightSide
+from cloth_sim_ros.physics import cores
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
@@ -39,7 +41,7 @@ class Solver:
 
     name: str
     setting: str
-    #: ours, library, or beside: shown, but in no comparison.
+    #: ours, alone (the same by one thread), library, or beside: shown, but in no comparison.
     kind: str
     solve: Callable[[Problem, float], Run]
     #: What was asked for [m]; infinite for a fixed step.
@@ -67,21 +69,23 @@ def library_solvers(*, slow: bool) -> list[Solver]:
 
 
 def our_solvers(tolerances: tuple[float, ...]) -> list[Solver]:
-    """`auto` at several tolerances, and plain leapfrogs of fixed steps beside it."""
-    solvers = [_ours("auto", tolerance) for tolerance in tolerances]
+    """`auto` at several tolerances, as shipped and by one thread, and plain leapfrogs of fixed steps beside it."""
+    solvers = [_ours("auto", tolerance, alone=alone) for alone in (False, True) for tolerance in tolerances]
     return [*solvers, *(_plain(share) for share in (0.9, 0.45, 0.225))]
 
 
-def _ours(name: str, tolerance: float) -> Solver:
+def _ours(name: str, tolerance: float, *, alone: bool) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
         plan, state = problem.build()
         integrator = make_integrator(name, tolerance=tolerance)
-        evaluations, begin = 0, time.perf_counter()
-        for frame in range(problem.frames):
-            evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
-        return Run(state.x, time.perf_counter() - begin, evaluations)
+        with cores.alone() if alone else nullcontext():
+            evaluations, begin = 0, time.perf_counter()
+            for frame in range(problem.frames):
+                evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
+            return Run(state.x, time.perf_counter() - begin, evaluations)
 
-    return Solver(f"ours, {name}", f"tolerance {tolerance:g}", "ours", solve, tolerance)
+    kind, called = ("alone", f"ours, {name}, one thread") if alone else ("ours", f"ours, {name}")
+    return Solver(called, f"tolerance {tolerance:g}", kind, solve, tolerance)
 
 
 def _plain(share: float) -> Solver:

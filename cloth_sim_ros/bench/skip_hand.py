@@ -49,7 +49,7 @@ class HandMadeLoop:
         self._told = np.zeros(TOLD_NUMBERS)
         #: Positions and velocities of the run that is made, and of the one before, which the next one starts from.
         self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
-        self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1)
+        self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1, combined=1)
 
     def frame(self) -> None:
         """One frame: its start kept, as many steps as stability asks for, their end looked at.

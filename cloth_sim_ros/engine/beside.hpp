@@ -37,7 +37,7 @@ struct Beside {
 
     Beside(Plan& plan, const Run& run)
         : plan(plan), run(run), sparse(run.every > 1 && plan.bends()), lists(sparse || plan.lists_beside()),
-          fast(plan.springs_beside()), x(plan.room<T>().quads[0]), v(plan.room<T>().quads[1]) {
+          fast(plan.springs_beside()), x(plan.room<T>(run.room).quads[0]), v(plan.room<T>(run.room).quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grips.assign(plan.held.count() * booked_numbers, 0.0);
@@ -81,11 +81,11 @@ struct Beside {
         if (features) features->pinch(contact->pinches());
     }
     void make(const std::vector<std::int64_t>& borders) {
-        shares = &plan.shares<T>(borders, sparse);
+        shares = &plan.shares<T>(borders, sparse, run.room);
         x.assign(4 * (plan.count + 1), T(0));
         v.assign(4 * (plan.count + 1), T(0));
         if (sparse) {
-            for (Array<T>& lead : plan.room<T>().leads) lead.assign(4 * (plan.count + 1), T(0));
+            for (Array<T>& lead : plan.room<T>(run.room).leads) lead.assign(4 * (plan.count + 1), T(0));
             quarters.resize(plan.count);
             for (std::int64_t i = 0; i < plan.count; ++i)
                 quarters[plan.rank[i]] = static_cast<T>(0.25 * run.every * run.step * plan.inverse[i]);
@@ -123,7 +123,7 @@ struct Beside {
     /// of the last two, as steps foretell theirs.
     void bend(std::int64_t step, Share<T>& share, Powers* booked) {
         const std::int64_t turn = step < 0 ? 0 : step / run.every + 1;
-        auto& leads = plan.room<T>().leads;
+        auto& leads = plan.room<T>(run.room).leads;
         const T* const lead = leads[(turn + 1) % 2].data();
         T *const next = leads[turn % 2].data(), *const last = leads[2].data();
         for (std::int64_t i = 4 * share.low; i < 4 * share.high; i += 4)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 13
+ABI = 14
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -86,6 +86,8 @@ class Frame(ctypes.Structure):
         ("anchors", ctypes.c_void_p),
         ("pinched", ctypes.c_void_p),
         ("every", ctypes.c_int64),
+        ("combined", ctypes.c_int64),
+        ("abreast", ctypes.c_int64),
     )
 
 

@@ -17,7 +17,7 @@ public:
     ContactRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
                F&& place_of)
         : contacts_(plan.contacts), run_(run), origin_(origin), law_(plan.contacts.template law<V>()), blocks_(blocks),
-          pitch_(pitch), pinches_(plan.contacts, run, threads, blocks), masses_(plan.room<T>().contact_masses) {
+          pitch_(pitch), pinches_(plan.contacts, run, threads, blocks), masses_(plan.room<T>(run.room).contact_masses) {
         for (int k = 0; k < threads; ++k) threads_.emplace_back(*this);
         for (std::int64_t k = 0; k < contacts_.count(); ++k) fastest_.push_back(T(fastest_surface(k)));
         if (static_cast<std::int64_t>(masses_.size()) != blocks * pitch) {

@@ -81,44 +81,79 @@ struct Frame {
     double* anchors;        ///< of each run at its end, as `Contacts` has them, or null
     double* pinched;        ///< of each run at its end, (runs, pinches, pinch_numbers), or null
     std::int64_t every;     ///< steps for which hinges are asked for once
+    std::int64_t combined;  ///< how many of the runs, from the first on, are in the combination
+    std::int64_t abreast;   ///< how many may be made at once
 };
 
-inline Done make_runs(Plan& plan, const Frame& frame) {
-    const std::int64_t n = plan.count, obstacles = plan.contacts.count(), size = plan.held.grippers * booked_numbers;
-    // What obstacles did, what contact met, the rates of the cloth's contact with itself, and what its friction took.
-    const std::int64_t touched = plan.touches() ? obstacles * booked_numbers + Touched::numbers + 3 : 0;
-    const std::int64_t whole = size + 2 + touched;
+/// Numbers of a run's notes about contact: what obstacles did, what contact met, the rates of the cloth's contact with
+/// itself, and what its friction took.
+inline std::int64_t touched_numbers(const Plan& plan) {
+    return plan.touches() ? plan.contacts.count() * booked_numbers + Touched::numbers + 3 : 0;
+}
+
+/// What a frame is asked for of each of its runs.
+inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
+    const std::int64_t n = plan.count, size = plan.held.grippers * booked_numbers;
+    const std::int64_t touched = touched_numbers(plan), whole = size + 2 + touched;
     const auto pinches = static_cast<std::int64_t>(plan.contacts.pinches.size());
+    std::vector<Run> runs;
+    for (std::int64_t k = 0; k < frame.runs; ++k) {
+        double* const notes = frame.notes ? frame.notes + k * whole : nullptr;
+        double* const out = frame.out + k * 6 * n;
+        runs.push_back({frame.t,
+                        frame.duration / static_cast<double>(frame.steps[k]),
+                        frame.steps[k],
+                        frame.narrow != 0,
+                        static_cast<int>(frame.bands),
+                        frame.x0,
+                        frame.v0,
+                        out,
+                        out + 3 * n,
+                        notes,
+                        frame.powers ? notes + size : nullptr,
+                        touched ? notes + size + 2 : nullptr,
+                        touched && frame.books,
+                        frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
+                        frame.pinched ? frame.pinched + k * pinches * pinch_numbers : nullptr,
+                        frame.every});
+    }
+    return runs;
+}
+
+/// Runs at once, each by one thread: they share what they read, and write into rooms of their own.
+inline void make_abreast(Plan& plan, const Frame& frame, std::vector<Run>& runs) {
+    if (frame.narrow)
+        plan.lay_tables<float>();
+    else
+        plan.lay_tables<double>();
+    const int threads = static_cast<int>(std::min<std::int64_t>(frame.abreast, max_abreast));
+    Pool::shared().share(static_cast<int>(runs.size()), threads, [&](int number, int room) {
+        runs[number].bands = 1;
+        runs[number].room = room;
+        one_run(plan, runs[number]);
+    });
+}
+
+inline Done make_runs(Plan& plan, const Frame& frame) {
+    std::vector<Run> runs = runs_of(plan, frame);
+    if (frame.abreast > 1 && runs.size() > 1 && plan.apart()) {
+        make_abreast(plan, frame, runs);
+        return Done::well;
+    }
+    const std::int64_t touched = touched_numbers(plan), size = plan.held.grippers * booked_numbers + 2 + touched;
     Approach approach(plan, frame.duration, frame.x0, frame.v0);
     SelfRest rest(plan, frame.duration, frame.x0, frame.v0);
     FeatureRest features(plan, frame.t, frame.duration, frame.x0, frame.v0);
     for (std::int64_t k = 0; k < frame.runs; ++k) {
-        double* const notes = frame.notes ? frame.notes + k * whole : nullptr;
-        double* const out = frame.out + k * 6 * n;
-        const Run run{frame.t,
-                      frame.duration / static_cast<double>(frame.steps[k]),
-                      frame.steps[k],
-                      frame.narrow != 0,
-                      static_cast<int>(frame.bands),
-                      frame.x0,
-                      frame.v0,
-                      out,
-                      out + 3 * n,
-                      notes,
-                      frame.powers ? notes + size : nullptr,
-                      touched ? notes + size + 2 : nullptr,
-                      touched && frame.books,
-                      frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
-                      frame.pinched ? frame.pinched + k * pinches * pinch_numbers : nullptr,
-                      frame.every};
+        const Run& run = runs[k];
         const Done done = one_run(plan, run);
         if (done != Done::well) return done;
-        const bool missed = touched && approach.missed(run.v, run.touched + obstacles * booked_numbers);
+        const bool missed = touched && approach.missed(run.v, run.touched + plan.contacts.count() * booked_numbers);
         if (missed || rest.missed(run.v) || features.missed(run.v)) {
             if (missed) approach.wake();
             rest.wake();
             features.wake();
-            std::fill(frame.notes, frame.notes + frame.runs * whole, 0.0);
+            std::fill(frame.notes, frame.notes + frame.runs * size, 0.0);
             k = -1;
         }
     }
@@ -132,8 +167,8 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
     const double* x = frame.out;
     if (frame.result) {
         const double* from[max_runs];
-        for (std::int64_t k = 0; k < frame.runs; ++k) from[k] = frame.out + k * 6 * n;
-        combine(frame.runs, from, frame.weights, 6 * n, frame.result);
+        for (std::int64_t k = 0; k < frame.combined; ++k) from[k] = frame.out + k * 6 * n;
+        combine(frame.combined, from, frame.weights, 6 * n, frame.result);
         x = frame.result;
     }
     if (!frame.told) return Done::well;
@@ -146,8 +181,8 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
         const auto size = static_cast<std::int64_t>(start.size());
         if (frame.pinched && frame.result) {
             const double* from[max_runs];
-            for (std::int64_t k = 0; k < frame.runs; ++k) from[k] = frame.pinched + k * size;
-            combine(frame.runs, from, frame.weights, size, plan.contacts.pinched.data());
+            for (std::int64_t k = 0; k < frame.combined; ++k) from[k] = frame.pinched + k * size;
+            combine(frame.combined, from, frame.weights, size, plan.contacts.pinched.data());
         } else if (frame.pinched) {
             plan.contacts.pinched.assign(frame.pinched, frame.pinched + size);
         }
@@ -155,7 +190,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
         plan.contacts.pinched = start;
         if (!(frame.told[3] < std::numeric_limits<double>::infinity())) frame.told[0] = frame.told[3];
     }
-    const double* const finest = frame.out + (frame.runs - 1) * 6 * n;
+    const double* const finest = frame.out + (frame.combined - 1) * 6 * n;
     const auto follow = [&](SelfRates r, auto&& crosses) {
         frame.told[4] += r.omega2;
         frame.told[5] += r.damping;

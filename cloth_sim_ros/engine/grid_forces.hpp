@@ -16,7 +16,7 @@ class GridForces {
 public:
     /// Accelerations at the start of a run without steps go where its velocities at the end would.
     GridForces(Plan& plan, const Run& run)
-        : plan_(plan), run_(run), grid_(*plan.grid), beside_(plan, run), window_(plan.rooms.window),
+        : plan_(plan), run_(run), grid_(*plan.grid), beside_(plan, run), window_(plan.room<T>().window),
           bends_(plan.row_tables<T>()), pitch_(plan.tables.pitch), moving_(plan.mode() != Mode::still) {
         window_.resize((rows_of_window * (seen + 3) + 2 * 3 * 3 + 3) * pitch_ + 64 / sizeof(T));
         beside_.hold(1);

@@ -18,8 +18,8 @@ class GridRun {
 public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), beside_(plan, run),
-          bends_(plan.row_tables<T>()), mode_(plan.mode()), state_(plan.room<T>().state),
-          ring_(plan.room<T>().ring), boxes_(plan.room<T>().boxes), pitch_(tables_.pitch),
+          bends_(plan.row_tables<T>()), mode_(plan.mode()), state_(plan.room<T>(run.room).state),
+          ring_(plan.room<T>(run.room).ring), boxes_(plan.room<T>(run.room).boxes), pitch_(tables_.pitch),
           length_(row_length<T>(grid_.columns)),
           stride_(components<T> * pitch_) {
         const bool more = beside_.needed();

@@ -16,7 +16,7 @@
 using cloth::Plan;
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 13; }
+CLOTH_API int cloth_engine_abi() { return 14; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)

@@ -15,8 +15,8 @@ template <class T, bool Evaluate>
 class ListRun {
 public:
     ListRun(Plan& plan, const Run& run)
-        : plan_(plan), run_(run), beside_(plan, run), velocity_(plan.room<T>().more[0]),
-          before_(plan.room<T>().more[1]), carry_(plan.room<T>().more[2]) {
+        : plan_(plan), run_(run), beside_(plan, run), velocity_(plan.room<T>(run.room).more[0]),
+          before_(plan.room<T>(run.room).more[1]), carry_(plan.room<T>(run.room).more[2]) {
         threads_ = beside_.alone() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         beside_.make(borders_);

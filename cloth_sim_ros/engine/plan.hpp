@@ -4,6 +4,7 @@
 // A scene as the engine sees it: particles, and parts whose forces, bounds, energies and costs add up.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <optional>
 
@@ -45,6 +46,9 @@ struct Rooms {
     bool tabled = false;  ///< whether `tables` is of the plan's lists
 };
 
+/// Runs that are made at once at most: each writes into rooms of its own.
+inline constexpr int max_abreast = 2;
+
 struct Plan {
     std::int64_t count = 0;
     std::vector<double> masses, inverse;
@@ -70,17 +74,17 @@ struct Plan {
     /// The inverse of `rank`, where layers rub.
     std::vector<std::int64_t> own;
 
-    Rooms<double> rooms;
-    Rooms<float> narrow_rooms;
+    std::array<Rooms<double>, max_abreast> rooms;
+    std::array<Rooms<float>, max_abreast> narrow_rooms;
     /// Whether a call is at work.
     mutable std::atomic_flag at_work;
 
     template <class T>
-    Rooms<T>& room() {
+    Rooms<T>& room(int number = 0) {
         if constexpr (sizeof(T) == 8)
-            return rooms;
+            return rooms[number];
         else
-            return narrow_rooms;
+            return narrow_rooms[number];
     }
     template <class T>
     const Tables<T>& grid_tables() {
@@ -94,7 +98,7 @@ struct Plan {
     void add_list(List list) {
         lists.push_back(std::move(list));
         places.clear();
-        rooms.tabled = narrow_rooms.tabled = false;
+        rooms[0].tabled = narrow_rooms[0].tabled = false;
     }
     /// Find out which lists a sheet's rows take: its hinges, and then the springs between their wings. Sheets without
     /// hinges have their springs in families.
@@ -123,7 +127,7 @@ struct Plan {
             if (places[k].empty() && !lists[k].slow) return true;
         return false;
     }
-    /// The lists that a sheet's rows take.
+    /// The lists that a sheet's rows take; they stand in the first room alone.
     template <class T>
     const std::vector<RowTable<T>>& row_tables() {
         Rooms<T>& own = room<T>();
@@ -138,8 +142,8 @@ struct Plan {
     /// The lists shared out among threads by borders between particles: those that no rows take, and all hinges where
     /// runs are `sparse`.
     template <class T>
-    std::vector<Share<T>>& shares(const std::vector<std::int64_t>& borders, bool sparse) {
-        auto& all = room<T>().shares[sparse];
+    std::vector<Share<T>>& shares(const std::vector<std::int64_t>& borders, bool sparse, int number) {
+        auto& all = room<T>(number).shares[sparse];
         bool known = all.size() + 1 == borders.size();
         for (std::size_t k = 0; known && k < all.size(); ++k)
             known = all[k].first == borders[k] && all[k].last == borders[k + 1] && all[k].lists.size() == lists.size();
@@ -210,6 +214,15 @@ struct Plan {
     /// Whether something acts on the cloth's triangles and edges: in double precision, and by one thread.
     bool surface_acts() const { return self_acts() || features_act(); }
     double push(int axis) const { return gravity[axis] + wind[axis]; }
+    /// Whether runs may be made at once: then they write into their rooms alone, once `lay_tables` has been called.
+    bool apart() const { return !touches() && !features && !callback; }
+    template <class T>
+    void lay_tables() {
+        place_lists();
+        if (!grid) return;
+        grid_tables<T>();
+        row_tables<T>();
+    }
     /// Whether forces depend on velocities, and how.
     Mode mode() const {
         if (grid && grid->damped()) return Mode::damped;
@@ -234,6 +247,7 @@ struct Run {
     double* anchors = nullptr;  ///< those at the end, (obstacles, anchor_numbers, n), or null
     double* pinched = nullptr;  ///< where pads are at the end, (pinches, pinch_numbers), or null
     std::int64_t every = 1;     ///< hinges act in the middle one of so many steps, for all of them; odd, divides `steps`
+    int room = 0;               ///< which of the plan's rooms it writes into
 
     /// Whether hinges are asked for in a step. At the start they are only looked at.
     bool bends(std::int64_t step) const { return step < 0 || step % every == every / 2; }

@@ -10,6 +10,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <exception>
 #include <functional>
 #include <memory>
 #include <mutex>
@@ -89,26 +90,60 @@ public:
         }
         const auto begin = Clock::now();
         waited.store(0, std::memory_order_relaxed);
-        const std::function<void(int)> work = [&](int number) { job(number); };
-        for (int k = 0; k < workers - 1; ++k) {
-            threads_[k]->work.store(&work, std::memory_order_release);
-            threads_[k]->work.notify_one();
-        }
+        const Work work = [&](int number) { job(number); };
+        for (int k = 0; k < workers - 1; ++k) threads_[k]->give(work);
         job(0);
-        for (int k = 0; k < workers - 1; ++k)
-            wait_until([&] { return threads_[k]->work.load(std::memory_order_acquire) == nullptr; });
+        for (int k = 0; k < workers - 1; ++k) threads_[k]->wait();
         const bool busy = waited.load(std::memory_order_relaxed) > since(begin) / 4;
         pause_ = busy ? std::min(std::max(2 * pause_, 16), 4096) : pause_ / 2;
         resting_ = busy ? pause_ : 0;
     }
+    /// Call job(number, worker) for each number below `jobs`, the last one first, each on whichever of so many threads is
+    /// free. They do not wait for each other: one that the system is late to start has nothing to do then.
+    template <class Job>
+    void share(int jobs, int workers, Job&& job) {
+        std::unique_lock lock(mutex_, std::defer_lock);
+        const int others = workers > 1 && lock.try_lock() && grow(workers - 1) ? workers - 1 : 0;
+        std::atomic<int> left{jobs};
+        std::vector<std::exception_ptr> troubles(1 + others);
+        const Work work = [&](int worker) {
+            try {
+                for (int k = --left; k >= 0; k = --left) job(k, worker);
+            } catch (...) {
+                troubles[worker] = std::current_exception();
+            }
+        };
+        for (int k = 0; k < others; ++k) threads_[k]->give(work);
+        work(0);
+        for (int k = 0; k < others; ++k)
+            if (!threads_[k]->take_back(work)) threads_[k]->wait();
+        for (const std::exception_ptr& trouble : troubles)
+            if (trouble) std::rethrow_exception(trouble);
+    }
 
 private:
+    using Work = std::function<void(int)>;
+
     /// Whether a run is to do without threads, after one that mostly waited.
     bool rests() { return resting_ > 0 && resting_-- > 0; }
 
     struct Worker {
-        std::atomic<const std::function<void(int)>*> work{nullptr};
+        /// What is to be done; `begun` while it is; null once it has been.
+        std::atomic<const Work*> work{nullptr};
         std::thread thread;
+
+        void give(const Work& what) {
+            work.store(&what, std::memory_order_release);
+            work.notify_one();
+        }
+        /// Whether what was given has not been begun, and will not be.
+        bool take_back(const Work& what) {
+            const Work* given = &what;
+            return work.compare_exchange_strong(given, nullptr, std::memory_order_acq_rel);
+        }
+        void wait() {
+            wait_until([&] { return work.load(std::memory_order_acquire) == nullptr; });
+        }
     };
 
     bool grow(int count) {
@@ -133,9 +168,10 @@ private:
         return true;
     }
     [[noreturn]] static void serve(Worker& own, int number) {
+        static const Work begun;
         const Ieee rounding;
         for (;;) {
-            const std::function<void(int)>* work = nullptr;
+            const Work* work = nullptr;
             // Runs of one frame follow each other closely: a thread that slept would be late for each.
             for (int tries = 0; tries < 20000 && !work; ++tries) {
                 work = own.work.load(std::memory_order_acquire);
@@ -145,6 +181,8 @@ private:
                 own.work.wait(nullptr, std::memory_order_acquire);
                 continue;
             }
+            const Work* given = work;
+            if (!own.work.compare_exchange_strong(given, &begun, std::memory_order_acq_rel)) continue;
             (*work)(number);
             own.work.store(nullptr, std::memory_order_release);
         }

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 #: What runs without contact end with.
 _NO_ENDS: tuple[Array | None, Array | None] = (None, None)
 _NOWHERE: Sequence[int] = (0, 0)
+#: Runs that take as long as so many calls of the engine are worth waking a thread.
+_WAKING = 2.0
 #: Steps of one run at most.
 MOST_STEPS = 2**31 - 1
 
@@ -159,6 +161,7 @@ class Plan(Measures):
         powers: bool = False,
         touches: bool = False,
         threads: int | None = None,
+        abreast: int = 1,
         every: int = 1,
     ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
         """Run a stretch of time several times, each from the start with its own number of equal steps.
@@ -168,11 +171,12 @@ class Plan(Measures):
             duration: length of the stretch [s].
             start: positions and velocities; they stay as they are.
             steps: of each run, at least 1.
-            weights: of the runs in a combination that is wanted too; None where it is not.
+            weights: of the first runs in a combination that is wanted too; None where it is not.
             narrow: whether they calculate in single precision.
             powers: whether powers are noted.
             touches: whether what obstacles do is noted.
-            threads: of a sheet; None chooses. No bit depends on it.
+            threads: of a run; None chooses. No bit depends on it.
+            abreast: runs to make at once, each by one thread, where that is possible. No bit depends on it either.
             every: steps for which hinges are asked for once, in the middle one; odd, and a divisor of all ``steps``.
 
         Returns:
@@ -201,12 +205,14 @@ class Plan(Measures):
             ends = self.contact.ends(count)
             ends_at = [0 if array is None else address(array) for array in ends]
         notes = zeros((count, booked_size(grippers, obstacles) + met))
+        combined = count
         if weights is not None:
-            if len(weights) != count:
-                raise ValueError(f"{len(weights)} weights for {count} runs; give one a run")
+            combined = len(weights)
+            if not 1 <= combined <= count:
+                raise ValueError(f"{combined} weights for {count} runs; give one for each run of the combination")
             told_at = addressof(self._told)
-            if count > 1:
-                self._weights[:count] = list(weights)
+            if combined > 1:
+                self._weights[:combined] = list(weights)
                 result = empty((2, *self._shape))
                 result_at = address(result)
         FRAME.pack_into(
@@ -218,7 +224,7 @@ class Plan(Measures):
             self._steps_at,
             self._weights_at,
             narrow,
-            self._threads(every) if threads is None else threads,
+            self.threads(every) if threads is None else threads,
             x0,
             v0,
             out_at,
@@ -230,6 +236,8 @@ class Plan(Measures):
             touches,
             *ends_at,
             every,
+            combined,
+            abreast,
         )
         status = self._library.cloth_frame(self._handle, self._frame_at)
         if status:
@@ -276,10 +284,20 @@ class Plan(Measures):
         """Return the estimated time of a step for one particle [ns], of so many in which hinges are asked for once."""
         return self.step_cost - (every - 1) / every * self._hinge_cost
 
-    def _threads(self, every: int) -> int:
+    def threads(self, every: int) -> int:
+        """Return how many threads share each step of a run."""
         # A step has to be long enough for a second thread to be worth meeting it.
         long = self.cost(every) * self._shape[1] >= 1e3 * CONSTANTS.call
         return available() if long and self._wide else 1
+
+    def abreast(self, steps: Sequence[int], every: int) -> int:
+        """Return how many runs of so many steps to make at once: where nothing but the engine takes part, they are long
+        enough to wake a thread for, and threads don't share each of them better.
+        """
+        if self.contact is not None or self._own or (len(steps) % 2 and self.threads(every) > 1):
+            return 1
+        time = self.cost(every) * self._shape[1] * sum(steps)
+        return available() if time >= _WAKING * 1e3 * CONSTANTS.call else 1
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""

@@ -37,6 +37,7 @@ def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = 
 def test_the_fastest_that_is_accurate_enough_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = [fake("fine", "beside", error=0.0, seconds=1e-9), fake("rough", "ours", error=1e-4, seconds=0.001)]
     ours += [fake("good", "ours", error=9e-6, seconds=0.01), fake("better", "ours", error=9e-8, seconds=0.05)]
+    ours += [fake("one thread", "alone", error=9e-6, seconds=0.02), fake("the same", "alone", error=9e-8, seconds=0.1)]
     theirs = [fake("theirs", "library", error=1e-8, seconds=0.2), fake("slower", "library", error=1e-9, seconds=0.3)]
     theirs += [fake("never", "library", error=0.0, seconds=9.0)]
     theirs.append(fake("held up", "library", error=1e-9, seconds=0.4, held_up=True))
@@ -47,12 +48,14 @@ def test_the_fastest_that_is_accurate_enough_counts(monkeypatch: pytest.MonkeyPa
     assert main(["work-precision", "--scene", "chain", "--limit", "1", "--repeats", "3", "--json", str(file)]) == 0
     report = json.loads(file.read_text())
     everything, comparison = (table["rows"] for table in report["tables"])
-    assert [row[0] for row in everything] == ["fine", "rough", "good", "better", "theirs", "slower", "held up"]
-    assert [[row[0], row[2].split()[0], row[4].split()[0]] for row in comparison] == [
+    names = ["fine", "rough", "good", "better", "one thread", "the same", "theirs", "slower", "held up"]
+    assert [row[0] for row in everything] == names
+    assert [[row[0], row[2].split()[0], row[5].split()[0]] for row in comparison] == [
         [1e-5, "good", "theirs"],
         [1e-7, "better", "theirs"],
     ]
-    assert [row[5] for row in comparison] == [pytest.approx(20.0), pytest.approx(4.0)]
+    assert [row[6] for row in comparison] == [pytest.approx(20.0), pytest.approx(4.0)]
+    assert [row[7] for row in comparison] == [pytest.approx(10.0), pytest.approx(2.0)]
     assert any("never" in note and "not done after 1 s" in note for note in report["notes"])
     assert any("1e-10" in note for note in report["notes"])
 

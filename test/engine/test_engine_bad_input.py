@@ -281,7 +281,7 @@ def test_arrays_that_do_not_fit_are_refused_by_name(plan, call, name, what):
         ({"steps": [NAN]}, "runs of"),
         ({"steps": [2**70]}, "runs of"),
         ({"steps": list(range(1, 40))}, "runs of"),
-        ({"steps": [1, 2], "weights": [1.0]}, "weights"),
+        ({"steps": [1, 2], "weights": []}, "weights"),
         ({"steps": [1], "weights": [1.0, 2.0]}, "weights"),
         ({"t": NAN}, "from time"),
         ({"duration": INF}, "from time"),
@@ -300,6 +300,9 @@ def test_any_number_of_threads_gives_the_same_bits(plan, threads):
     (found,), _ = plan.runs(0.0, 0.01, (good(), good()), [5], threads=threads)
     (expected,), _ = plan.runs(0.0, 0.01, (good(), good()), [5])
     assert found.x.tobytes() == expected.x.tobytes()
+    at_once, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7], abreast=threads)
+    in_turn, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7])
+    assert [run.x.tobytes() for run in at_once] == [run.x.tobytes() for run in in_turn]
 
 
 @over_plans

@@ -69,6 +69,42 @@ def test_runs_made_together_or_as_they_are_asked_for_are_the_same(values):
 
 
 @every_scene
+@pytest.mark.parametrize("likely", [0, 2, 3, 9])
+def test_runs_made_ahead_beside_others_change_nothing(values, likely, monkeypatch):
+    simulation = started(values)
+    by_turns = columns(simulation)
+    monkeypatch.setattr(simulation.plan, "abreast", lambda steps, every: 2)
+    at_once = columns(simulation, likely=likely)
+    for runs in (1, 2, 4):
+        assert np.array_equal(at_once.combine(runs), by_turns.combine(runs))
+        assert at_once.told(runs) == by_turns.told(runs)
+        # What was made ahead is not counted before it is asked for.
+        assert at_once.evaluations == by_turns.evaluations == sum(step_counts(60, 4)[:runs]) + runs
+    assert at_once.difference(1) == by_turns.difference(1)
+
+
+@every_scene
+def test_a_cloth_moves_the_same_by_one_thread_and_by_two(values, monkeypatch):
+    found = []
+    for threads in (1, 2):
+        monkeypatch.setattr("cloth_sim_ros.physics.plan.available", lambda threads=threads: threads)
+        asked = []
+        simulation = started({**values, "tolerance": 1e-5})
+        one_or_two = simulation.plan.abreast
+
+        def seen(*run, asked=asked, one_or_two=one_or_two):
+            asked.append(one_or_two(*run))
+            return asked[-1]
+
+        monkeypatch.setattr(simulation.plan, "abreast", seen)
+        frames = [simulation.advance().advance for _ in range(8)]
+        assert set(asked) == {threads}
+        found.append((simulation.state.digest(), frames))
+    assert any(frame.rejected for frame in found[0][1])
+    assert found[0] == found[1]
+
+
+@every_scene
 def test_the_start_stays_as_it_is(values):
     simulation = started(values)
     before = simulation.state.x.copy(), simulation.state.v.copy()

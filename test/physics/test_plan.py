@@ -125,6 +125,36 @@ def test_runs_leave_their_start_and_are_the_same_alone_and_together(values):
 
 
 @every_scene
+@pytest.mark.parametrize("narrow", [False, True])
+def test_runs_made_at_once_are_those_made_in_turn(values, narrow):
+    simulation = made(values)
+    stir(simulation)
+    grip(simulation, simulation.positions[-1])
+    plan, start = simulation.plan, (simulation.state.x, simulation.state.v)
+    first = 3 * (1 + int(1e-3 * np.sqrt(plan.rates(start[0])[0]) + 1e-3 * plan.rates(start[0])[1]))
+    asked = {"narrow": narrow, "powers": not narrow, "every": 3 if plan.bends else 1}
+    for steps in ([first, 2 * first], [first, 2 * first, 3 * first, 5 * first, 7 * first]):
+        weights = [1.0] if narrow else [-0.5, 1.5]
+        turns, (x, v, told) = plan.runs(0.1, 2e-3, start, steps, weights=weights, **asked)
+        for _ in range(5):
+            at_once, (y, w, tells) = plan.runs(0.1, 2e-3, start, steps, weights=weights, abreast=2, **asked)
+            for mine, others in zip(at_once, turns, strict=True):
+                assert np.array_equal(mine.ends, others.ends)
+                assert np.array_equal(mine.notes, others.notes)
+            assert np.array_equal(x, y) and np.array_equal(v, w) and told == tells
+
+
+def test_what_runs_beyond_a_combination_come_to_is_not_in_it():
+    plan, state = (simulation := made({})).plan, simulation.state
+    stir(simulation)
+    enough = int(np.sqrt(plan.rates(state.x)[0]) + plan.rates(state.x)[1])
+    _, (x, _, told) = plan.runs(0.0, 1.0, (state.x, state.v), [enough], weights=[1.0])
+    runs, (y, _, tells) = plan.runs(0.0, 1.0, (state.x, state.v), [enough, 60], weights=[1.0], abreast=2)
+    assert told.finite and not np.isfinite(runs[1].x).all()
+    assert np.array_equal(x, y) and told == tells
+
+
+@every_scene
 def test_a_repeat_gives_the_same_bits(values):
     simulation, ends = made(values), set()
     for _ in range(3):

@@ -33,6 +33,13 @@ class Choice:
     refine: float
     judge: bool
 
+    def likely(self, tolerance: float | None, *, missed: bool) -> int:
+        """Return how many runs are likely to be asked for; `missed`: an error was too large, and time is to spare."""
+        if tolerance is None or not self.judge:
+            return self.columns
+        # Two runs and their judge seldom do then: either a third is combined, or more of them tell what would do.
+        return self.columns + (2 if missed and self.columns == 2 else 1)
+
 
 def binds(options: Options, choice: Choice, steps: int, step: float) -> str:
     """Return what bound a first run of so many steps of that length [s], one of `base.BINDING`."""

@@ -62,10 +62,9 @@ class Stretch:
         self.choice, self.rule = choice, rule
         self._stability, self._ahead, self._halvings, self.most = stability, ahead, halvings, most
         self.limit, self.start = effort.touch.limit_ahead(t, duration, effort.state), effort.state
-        #: Steps of the runs that make up the result, those of the first run alone, and the smallest step [s].
-        self.steps, self.first, self.finest = 0, 0, math.inf
-        #: Stretches that it was cut into.
-        self.pieces = 1
+        #: Steps of the runs that make up the result, those of the first run alone, the smallest step [s], and stretches
+        #: that it was cut into.
+        self.steps, self.first, self.finest, self.pieces = 0, 0, math.inf, 1
         #: Attempts that did not hold, and whether it is halved next.
         self._rejected, self._halve = 0, False
         self._kept: Columns | None = None
@@ -228,6 +227,7 @@ class Stretch:
         """The runs of a part; those of the first are kept over attempts with the same steps."""
         effort, kept = self._effort, self._kept
         counts = step_counts(self._counts_first, len(RATIOS), self.every)
+        missed = self._rejected + self._halvings > 0 and effort.plan.threads(self.every) == 1
         if effort.options.tolerance is not None:
             # What it changes was measured over a whole advance, and does not shrink with the stretch.
             effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
@@ -248,9 +248,9 @@ class Stretch:
             touched=1.0 / effort.duration,
             ran=effort.ran,
             every=self.every,
+            likely=self.choice.likely(effort.options.tolerance, missed=missed),
         )
-        if part == 0:
-            self._kept = columns
+        self._kept = columns if part == 0 else kept
         return columns
 
     def _judge(self, columns: Columns, activity: float, passed: float) -> bool:

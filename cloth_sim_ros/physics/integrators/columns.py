@@ -100,6 +100,7 @@ class Columns:
         touched: the same where contact is [1/s]: one over the time for which what it throws off is looked ahead.
         ran: a run that is there, which is taken where it is the one that is missing.
         every: steps for which hinges are asked for once.
+        likely: how many runs are likely to be asked for: no bit depends on it.
     """
 
     def __init__(
@@ -117,13 +118,16 @@ class Columns:
         touched: float = math.inf,
         ran: Ran | None = None,
         every: int = 1,
+        likely: int = 0,
     ) -> None:
         self._plan, self._start, self._t, self.duration = plan, start, t, duration
         self._powers, self._touches = powers, touches
         self.counts = tuple(counts)
         self.narrow, self.every = narrow, every
         self._omega, self._touched, self._ran = omega, touched, ran
-        self.evaluations = 0
+        self._likely = likely
+        #: Force evaluations of the runs that were asked for, and how many these are. More may be there.
+        self.evaluations, self._asked = 0, 0
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
         self._told: dict[int, Told] = {}
@@ -243,28 +247,44 @@ class Columns:
 
     def _make(self, columns: int) -> None:
         """Make the runs that are missing; all at once, and combined, where none is there yet."""
+        if columns > self._asked:
+            self.evaluations += sum(self.counts[self._asked : columns]) + columns - self._asked
+            self._asked = columns
         made = len(self._runs)
         if made >= columns:
             return
         if self._plan.contact is not None:
             self._plan.contact.take(self._start)
-        steps, whole = self.counts[made:columns], made == 0
-        runs, result = (self._made(steps) if whole else None) or self._plan.runs(
+        whole = made == 0
+        runs, result = (self._made(self.counts[:columns]) if whole else None) or self._run(made, columns)
+        self._runs.extend(runs)
+        if result is not None:
+            x, v, self._told[columns] = result
+            self._combined[columns] = x, v
+
+    def _run(self, made: int, columns: int) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
+        """Make runs from one on, and those that are likely to be asked for next where another thread can take them
+        meanwhile: of what nobody asks for nothing is seen, nor counted.
+        """
+        plan, steps = self._plan, self.counts[made:columns]
+        ahead = self._likely
+        if made and plan.threads(self.every) == 1:
+            # Where an error is too large it often takes the next two runs to tell what would do.
+            ahead = columns + 1
+        more = self.counts[made : max(columns, ahead)]
+        abreast = plan.abreast(more, self.every) if len(more) > 1 else 1
+        return plan.runs(
             self._t,
             self.duration,
             (self._start.x, self._start.v),
-            steps,
-            weights=weights(self.counts[:columns]) if whole else None,
+            more if abreast > 1 else steps,
+            weights=weights(self.counts[:columns]) if made == 0 else None,
             narrow=self.narrow,
             powers=self._powers,
             touches=self._touches,
             every=self.every,
+            abreast=abreast,
         )
-        self._runs.extend(runs)
-        self.evaluations += sum(steps) + len(steps)
-        if result is not None:
-            x, v, self._told[columns] = result
-            self._combined[columns] = x, v
 
     def _made(self, steps: tuple[int, ...]) -> tuple[list[Run], tuple[Array, Array, Told] | None] | None:
         """What was returned for the run that is there, where it is the one of these steps."""
