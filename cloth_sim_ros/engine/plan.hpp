@@ -38,8 +38,8 @@ template <class T>
 struct Rooms {
     std::vector<Array<T>> state, ring, boxes;
     Array<T> quads[2], more[3], window, contact_masses;
-    /// Where rows take their hinges, and where these are asked for less often.
-    std::vector<Share<T>> shares[2];
+    /// Where rows take their hinges, and where these are asked for less often; of one thread, and of several.
+    std::vector<Share<T>> shares[2][2];
     /// Halves of hinges' next impulses over masses as foretold, in turn, and quarters of the last ones.
     Array<T> leads[3];
     std::vector<RowTable<T>> tables;
@@ -104,15 +104,16 @@ struct Plan {
     /// hinges have their springs in families.
     void place_lists() {
         if (places.size() == lists.size()) return;
-        places.assign(lists.size(), {});
+        std::vector<std::vector<std::int64_t>> found(lists.size());
         bool hinges = false;
         for (std::size_t k = 0; grid && k < lists.size(); ++k) {
-            if (lists[k].kind == Kind::crossed) places[k] = row_places<Crossed>(*grid, lists[k]);
-            if (lists[k].kind == Kind::altitude) places[k] = row_places<Altitude>(*grid, lists[k]);
-            hinges = hinges || !places[k].empty();
+            if (lists[k].kind == Kind::crossed) found[k] = row_places<Crossed>(*grid, lists[k]);
+            if (lists[k].kind == Kind::altitude) found[k] = row_places<Altitude>(*grid, lists[k]);
+            hinges = hinges || !found[k].empty();
         }
         for (std::size_t k = 0; hinges && k < lists.size(); ++k)
-            if (lists[k].kind == Kind::spring) places[k] = row_places<Spring>(*grid, lists[k]);
+            if (lists[k].kind == Kind::spring) found[k] = row_places<Spring>(*grid, lists[k]);
+        places = std::move(found);
     }
     /// Whether there are lists that no rows take; and whether any of these are others than hinges.
     bool lists_beside() {
@@ -143,13 +144,14 @@ struct Plan {
     /// runs are `sparse`.
     template <class T>
     std::vector<Share<T>>& shares(const std::vector<std::int64_t>& borders, bool sparse, int number) {
-        auto& all = room<T>(number).shares[sparse];
-        bool known = all.size() + 1 == borders.size();
-        for (std::size_t k = 0; known && k < all.size(); ++k)
-            known = all[k].first == borders[k] && all[k].last == borders[k + 1] && all[k].lists.size() == lists.size();
-        if (known) return all;
+        auto& kept = room<T>(number).shares[sparse][borders.size() > 2];
+        bool known = kept.size() + 1 == borders.size();
+        for (std::size_t k = 0; known && k < kept.size(); ++k)
+            known = kept[k].first == borders[k] && kept[k].last == borders[k + 1] && kept[k].lists.size() == lists.size();
+        if (known) return kept;
         place_lists();
-        all.assign(borders.size() - 1, Share<T>{});
+        // Kept once it is whole: there may not be memory enough.
+        std::vector<Share<T>> all(borders.size() - 1);
         for (std::size_t k = 0; k < all.size(); ++k) {
             Share<T>& share = all[k];
             share.first = share.low = borders[k];
@@ -168,7 +170,7 @@ struct Plan {
             }
             share.f.assign(4 * (count + 1), T(0));
         }
-        return all;
+        return kept = std::move(all);
     }
     /// Borders between particles, as they stand inside runs, that share listed elements out evenly. Particles that contact
     /// looks at together stay together.

@@ -154,6 +154,7 @@ private:
             process_ = getpid();
         }
         try {
+            threads_.reserve(count);
             while (static_cast<int>(threads_.size()) < count) {
                 auto worker = std::make_unique<Worker>();
                 Worker* const own = worker.get();

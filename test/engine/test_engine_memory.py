@@ -1,0 +1,29 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A frame for which there is not enough memory says so, and the next one is as if nothing had been."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from cloth_sim_ros.engine import build
+from cloth_sim_ros.engine.instruction_set import libraries
+
+
+@pytest.mark.skipif("avx2" not in libraries(), reason="the program is built for AVX2")
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
+def test_every_allocation_may_fail(tmp_path: Path) -> None:
+    source, program = Path(__file__).with_name("no_memory.cpp"), tmp_path / "no_memory"
+    flags = ["-std=c++20", "-pthread", "-O0", "-march=x86-64-v3", "-DCLOTH_VECTOR_BYTES=32", *build.WARNINGS]
+    command = ["g++", *flags, "-I", str(Path(build.__file__).parent), str(source), "-o", str(program)]
+    subprocess.run(command, check=True, capture_output=True)
+    told = subprocess.run([program], check=True, capture_output=True, text=True).stdout
+    lines = [re.fullmatch(r"(.*): (\d+) told, 0 crashed, 0 wrong, 0 failed later", line) for line in told.splitlines()]
+    assert all(lines) and len(lines) == 4, told
+    # Each frame allocates a few dozen times, and nearly each of them matters.
+    assert min(int(line[2]) for line in lines) > 25, told
