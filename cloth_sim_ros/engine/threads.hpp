@@ -174,7 +174,7 @@ private:
         for (;;) {
             const Work* work = nullptr;
             // Runs of one frame follow each other closely: a thread that slept would be late for each.
-            for (int tries = 0; tries < 20000 && !work; ++tries) {
+            for (int tries = 0; tries < 5000 && !work; ++tries) {
                 work = own.work.load(std::memory_order_acquire);
                 if (!work) pause_briefly();
             }
