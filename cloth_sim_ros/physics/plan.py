@@ -290,13 +290,13 @@ class Plan(Measures):
         long = self.cost(every) * self._shape[1] >= 1e3 * CONSTANTS.call
         return available() if long and self._wide else 1
 
-    def abreast(self, steps: Sequence[int], every: int) -> int:
-        """Return how many runs of so many steps to make at once: where nothing but the engine takes part, they are long
-        enough to wake a thread for, and threads don't share each of them better.
+    def abreast(self, runs: int, steps: int, every: int) -> int:
+        """Return how many runs to make at once, of so many that take so many steps in all: where nothing but the engine
+        takes part, they are long enough to wake a thread for, and threads don't share each of them better.
         """
-        if self.contact is not None or self._own or (len(steps) % 2 and self.threads(every) > 1):
+        if self.contact is not None or self._own or (runs % 2 and self.threads(every) > 1):
             return 1
-        time = self.cost(every) * self._shape[1] * sum(steps)
+        time = self.cost(every) * self._shape[1] * steps
         return available() if time >= _WAKING * 1e3 * CONSTANTS.call else 1
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:

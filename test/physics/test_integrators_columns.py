@@ -73,7 +73,7 @@ def test_runs_made_together_or_as_they_are_asked_for_are_the_same(values):
 def test_runs_made_ahead_beside_others_change_nothing(values, likely, monkeypatch):
     simulation = started(values)
     by_turns = columns(simulation)
-    monkeypatch.setattr(simulation.plan, "abreast", lambda steps, every: 2)
+    monkeypatch.setattr(simulation.plan, "abreast", lambda *_: 2)
     at_once = columns(simulation, likely=likely)
     for runs in (1, 2, 4):
         assert np.array_equal(at_once.combine(runs), by_turns.combine(runs))

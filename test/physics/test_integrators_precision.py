@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
 from cloth_sim_ros.bench.raw_sheet import RawSheet
+from cloth_sim_ros.physics import cores
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
@@ -17,6 +20,13 @@ from cloth_sim_ros.physics.remembered import Noise, Precision, restart
 from cloth_sim_ros.physics.state import State
 
 PERIOD = 1 / 60
+
+
+@pytest.fixture(autouse=True)
+def one_run_at_a_time() -> Iterator[None]:
+    """Runs are looked at as they are asked for."""
+    with cores.alone():
+        yield
 
 
 def build() -> tuple[Plan, State]:

@@ -210,7 +210,7 @@ def test_a_frame_is_finished_from_where_it_began_not_from_where_pads_were_laid_o
 def test_threads_change_no_bit(monkeypatch):
     ends = []
     for threads in (1, 3):
-        monkeypatch.setattr(Plan, "_threads", lambda self, *_, count=threads: count)
+        monkeypatch.setattr(Plan, "threads", lambda self, *_, count=threads: count)
         plan, state, integrator, _ = between(way=0.8 * THICKNESS)
         advance(plan, state, integrator, 8)
         ends.append(state.digest())

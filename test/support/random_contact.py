@@ -112,5 +112,5 @@ class Coverage:
 @contextmanager
 def threads(count: int) -> Iterator[None]:
     """Let every run take so many threads."""
-    with mock.patch.object(Plan, "_threads", return_value=count):
+    with mock.patch.object(Plan, "threads", return_value=count):
         yield

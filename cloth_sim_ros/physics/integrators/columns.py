@@ -272,7 +272,7 @@ class Columns:
             # Where an error is too large it often takes the next two runs to tell what would do.
             ahead = columns + 1
         more = self.counts[made : max(columns, ahead)]
-        abreast = plan.abreast(more, self.every) if len(more) > 1 else 1
+        abreast = plan.abreast(len(more), sum(more), self.every) if len(more) > 1 else 1
         return plan.runs(
             self._t,
             self.duration,
