@@ -76,9 +76,11 @@ public:
         return *pool;
     }
     /// Call job(0) to job(workers - 1) at once, each on a thread of its own. Call `alone` instead where the pool is
-    /// busy with another call or no thread can be started. After a run whose threads waited, all together, for more
-    /// than a quarter of its time, the next runs call `alone` too: other processes hold the cores, and all threads wait
-    /// for one that the system has suspended. No bit of the result depends on this choice, so a clock may make it.
+    /// busy with another call or no thread can be started. Where other processes hold the cores, all threads wait for one
+    /// that the system has suspended: after a run in which they waited, all together, for more than a quarter of its time,
+    /// the next runs call `alone` too. They do so as long as that run took, and after each further one twice as many times
+    /// as long: what is lost by trying stays small, and what is lost by not trying is no more than the cores were held. No
+    /// bit of the result depends on this choice, so a clock may make it.
     template <class Job, class Alone>
     void run(int workers, Job&& job, Alone&& alone) {
         // A call that works alone releases the lock, so that another call can use the threads.
@@ -94,9 +96,11 @@ public:
         for (int k = 0; k < workers - 1; ++k) threads_[k]->give(work);
         job(0);
         for (int k = 0; k < workers - 1; ++k) threads_[k]->wait();
-        const bool busy = waited.load(std::memory_order_relaxed) > since(begin) / 4;
-        pause_ = busy ? std::min(std::max(2 * pause_, 16), 4096) : pause_ / 2;
-        resting_ = busy ? pause_ : 0;
+        const auto end = Clock::now();
+        const auto took = end - begin;
+        const bool busy = std::chrono::nanoseconds(waited.load(std::memory_order_relaxed)) > took / 4;
+        times_ = busy ? std::min(std::max(2 * times_, 1), 1024) : times_ / 2;
+        rested_ = busy ? end + times_ * took : end;
     }
     /// Call job(number, worker) for each number below `jobs`, the last one first, each on whichever of so many threads is
     /// free. They do not wait for each other: one that the system is late to start has nothing to do then.
@@ -125,7 +129,7 @@ private:
     using Work = std::function<void(int)>;
 
     /// Whether a run is to do without threads, after one that mostly waited.
-    bool rests() { return resting_ > 0 && resting_-- > 0; }
+    bool rests() const { return times_ > 0 && Clock::now() < rested_; }
 
     struct Worker {
         /// What is to be done; `begun` while it is; null once it has been.
@@ -191,9 +195,10 @@ private:
 
     std::mutex mutex_;
     std::vector<std::unique_ptr<Worker>> threads_;
-    /// `resting_`: how many of the next runs work alone. `pause_`: that number as last set; it doubles, from 16 to at
-    /// most 4096, with each run that waits too long and halves with each that does not.
-    int resting_ = 0, pause_ = 0;
+    /// Runs do without threads until `rested_`: `times_` as long as the one before took. That number doubles, from 1 to at
+    /// most 1024, with each run that waits too long and halves with each that does not.
+    Clock::time_point rested_{};
+    int times_ = 0;
     pid_t process_ = getpid();
 };
 

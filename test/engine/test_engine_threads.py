@@ -1,0 +1,22 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A thread that comes late is done without, for as long as it was late and no longer."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from cloth_sim_ros.engine import build
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
+def test_a_late_thread_is_tried_again_after_as_long_as_it_was_late(tmp_path: Path) -> None:
+    source, program = Path(__file__).with_name("held_cores.cpp"), tmp_path / "held_cores"
+    command = ["g++", "-std=c++20", "-pthread", "-O1", *build.WARNINGS, "-I", str(Path(build.__file__).parent)]
+    subprocess.run([*command, str(source), "-o", str(program)], check=True, capture_output=True, text=True)
+    told = subprocess.run([program], check=True, capture_output=True, text=True, timeout=120).stdout
+    assert told.splitlines() == [f"{late} late: 1 meanwhile, 2 later" for late in (1, 2, 3)]
