@@ -25,6 +25,10 @@ ROOT = Path(__file__).resolve().parent.parent
 # Discovery takes up to 2.6 s, a first import some seconds on a busy machine.
 PATIENCE = 60.0
 
+# A shell's job in the background ignores interrupts, and so does all that it starts: tests that send one would wait.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 #: ROS domains that the tests use, from 1 on, and the order in which this process tries them: workers begin apart.
 _DOMAINS = 100
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
