@@ -93,10 +93,13 @@ class Effort:
         where it stays as it is. Explicit steps are given up where the longest stable ones exceed the cap by more than
         implicit ones take to finish the frame.
         """
+        if self.options.tolerance is None:
+            # A fixed order, and no error to judge.
+            return choice
         columns = self.fewer(choice.columns, lambda count: ahead + work(count, 1.0))
         choice = Choice(columns, choice.refine, choice.judge or columns < choice.columns)
         needed = work(columns, choice.refine)
-        if self.options.tolerance is None or self.affords(ahead + needed - kept):
+        if self.affords(ahead + needed - kept):
             return choice
         left = self.cap - self.evaluations - self.calls - ahead
         refine = max(1.0, choice.refine * left / needed)

@@ -384,9 +384,10 @@ class Stretch:
             return False
         columns = effort.fewer(choice.columns, lambda count: self._ahead + self.work(count, refine))
         if self.affords(columns, refine):
-            # What is known of the error is of as many steps an impulse of hinges.
-            anew = choice.judge or columns < choice.columns or self.every != effort.hinges.every
-            self.choice = Choice(columns, refine, anew)
+            # What is known of the error is of as many steps an impulse of hinges. Without a tolerance there is no error
+            # estimate, and nothing to judge.
+            changed = choice.judge or columns < choice.columns or self.every != effort.hinges.every
+            self.choice = Choice(columns, refine, changed and options.tolerance is not None)
             if options.tolerance is None and finer > 1.0:
                 self.rule.refined(refine)
             return False
