@@ -72,6 +72,8 @@ EXTRAS = {
     "batch": [
         *SESSION,
         "distributed>=2025.1",
+        # Makes the certificates of the cluster that a study starts.
+        "cryptography>=41.0",
         # Processes that outlive a call, and need no `if __name__ == "__main__"` in a user's program.
         "loky>=3.4",
         "bokeh>=3.4",

@@ -7,21 +7,35 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import attrs
+
 from cloth_sim_ros.batch.errors import StoppedError, StudyError
+from cloth_sim_ros.session.child_process import safe_imports
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Security
 
 #: A terminal's Ctrl-C reaches workers as well. This process ends them; their own words would bury what it says.
 _UNINTERRUPTED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: A worker that was killed takes its task with it: so often, before Dask says that the task kills workers.
 _ALLOWED_FAILURES = 3
+
+
+@attrs.frozen
+class SchedulerAddress:
+    """Address of a Dask scheduler, and the certificate without which it refuses a connection."""
+
+    #: Such as ``tcp://host:8786``.
+    address: str
+    #: None: what Dask's own configuration says.
+    security: Security | None = attrs.field(default=None, repr=False)
 
 
 def cores() -> int:
@@ -30,10 +44,14 @@ def cores() -> int:
 
 
 @contextlib.contextmanager
-def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator[str]:
-    """Start a scheduler and a worker process a core on this machine; the scheduler's address."""
+def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator[SchedulerAddress]:
+    """Start a scheduler and a worker process a core on this machine.
+
+    Its connections are encrypted and need a certificate that exists in these processes alone: a scheduler runs what it
+    is sent, and every account of the machine reaches its port.
+    """
     import dask
-    from distributed import LocalCluster
+    from distributed import LocalCluster, Security
 
     _be_quiet()
     # A worker's profiler looks a hundred times a second at what its thread does, and takes the interpreter from it.
@@ -45,27 +63,32 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
         "distributed.admin.system-monitor.interval": "2s",
     }
     dask.config.set(settings)
-    with warnings.catch_warnings():
-        # The dashboard's port may be taken: it gets another one.
-        warnings.simplefilter("ignore")
-        cluster = LocalCluster(
-            n_workers=workers or cores(),
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:8787",
-            silence_logs=logging.CRITICAL,
-            preload=[*dask.config.get("distributed.worker.preload"), _UNINTERRUPTED],
-        )
-    try:
-        say(f"{workers or cores()} workers on this machine; Dask's dashboard: {cluster.dashboard_link}")
-        yield cluster.scheduler_address
-    finally:
-        with contextlib.suppress(Exception):
-            cluster.close(timeout=10)
+    security = Security.temporary()
+    # All the time: a worker that is lost is replaced. Workers import from their folder: no other account may write there.
+    with safe_imports(), tempfile.TemporaryDirectory(prefix="cloth_batch_", ignore_cleanup_errors=True) as folder:
+        with warnings.catch_warnings():
+            # The dashboard's port may be taken: it gets another one.
+            warnings.simplefilter("ignore")
+            cluster = LocalCluster(
+                n_workers=workers or cores(),
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:8787",
+                security=security,
+                local_directory=folder,
+                silence_logs=logging.CRITICAL,
+                preload=[*dask.config.get("distributed.worker.preload"), _UNINTERRUPTED],
+            )
+        try:
+            say(f"{workers or cores()} workers on this machine; Dask's dashboard: {cluster.dashboard_link}")
+            yield SchedulerAddress(cluster.scheduler_address, security)
+        finally:
+            with contextlib.suppress(Exception):
+                cluster.close(timeout=10)
 
 
-def connect(address: str, *, wait: float) -> Client:
+def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
     """Connect to a scheduler, which may still be starting.
 
     Raises:
@@ -75,13 +98,15 @@ def connect(address: str, *, wait: float) -> Client:
     from distributed import Client
 
     _be_quiet()
+    address = scheduler.address
     if "://" not in address:
         raise StudyError(f"scheduler '{address}' is no address; write tcp://host:8786, as `dask scheduler` prints it")
     end = time.monotonic() + wait
     while True:
         left = end - time.monotonic()
         try:
-            return Client(address, timeout=f"{max(min(left, 10.0), 0.5):.1f}s", set_as_default=False)
+            timeout = f"{max(min(left, 10.0), 0.5):.1f}s"
+            return Client(address, security=scheduler.security, timeout=timeout, set_as_default=False)
         except (OSError, TimeoutError, RuntimeError) as error:
             if time.monotonic() >= end:
                 raise StoppedError(

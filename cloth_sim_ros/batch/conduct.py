@@ -63,11 +63,11 @@ class Conductor:
     say: Callable[[str], None] = print
     _kills: collections.Counter[int] = attrs.field(factory=collections.Counter, init=False)
 
-    def conduct(self, address: str, runs: Iterable[int], *, wait: float) -> None:
-        """Run some runs on the cluster whose scheduler has an address.
+    def conduct(self, scheduler: cluster.SchedulerAddress, runs: Iterable[int], *, wait: float) -> None:
+        """Run some runs on a cluster.
 
         Args:
-            address: such as ``tcp://host:8786``.
+            scheduler: of the cluster.
             runs: their numbers.
             wait: how long a scheduler that is gone is waited for [s].
 
@@ -79,7 +79,7 @@ class Conductor:
         left = list(runs)
         progressed = time.monotonic()
         while left:
-            client = cluster.connect(address, wait=wait)
+            client = cluster.connect(scheduler, wait=wait)
             try:
                 cluster.check_workers(client, self.place.path, cluster.own_version())
                 self._drive(client, left)
@@ -88,7 +88,7 @@ class Conductor:
             except Exception as error:  # What a broken connection raises is not one kind of error.
                 if client.status == "running" and not isinstance(error, _LostError | OSError):
                     raise
-                self.say(f"the connection to the scheduler at {address} broke ({error}); connecting anew")
+                self.say(f"the connection to the scheduler at {scheduler.address} broke ({error}); connecting anew")
                 time.sleep(1.0)
             finally:
                 _close(client)
@@ -97,7 +97,7 @@ class Conductor:
                 progressed = time.monotonic()
             elif time.monotonic() - progressed > wait:
                 raise StoppedError(
-                    f"the connection to the scheduler at {address} breaks again and again; finished runs are kept, "
+                    f"the connection to the scheduler at {scheduler.address} breaks again and again; finished runs are kept, "
                     "--resume goes on"
                 )
 

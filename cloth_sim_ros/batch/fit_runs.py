@@ -21,6 +21,7 @@ from cloth_sim_ros.batch.fit_recording import Recording, visible
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -143,11 +144,15 @@ class Runs:
                 f"{self.workers} processes need loky: pip install 'cloth_sim_ros[batch]', or take --workers 1"
             ) from error
 
-        if self._pool is None:
-            # Not of the standard library: those would begin by running the user's program once more.
-            self._pool = ProcessPoolExecutor(self.workers, initializer=_begin, initargs=(self.recording, self.fitted))
         try:
-            return list(self._pool.map(_work, runs))
+            with safe_imports():
+                if self._pool is None:
+                    # Not of the standard library: those would begin by running the user's program once more.
+                    self._pool = ProcessPoolExecutor(
+                        self.workers, initializer=_begin, initargs=(self.recording, self.fitted), env=overrides()
+                    )
+                made = self._pool.map(_work, runs)
+            return list(made)
         except BrokenProcessPool as error:
             raise FitError("a worker process was ended, perhaps for want of memory; take --workers 1") from error
 

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _check_libraries() -> None:
-    for library in ("distributed", "pyarrow", "mcap", "rosbags", "lz4"):
+    for library in ("distributed", "cryptography", "pyarrow", "mcap", "rosbags", "lz4"):
         if importlib.util.find_spec(library) is None:
             raise StudyError(f"studies need {library}, which is not installed: pip install 'cloth_sim_ros[batch]'")
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.future import Future, Wanted, future
 from cloth_sim_ros.physics import cores
+from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
@@ -36,10 +37,12 @@ def in_processes(snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted, process
         from loky.process_executor import TerminatedWorkerError
     except ImportError as error:
         raise ImportError("rollouts in processes need loky: pip install 'cloth_sim_ros[batch]'") from error
-    executor = get_reusable_executor(max_workers=processes, timeout=_WAIT)
     packed = pickle.dumps(snapshot)
     pieces = np.array_split(acts, max(1, min(len(acts), _PIECES * processes)))
-    tasks = [executor.submit(_rolled, packed, piece, wanted) for piece in pieces]
+    # Workers that start later, in place of lost ones, have the variables from `env`.
+    with safe_imports():
+        executor = get_reusable_executor(max_workers=processes, timeout=_WAIT, env=overrides())
+        tasks = [executor.submit(_rolled, packed, piece, wanted) for piece in pieces]
     try:
         for task in tasks:
             yield from task.result()

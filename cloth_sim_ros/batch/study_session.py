@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cloth_sim_ros.batch import index, study_file
-from cloth_sim_ros.batch.cluster import cores, local_scheduler
+from cloth_sim_ros.batch.cluster import SchedulerAddress, cores, local_scheduler
 from cloth_sim_ros.batch.conduct import Conductor
 from cloth_sim_ros.batch.errors import FolderError, StudyError
 from cloth_sim_ros.batch.folder import StudyFolder
@@ -87,7 +87,10 @@ def run_study(
 
         conductor = Conductor(place, study, samples, forecast.seconds, finished, tqdm.write)
         if left:
-            address = scheduler or stack.enter_context(local_scheduler(workers, tqdm.write))
+            if scheduler is None:
+                address = stack.enter_context(local_scheduler(workers, tqdm.write))
+            else:
+                address = SchedulerAddress(scheduler)
             conductor.conduct(address, left, wait=wait)
     index.write(place, rows.values())
     print(summary(place, rows.values(), time.perf_counter() - begun, len(rows) - before))

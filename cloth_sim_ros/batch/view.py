@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from cloth_sim_ros.batch import index
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.folder import StudyFolder, read_row
 from cloth_sim_ros.scene.unknown import suggestion
+from cloth_sim_ros.session.child_process import child_environment, module_command
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -138,8 +138,9 @@ def _replay(place: StudyFolder, run: int, save: Path | None) -> int:
             "cloth_batch: the sessions hold no clouds; cloth_batch export FOLDER --mcap OUT writes some with them",
             file=sys.stderr,
         )
-    command = [sys.executable, "-m", "cloth_sim_ros.replay.main", str(place.path / row["session"])]
-    return subprocess.run([*command, *(["--save", str(save)] if save else [])], check=False).returncode
+    command = module_command("cloth_sim_ros.replay.main", str(place.path / row["session"]))
+    command += ["--save", str(save)] if save else []
+    return subprocess.run(command, env=child_environment(), check=False).returncode
 
 
 def _cell(value: Any) -> str:

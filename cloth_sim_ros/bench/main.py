@@ -9,6 +9,7 @@ import importlib
 import sys
 from pathlib import Path
 
+from cloth_sim_ros.session.child_process import safe_imports
 from cloth_sim_ros.session.outputs import OutputError, check_outputs
 
 #: Subcommands: the module that runs each, and what it does. A module has `add_arguments(parser)` and `run(options)`,
@@ -61,7 +62,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = inner.parse_args(given[1:])
     try:
         check_outputs({"--json": options.json, "--markdown": options.markdown}, [])
-        report = module.run(options)
+        with safe_imports():
+            report = module.run(options)
     except (ValueError, OutputError) as error:
         inner.error(str(error))
     sys.stdout.write(report.text() + "\n")

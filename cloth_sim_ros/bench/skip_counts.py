@@ -88,7 +88,7 @@ def modules_of(values: Mapping[str, Any], *, frames: int = 2) -> set[str]:
         f"for _ in range({frames}): simulation.advance()\n"
         "print(json.dumps(sorted(sys.modules)))\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-P", "-c", script], check=False, capture_output=True, text=True)
     if done.returncode:
         raise RuntimeError(f"the scene {dict(values)} can't be run: {done.stderr[-2000:]}")
     return set(json.loads(done.stdout.splitlines()[-1]))

@@ -14,7 +14,7 @@ from typing import Any
 import attrs
 
 from cloth_sim_ros.batch import study_file
-from cloth_sim_ros.batch.cluster import connect, local_scheduler
+from cloth_sim_ros.batch.cluster import SchedulerAddress, connect, local_scheduler
 from cloth_sim_ros.batch.conduct import Conductor
 from cloth_sim_ros.batch.folder import StudyFolder
 from cloth_sim_ros.batch.forecast import quantity
@@ -96,7 +96,7 @@ def _study(options: argparse.Namespace) -> Study:
     return attrs.evolve(study, scripts=(attrs.evolve(script, waypoints=tuple(begun), grasps=grasps),))
 
 
-def _task_cost(address: str, tasks: int) -> tuple[float, float]:
+def _task_cost(address: SchedulerAddress, tasks: int) -> tuple[float, float]:
     """Wall time of an empty task, many at once, and core time of this process, which is scheduler and client [s]."""
     client = connect(address, wait=30.0)
     try:
@@ -130,7 +130,7 @@ def _simulate(study: Study, run: int, named: dict[str, Any]) -> float:
     return time.process_time() - begun
 
 
-def _through_cloth_batch(address: str, study: Study) -> tuple[float, float, float]:
+def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float, float, float]:
     """Wall time and core time [s] and bytes of the study's sessions, on a cluster that stands ready."""
     samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
     rows: dict[int, dict[str, Any]] = {}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.replay.survey import round_up
+from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.session.errors import SessionError
 
 if TYPE_CHECKING:
@@ -84,11 +84,10 @@ def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> Accurac
         SessionError: if it cannot be measured.
     """
     numbers, particles = folder / "accuracy.json", folder / "particles.f32"
-    command = [sys.executable, "-P", "-m", "cloth_sim_ros.verify.main", "--accuracy", *map(str, paths)]
+    command = module_command("cloth_sim_ros.verify.main", "--accuracy", *map(str, paths))
+    command += ["--json", str(numbers), "--particles", str(particles)]
     # Its progress bar is for the terminal; its tables are not what was asked for here.
-    done = subprocess.run(
-        [*command, "--json", str(numbers), "--particles", str(particles)], stdout=subprocess.DEVNULL, check=False
-    )
+    done = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
     if done.returncode not in _MEASURED:
         raise SessionError(f"{paths[0]}: its accuracy cannot be measured (cloth_verify ended with {done.returncode})")
     frames = json.loads(numbers.read_text(encoding="utf-8"))["frames"]

@@ -19,7 +19,7 @@ from cloth_sim_ros.replay.blueprint import blueprint_of
 from cloth_sim_ros.replay.plots import ACCURACY
 from cloth_sim_ros.replay.stream import Stream
 from cloth_sim_ros.replay.survey import Survey, survey
-from cloth_sim_ros.replay.viewer import check_screen, executable, save_screenshot
+from cloth_sim_ros.replay.viewer import check_screen, open_window, save_screenshot
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.outputs import written_whole
 from cloth_sim_ros.session.reader import SessionReader
@@ -67,19 +67,12 @@ def open_viewer(
     accuracy: bool = False,
 ) -> None:
     """Show a session in a viewer's window. Raises SessionError, or ViewerError where there is no screen."""
-    import rerun as rr
-
     check_screen()
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         seen = _look(reader, strain_limit, follow)
         seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
         recording = _recording(reader)
-        rr.spawn(
-            executable_path=str(executable()),
-            hide_welcome_screen=True,
-            default_blueprint=blueprint_of(seen, following=follow),
-            recording=recording,
-        )
+        recording.connect_grpc(open_window(), default_blueprint=blueprint_of(seen, following=follow))
         _play(reader, Stream(recording, seen, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
         _tell_missing(reader)

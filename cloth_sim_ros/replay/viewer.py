@@ -64,6 +64,34 @@ def executable() -> Path:
     return Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
+def open_window() -> str:
+    """Open a viewer's window, which stays when this process ends; the address that it takes recordings at.
+
+    It listens on this machine alone. The SDK's own `spawn` lets it listen on all interfaces.
+
+    Raises:
+        ViewerError: if it ends at once, or does not listen in time.
+    """
+    port = _free_port()
+    command = [str(executable()), "--hide-welcome-screen", "--expect-data-soon"]
+    viewer = subprocess.Popen(
+        [*command, "--bind", "127.0.0.1", "--port", str(port)],
+        stdin=subprocess.DEVNULL,
+        # Told that it is part of a program, it asks nothing about analytics.
+        env={**os.environ, "RERUN_APP_ONLY": "true"},
+        start_new_session=True,
+    )
+    end = time.monotonic() + _PATIENCE
+    while time.monotonic() < end:
+        if viewer.poll() is not None:
+            raise ViewerError(f"the viewer ended with status {viewer.returncode}; its own words are above")
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+            return f"rerun+http://127.0.0.1:{port}/proxy"
+        time.sleep(0.05)
+    viewer.kill()
+    raise ViewerError(f"the viewer did not start within {_PATIENCE:g} s; use --save out.rrd")
+
+
 def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
     """Paint a recording without a screen or a GPU and save the picture, a PNG of `size` (width, height) pixels.
 

@@ -33,6 +33,7 @@ from tqdm import tqdm
 from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.ros.stopping import StopSignals
 from cloth_sim_ros.scene.locations import config_file
+from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
@@ -232,7 +233,8 @@ class _Child:
         with self._output.open("wb") as stream:
             # A group of its own: Ctrl-C comes to us, and we end it in order.
             self._process = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
+                module_command(module, *arguments),
+                env=child_environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,

@@ -240,12 +240,12 @@ def running_node(
         f"record.folder:={folder}",
         *further,
     ]
-    command = [sys.executable, "-m", "cloth_sim_ros.ros.main", "--ros-args"]
+    command = module_command("cloth_sim_ros.ros.main", "--ros-args")
     for parameter in parameters:
         command += ["-p", parameter]
     log = folder / "node.log"
     with log.open("wb") as stream:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream)
+        process = subprocess.Popen(command, env=child_environment(), stdin=subprocess.DEVNULL, stdout=stream, stderr=stream)
 
     def alive() -> None:
         if process.poll() is not None:

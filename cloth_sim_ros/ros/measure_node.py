@@ -32,6 +32,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: What the node may add to a frame [ms].
@@ -53,10 +54,10 @@ def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
     Raises:
         RuntimeError: if it ends before.
     """
-    command = [sys.executable, "-m", "cloth_sim_ros.ros.main", "--ros-args", "-r", f"__node:={name}"]
+    command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__node:={name}")
     for key, value in values.items():
         command += ["-p", f"{key}:={json.dumps(value)}"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:
         for line in process.stderr:

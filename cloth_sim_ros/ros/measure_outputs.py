@@ -29,6 +29,7 @@ from sensor_msgs.msg import PointCloud2
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Pause after each frame [s]: what is left of a period in which nothing is due, for the recorder's thread and for
@@ -60,9 +61,11 @@ class Candidate:
         self._listener: subprocess.Popen[bytes] | None = None
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if heard:
-            command = [sys.executable, "-m", "cloth_sim_ros.ros.measure_outputs", "--listen", topic]
+            command = module_command("cloth_sim_ros.ros.measure_outputs", "--listen", topic)
             # Not this process's own output: who reads that waits until nobody can write there any more.
-            self._listener = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            self._listener = subprocess.Popen(
+                command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
             end = time.monotonic() + _PATIENCE
             while not self._node.count_subscribers(topic):
                 if time.monotonic() > end:

@@ -73,12 +73,12 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
         QoSProfile(depth=10),
         raw=True,
     )
-    command = [sys.executable, "-m", "cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments]
+    command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments)
     question = node.create_client(GetParameters, "cloth_sim/get_parameters")
     asked: list[Future] = []
     seen = answered = None
     begun = again = time.monotonic()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         while not arrivals or answered is None:
             executor.spin_once(timeout_sec=0.02)

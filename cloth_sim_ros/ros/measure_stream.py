@@ -35,6 +35,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.session.child_process import child_environment, module_command
 
 #: A cloth that takes few steps a frame [N/m], and one that falls asleep, too.
 _MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "bending.model": "none"}
@@ -108,9 +109,9 @@ class Stream:
 @contextlib.contextmanager
 def subscriber(topic: str, file: Path) -> Iterator[None]:
     """A reliable subscriber in a process of its own, which writes to a file what it receives."""
-    command = [sys.executable, "-m", "cloth_sim_ros.ros.measure_stream", "--listen", topic, str(file)]
+    command = module_command("cloth_sim_ros.ros.measure_stream", "--listen", topic, str(file))
     # Not this process's own output: who reads that waits until nobody can write there any more.
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield
     finally:

@@ -14,7 +14,6 @@ import os
 import pickle
 import queue
 import subprocess
-import sys
 import threading
 from typing import IO, Any
 
@@ -22,6 +21,7 @@ import attrs
 
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
@@ -132,7 +132,8 @@ class Shadow:
         # Not in the terminal's group: what Ctrl-C ends is the node, and with it the shadow.
         try:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", _COMMAND, str(os.getpid())],
+                module_command(_COMMAND, str(os.getpid())),
+                env=child_environment(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 start_new_session=True,
