@@ -76,9 +76,8 @@ def test_commands_import_nothing_from_the_folder(decoys: Path, find_executable: 
         ["cloth_replay", session, "--accuracy", "--save", "accuracy.rrd"],
         ["cloth_verify", session],
         ["cloth_session", "info", session],
+        ["cloth_sim", "--check", "study.yaml"],
     ]
-    if find_executable("cloth_sim"):
-        commands.append(["cloth_sim", "--check", "study.yaml"])
     for name, *arguments in commands:
         done = run([find_executable(name), *arguments], decoys)
         assert imported(decoys) == "", name
