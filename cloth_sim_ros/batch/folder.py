@@ -22,28 +22,33 @@ from typing import Any
 
 from cloth_sim_ros.batch.errors import StudyError, folder_error
 from cloth_sim_ros.batch.study import Study
+from cloth_sim_ros.scene import files as scene_files
+from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.session import plain_json
 
 #: Files of a folder: file systems slow down with many.
 _SHARD = 1000
 _HIDDEN = ".unfinished-"
 #: What to do about a file without which nothing can be gone on with.
 _BROKEN = "; nothing can be gone on with by it: put back the file as it was, or start in another folder"
-#: What a row has.
-_ROW = {
-    "run",
-    "status",
-    "error",
-    "seed",
-    "values",
-    "outcomes",
-    "digest",
-    "frames",
-    "flagged_frames",
-    "error_estimate",
-    "wall_time",
-    "cpu_time",
-    "session",
-    "bytes",
+#: Longest text of all runs' values [bytes].
+_MOST_SAMPLES = 1 << 24
+#: What a row has, and of what types.
+_ROW: dict[str, type | tuple[type, ...]] = {
+    "run": int,
+    "status": str,
+    "error": str,
+    "seed": int,
+    "values": dict,
+    "outcomes": dict,
+    "digest": str,
+    "frames": int,
+    "flagged_frames": int,
+    "error_estimate": (int, float, type(None)),
+    "wall_time": (int, float),
+    "cpu_time": (int, float),
+    "session": str,
+    "bytes": int,
 }
 
 
@@ -125,14 +130,22 @@ class StudyFolder:
             StudyError: if there is none.
         """
         try:
-            text = self.study_file.read_text(encoding="utf-8")
-            named = json.loads(text)["files"]
-            files = {name: (self.path / "files" / held).read_bytes() for name, held in named.items()}
+            text = input_file.read_text(self.study_file)
+            named = dict(plain_json.loads(text, most=input_file.MOST_TEXT)["files"])
+            files = {name: self._file(held) for name, held in named.items()}
         except FileNotFoundError as error:
             raise StudyError(f"{self.path} is no study's folder: {Path(error.filename).name} is missing") from None
-        except (OSError, ValueError, KeyError) as error:
-            raise StudyError(f"{self.path} holds no readable study: {error}") from error
-        return Study.from_json(text, files)
+            return Study.from_json(text, files)
+        except StudyError:
+            raise
+        except (OSError, ValueError, TypeError, AttributeError, LookupError) as error:
+            raise StudyError(f"{self.study_file} holds no study that can be read: {error!r}{_BROKEN}") from error
+
+    def _file(self, held: str) -> bytes:
+        """Content of a file that a parameter names, by the name that it has here: no path leads out of the folder."""
+        if not held.isalnum():
+            raise ValueError(f"'{held}' is no name of a file of the study")
+        return input_file.read_bytes(self.path / "files" / held, most=scene_files.MOST_BYTES)
 
     def samples(self, study: Study) -> list[tuple[Any, ...]]:
         """Each run's values, as they were drawn when the study began.
@@ -156,7 +169,7 @@ class StudyFolder:
     def _content(self, path: Path, kind: type) -> Any:
         """What one of the study's own files holds."""
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = plain_json.loads(input_file.read_text(path, most=_MOST_SAMPLES), most=_MOST_SAMPLES)
         except (OSError, ValueError) as error:
             raise StudyError(f"{path} can't be read: {error}{_BROKEN}") from error
         if not isinstance(content, kind):
@@ -219,10 +232,12 @@ class StudyFolder:
 def read_row(path: Path) -> dict[str, Any] | None:
     """A run's row; None where there is none, or not all of it."""
     try:
-        run, row = int(path.stem), json.loads(path.read_text(encoding="utf-8"))
+        run, row = int(path.stem), plain_json.loads(input_file.read_text(path))
     except (OSError, ValueError):
         return None
-    return row if isinstance(row, dict) and row.keys() >= _ROW and row["run"] == run else None
+    if not isinstance(row, dict) or not row.keys() >= _ROW.keys() or row["run"] != run:
+        return None
+    return row if all(isinstance(row[name], kinds) for name, kinds in _ROW.items()) else None
 
 
 def _name_of(data: bytes) -> str:

@@ -15,9 +15,11 @@ import numpy as np
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.factors import Factor
 from cloth_sim_ros.batch.user_code import Source
+from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.unknown import suggestion
+from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 VERSION = 1
@@ -56,7 +58,7 @@ class Study:
     @classmethod
     def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
         """Read what `to_json` gave."""
-        content = json.loads(text)
+        content = plain_json.loads(text, most=input_file.MOST_TEXT)
         if content.pop("version", None) != VERSION:
             raise StudyError(f"the study has another version than {VERSION}; use the package that made it")
         content["parameters"] = _tuples(content["parameters"])

@@ -16,7 +16,7 @@ from cloth_sim_ros.batch.sampling import SAMPLINGS, grid_size
 from cloth_sim_ros.batch.study import POLICY, TARGET, Study, target_of
 from cloth_sim_ros.batch.user_code import Source, find, load
 from cloth_sim_ros.scene import files as scene_files
-from cloth_sim_ros.scene import parameter_file, ros_yaml
+from cloth_sim_ros.scene import input_file, parameter_file, ros_yaml
 from cloth_sim_ros.scene.locations import config_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
@@ -51,8 +51,8 @@ def read(path: str | Path) -> Study:
 
     path = Path(path)
     try:
-        content = ros_yaml.load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
+        content = ros_yaml.load(input_file.read_text(path))
+    except (OSError, yaml.YAMLError, ValueError) as error:
         raise StudyError(f"cannot read the study '{path}': {error}") from error
     try:
         return from_dict(content, folder=path.parent)

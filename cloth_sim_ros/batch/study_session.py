@@ -20,6 +20,7 @@ from cloth_sim_ros.batch.folder import StudyFolder
 from cloth_sim_ros.batch.forecast import attempt, check_room, draw, quantity
 from cloth_sim_ros.batch.study import Study
 from cloth_sim_ros.batch.study_run import KILLED, OK
+from cloth_sim_ros.scene import input_file
 
 #: Kinds of failure that a summary names, each with its first runs.
 _KINDS, _NAMED = 5, 5
@@ -65,7 +66,7 @@ def run_study(
     else:
         samples, forecast = draw(study, count)
         check_room(place.path, study, forecast)
-        place.create(study, samples, path.read_text(encoding="utf-8"))
+        place.create(study, samples, input_file.read_text(path))
     left = [run for run in range(study.runs) if run not in rows]
     if rows:
         tqdm.write(f"{len(rows)} of {study.runs} runs are finished, {len(left)} are left")

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.errors import StudyError
+from cloth_sim_ros.scene import input_file
 
 #: What a user's code may raise. `sys.exit` would end a worker without a word, and the study would wait for another one.
 USER_ERRORS = (Exception, SystemExit)
@@ -86,8 +87,8 @@ def find(reference: Any, what: str, folder: Path) -> Source:
     if not place.endswith(".py"):
         return Source(reference=reference)
     try:
-        text = (folder / place).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = input_file.read_text(folder / place)
+    except (OSError, ValueError) as error:
         raise StudyError(f"{what}: cannot read '{folder / place}': {error}") from error
     return Source(reference=reference, text=text)
 

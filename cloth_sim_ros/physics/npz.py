@@ -13,6 +13,11 @@ import zlib
 
 import numpy as np
 
+#: Most bytes of all arrays together. Compressed, they may be a thousandth of it; what is written here is not compressed.
+MOST_BYTES = 128 << 20
+_MOST_ARRAYS = 1000
+#: Begins the entry of each array in the archive's directory.
+_ENTRY = b"PK\x01\x02"
 #: What numpy's and Python's readers raise for damaged archives: numpy parses an array's header as Python text.
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -42,7 +47,10 @@ def read(data: bytes) -> dict[str, np.ndarray]:
     if data[:2] != b"PK":
         raise ValueError("it is no .npz file: it does not start as one")
     arrays: dict[str, np.ndarray] = {}
+    if data.count(_ENTRY) > _MOST_ARRAYS:
+        raise ValueError(f"it has more than {_MOST_ARRAYS} arrays; that is the limit")
     try:
+        _check_sizes(data)
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
             for name in stored.files:
                 arrays[name] = stored[name]
@@ -52,3 +60,15 @@ def read(data: bytes) -> dict[str, np.ndarray]:
         if not isinstance(array, np.ndarray):
             raise ValueError(f"it is no .npz file: its entry '{name}' is no array")
     return arrays
+
+
+def _check_sizes(data: bytes) -> None:
+    """Refuse arrays that would take too much memory, before any is read."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        entries = archive.infolist()
+    size = sum(entry.file_size for entry in entries)
+    if size > MOST_BYTES:
+        raise ValueError(f"its arrays have {size} bytes, the limit is {MOST_BYTES}")
+    other = [entry.filename for entry in entries if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
+    if other:
+        raise ValueError(f"its entry '{other[0]}' is compressed otherwise than numpy does")

@@ -4,21 +4,20 @@
 
 from __future__ import annotations
 
-import stat
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
+from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters import ParameterError
 
 #: Parameters that name a file.
 NAMES = ("cloth.mesh", "cloth.springs", "initial_state")
 #: The end of the name of a parameter that names an obstacle's file.
 _OF_OBSTACLES = ".mesh"
-#: A file larger than this is a mistake [bytes].
-MOST_BYTES = 1 << 30
-#: What is read at a time where a file holds more than it claims [bytes].
-_PIECE = 1 << 20
+#: A file larger than this is a mistake [bytes]. A recording holds the files too, and what it holds can be read.
+MOST_BYTES = 128 << 20
 
 
 def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
@@ -39,36 +38,21 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
         if not isinstance(name, str) or not name:
             continue
         content[name] = known[name] if name in known else _content(parameter, Path(folder) / name)
+        total = sum(map(len, content.values()))
+        if total > MOST_BYTES:
+            raise ParameterError(
+                f"{parameter} '{name}': the files of the scene have {total} bytes; at most {MOST_BYTES} are taken"
+            )
     return content
 
 
 def _content(parameter: str, path: Path) -> bytes:
-    content = None
     try:
-        status = path.stat()
-        # To open a pipe would wait for its writer, and a device may never end. A folder says so when it is opened.
-        on_disk = stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)
-        if on_disk and status.st_size <= MOST_BYTES:
-            with path.open("rb") as file:
-                content = _bounded(file, status.st_size)
+        return input_file.read_bytes(path, most=MOST_BYTES)
+    except InputFileError as error:
+        raise ParameterError(f"{parameter} {error}") from error
     except ValueError as error:
         # A null character, or one that the file system's encoding lacks.
         raise ParameterError(f"{parameter} {str(path)!r} is no file name: {error}") from error
     except OSError as error:
         raise ParameterError(f"{parameter}: cannot read '{path}': {error.strerror}") from error
-    if content is not None:
-        return content
-    if not on_disk:
-        raise ParameterError(f"{parameter} '{path}' is a device or a pipe; name a file on disk")
-    size = str(status.st_size) if status.st_size > MOST_BYTES else f"more than {MOST_BYTES}"
-    raise ParameterError(f"{parameter} '{path}' has {size} bytes; at most {MOST_BYTES} are read")
-
-
-def _bounded(file: BinaryIO, size: int) -> bytes | None:
-    """All of a file that claims so many bytes; None where it holds more than are read, whatever it claims."""
-    pieces = [file.read(size + 1)]
-    count = len(pieces[0])
-    while count <= MOST_BYTES and (piece := file.read(_PIECE)):
-        pieces.append(piece)
-        count += len(piece)
-    return b"".join(pieces) if count <= MOST_BYTES else None

@@ -9,11 +9,9 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.scene import ros_sections, ros_yaml
+from cloth_sim_ros.scene import input_file, ros_sections, ros_yaml
+from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters import ParameterError
-
-#: A file that is larger, as a device that never ends is, is a mistake [bytes].
-MOST_BYTES = 1 << 24
 
 
 def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
@@ -31,13 +29,11 @@ def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
             node, but something for its namesakes in other namespaces.
     """
     try:
-        with Path(path).open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        text = content.decode() if len(content) <= MOST_BYTES else None
+        text = input_file.read_text(path)
+    except InputFileError as error:
+        raise ParameterError(f"parameter file {error}") from error
     except (OSError, ValueError) as error:
         raise ParameterError(f"cannot read parameter file '{path}': {error}") from error
-    if text is None:
-        raise ParameterError(f"parameter file '{path}' has more than {MOST_BYTES} bytes; name a file of parameters")
     return parse(text, node=node, source=str(path))
 
 

@@ -77,8 +77,9 @@ class _Reader:
     def __init__(self, text: str, source: str) -> None:
         import yaml
 
-        self._events: Iterator[Any] = yaml.parse(text, Loader=yaml.SafeLoader)
+        self._events: Iterator[Any] = yaml.parse(text, Loader=ros_yaml.parser())
         self._event: Any = None
+        self._count = 0
         self._source = source
         self._sections: dict[str, _Section] = {}
 
@@ -93,6 +94,9 @@ class _Reader:
 
     def _next(self) -> Any:
         self._event = next(self._events)
+        self._count += 1
+        if self._count > ros_yaml.MOST_NODES:
+            raise self._trouble(f"more than {ros_yaml.MOST_NODES} values and names; that is the limit")
         if self._is("Alias"):
             raise self._trouble("an alias, which ROS does not read: write out what it stands for")
         return self._event

@@ -26,6 +26,8 @@ _FLOAT = re.compile(
 _DECIMAL = re.compile(r"[-+]?[0-9]+(?:[eE][-+]?[0-9]+)?")
 _HEXADECIMAL = re.compile(r"[-+]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][-+]?[0-9]+)?")
 _NAMED = re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE)
+#: Most values and keys of a file, those that aliases repeat included, and the deepest nesting.
+MOST_NODES, _DEEPEST = 250_000, 100
 _INT_END = 1 << 63
 #: No whole number of 64 bits has as many, unless it begins with noughts.
 _MOST_DIGITS = 1000
@@ -40,14 +42,67 @@ def load(text: str) -> Any:
     """Return what a text holds, in plain Python values.
 
     Raises:
-        yaml.YAMLError: if it is no YAML, gives a key twice, or is nested too deeply.
+        yaml.YAMLError: if it is no YAML, gives a key twice, has too many values, or is nested too deeply.
     """
     import yaml
 
+    check_size(text)
     try:
         return yaml.load(text, Loader=_loader())
-    except RecursionError:
-        raise yaml.YAMLError("it is nested too deeply to be read") from None
+    except (ValueError, TypeError, AttributeError, LookupError) as error:
+        # PyYAML's constructors take the text of a value to be what its tag says.
+        raise yaml.YAMLError(f"a value is not what its tag says: {error}") from error
+
+
+def parser() -> Any:
+    """Return PyYAML's loader that turns a text into events one after another, of C where it is there.
+
+    Its events take neither memory nor recursion; what follows them may.
+    """
+    import yaml
+
+    return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def check_size(text: str, *, most: int = MOST_NODES) -> None:
+    """Refuse a text that would take long, or much memory, once it is read.
+
+    An alias is a few bytes and stands for what may hold aliases in turn.
+
+    Args:
+        text: YAML.
+        most: most values and keys, those that aliases repeat included.
+
+    Raises:
+        yaml.YAMLError: naming the limit.
+    """
+    import yaml
+
+    #: Nodes of each anchor's value, and of each value that is open: its anchor, and the nodes so far.
+    anchors: dict[str, int] = {}
+    values: list[tuple[str | None, int]] = [(None, 0)]
+    for event in yaml.parse(text, Loader=parser()):
+        if isinstance(event, yaml.CollectionEndEvent):
+            anchor, nodes = values.pop()
+        elif isinstance(event, yaml.CollectionStartEvent):
+            values.append((event.anchor, 1))
+            if len(values) > _DEEPEST:
+                raise yaml.YAMLError(f"it is nested too deeply to be read: more than {_DEEPEST} levels")
+            continue
+        elif isinstance(event, yaml.AliasEvent):
+            if event.anchor not in anchors:
+                raise yaml.YAMLError(f"the alias '*{event.anchor}' stands for nothing that ended before it")
+            anchor, nodes = None, anchors[event.anchor]
+        elif isinstance(event, yaml.ScalarEvent):
+            anchor, nodes = event.anchor, 1
+        else:
+            continue
+        if anchor is not None:
+            anchors[anchor] = nodes
+        around, before = values[-1]
+        values[-1] = (around, before + nodes)
+        if before + nodes > most:
+            raise yaml.YAMLError(f"it has more than {most} values, aliases written out; that is the limit")
 
 
 def plain(text: str) -> bool | int | float | str:
@@ -92,7 +147,7 @@ def dump(content: Any) -> str:
 def _loader() -> Any:
     import yaml
 
-    class Loader(yaml.SafeLoader):
+    class Loader(parser()):  # type: ignore[misc]
         """A SafeLoader with other plain scalars, which refuses a key that is given twice: the last would win unseen."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
@@ -115,6 +170,8 @@ def _loader() -> Any:
     }
     for tag, (pattern, first) in _RESOLVED.items():
         Loader.add_implicit_resolver(tag, pattern, list(first))
+    # One beyond 64 bits is what C makes of it; Python would refuse one of very many digits.
+    Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: plain(str(node.value)))
     Loader.add_constructor("tag:yaml.org,2002:bool", lambda _, node: str(node.value).lower() in _TRUE)
     return Loader
 

@@ -8,6 +8,10 @@ from typing import Any
 
 from cloth_sim_ros.physics import npz
 from cloth_sim_ros.physics.sheets.raw import RawSprings
+from cloth_sim_ros.scene import ros_yaml
+
+#: Most values of a YAML file; larger tables are for an .npz.
+_MOST_VALUES = 500_000
 
 
 def parse(data: bytes) -> RawSprings:
@@ -24,8 +28,10 @@ def _yaml(data: bytes) -> dict[str, Any]:
     import yaml
 
     try:
-        tree = yaml.safe_load(data)
-    except (yaml.YAMLError, RecursionError) as error:
+        text = data.decode()
+        ros_yaml.check_size(text, most=_MOST_VALUES)
+        tree = yaml.load(text, Loader=ros_yaml.parser())
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError) as error:
         raise ValueError(f"it is no YAML: {error}") from error
     if not isinstance(tree, dict):
         raise ValueError("it has no tables; it needs positions, masses, springs and stiffness")

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.session.errors import SessionError
 
 #: Made once: it is asked for every frame.
@@ -64,7 +65,7 @@ class FrameRecord:
     def from_json(cls, text: str) -> FrameRecord:
         """Read `to_json`'s text. Raises SessionError for anything else, naming what is wrong."""
         try:
-            content = json.loads(
+            content = plain_json.loads(
                 text, parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_unique_keys
             )
         except ValueError as error:

@@ -17,6 +17,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, ChunkIndex, Footer, McapRecord, Metadata, Schema, Statistics
 
+from cloth_sim_ros.session.decompression import MOST_BYTES, DecompressionError, decompress
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 
@@ -26,14 +27,18 @@ RECORD_HEAD = _RECORD_HEAD.size
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
-_LARGEST_CHUNK = 2 << 30
+#: Largest record [bytes]: a chunk that is not compressed, its head, or an attached file.
+_MOST_BODY = MOST_BYTES + (1 << 10)
 _KNOWN_OPCODES = range(1, 16)
 _PRIVATE_OPCODES = range(0x80, 0x100)
+_CHUNK_OPCODES = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.MESSAGE), *_PRIVATE_OPCODES))
 
 # Opcode, length below 4 GiB, times, sizes, checksum, name of the compression.
 _CHUNK_PATTERN = re.compile(rb"(?=\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))", re.DOTALL)
 _CHUNK_PATTERN_SIZE = 48
 _SEARCH_WINDOW = 1 << 20
+#: What a search may read and unpack of chunks that turn out to be none, beside the file's size [bytes].
+_MOST_TRIED = 512 << 20
 
 _Record = TypeVar("_Record", bound=McapRecord)
 
@@ -97,6 +102,8 @@ class Summary:
 def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
     """The record at an offset, if all of it is there. Raises DamagedRecordError where no record can begin like that."""
     size = file.seek(0, 2)
+    if offset >= size:
+        return None
     file.seek(offset)
     head = file.read(_RECORD_HEAD.size)
     if not head:
@@ -110,26 +117,45 @@ def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
     return place if place.end <= size else None
 
 
-def find_chunk(file: BinaryIO, offset: int) -> int | None:
-    """Where, at `offset` or later, the next whole chunk begins that passes its checksum; None if there is none.
+class ChunkSearch:
+    """Finds the next whole chunk of a file whose records were torn apart.
 
-    For a file whose records were torn apart: the length of a damaged record cannot be trusted to lead to the next.
+    The length of a damaged record cannot be trusted to lead to the next. What looks like a chunk's head is tried; a
+    file made of such heads would be read and unpacked once for each of them, so the work is limited.
     """
-    size = file.seek(0, 2)
-    while offset < size:
-        file.seek(offset)
-        window = file.read(_SEARCH_WINDOW)
-        for match in _CHUNK_PATTERN.finditer(window):
-            candidate = offset + match.start()
-            try:
-                place = place_at(file, candidate)
-                if place is not None and read_chunk(file, place).checked:
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._tried = 0
+
+    def find(self, offset: int) -> int | None:
+        """Return where, at `offset` or later, the next chunk begins that passes its checksum; None if there is none."""
+        size = self._file.seek(0, 2)
+        while offset < size:
+            self._file.seek(offset)
+            window = self._file.read(_SEARCH_WINDOW)
+            for match in _CHUNK_PATTERN.finditer(window):
+                candidate = offset + match.start()
+                if self._tried > _MOST_TRIED + size:
+                    return None
+                if self._is_chunk(candidate, window[match.start() : match.start() + _CHUNK_PATTERN_SIZE]):
                     return candidate
-            except DamagedRecordError:
-                continue
-        # A head that straddles two windows is met in the next one.
-        offset += max(len(window) - _CHUNK_PATTERN_SIZE, 1)
-    return None
+            # A head that straddles two windows is met in the next one.
+            offset += max(len(window) - _CHUNK_PATTERN_SIZE, 1)
+        return None
+
+    def _is_chunk(self, offset: int, head: bytes) -> bool:
+        try:
+            place = place_at(self._file, offset)
+            if place is None or place.body_size < _CHUNK_HEAD.size:
+                return False
+            first, last, raw_size, _ = _CHUNK_HEAD.unpack_from(head, _RECORD_HEAD.size)
+            if first > last or raw_size > MOST_BYTES:
+                return False
+            self._tried += place.body_size + raw_size
+            return read_chunk(self._file, place).checked
+        except DamagedRecordError:
+            return False
 
 
 def check_index(file: BinaryIO, place: RecordPlace) -> None:
@@ -142,6 +168,13 @@ def check_index(file: BinaryIO, place: RecordPlace) -> None:
 
 def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
     """The bytes of a record after its length."""
+    size = file.seek(0, 2)
+    if place.end > size:
+        raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
+    if place.body_size > _MOST_BODY:
+        raise DamagedRecordError(
+            f"the record at byte {place.offset} has {place.body_size} bytes, the limit is {_MOST_BODY}"
+        )
     file.seek(place.offset + _RECORD_HEAD.size)
     body = file.read(place.body_size)
     if len(body) < place.body_size:
@@ -168,9 +201,12 @@ def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
         raise DamagedRecordError(
             f"the chunk at byte {place.offset} does not hold the {payload_size} bytes it announces"
         )
-    raw = _unpack(payload, compression, raw_size, place.offset)
+    try:
+        raw = decompress(payload, compression, raw_size)
+    except DecompressionError as error:
+        raise DamagedRecordError(f"the chunk at byte {place.offset} {error}") from error
     checked = crc != 0
-    if len(raw) != raw_size or (checked and zlib.crc32(raw) != crc):
+    if checked and zlib.crc32(raw) != crc:
         raise DamagedRecordError(f"the chunk at byte {place.offset} fails its checksum")
     return Chunk(place=place, compression=compression, payload=payload, raw=raw, crc=crc, checked=checked)
 
@@ -185,6 +221,8 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
         opcode, size = _RECORD_HEAD.unpack_from(raw, position)
         start = position + _RECORD_HEAD.size
         end = start + size
+        if opcode not in _CHUNK_OPCODES:
+            raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of opcode {opcode}")
         if end > len(raw) or (opcode == Opcode.MESSAGE and size < _MESSAGE.size):
             raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of {size} bytes too many")
         if opcode == Opcode.MESSAGE:
@@ -208,7 +246,7 @@ def read_attachment(file: BinaryIO, place: RecordPlace) -> Attachment:
     if len(body) < 4:
         raise DamagedRecordError(f"the attachment at byte {place.offset} is too short")
     (crc,) = struct.unpack_from("<I", body, len(body) - 4)
-    if crc and zlib.crc32(body[:-4]) != crc:
+    if crc and zlib.crc32(memoryview(body)[:-4]) != crc:
         raise DamagedRecordError(f"the attachment at byte {place.offset} fails its checksum")
     return parse_record(Attachment, body, place.offset)
 
@@ -265,9 +303,17 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
             metadata = parse_record(MetadataIndex, body, place)
             summary.records.append((metadata.offset, metadata.length))
         position += _RECORD_HEAD.size + size
-    return Summary(
-        summary.schemas, summary.channels, statistics, dict(sorted(summary.chunks.items())), sorted(summary.records)
-    )
+    records = _apart(summary.records)
+    return Summary(summary.schemas, summary.channels, statistics, dict(sorted(summary.chunks.items())), records)
+
+
+def _apart(records: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Records in their order without those that lie in one before: an index may name one a million times."""
+    found: list[tuple[int, int]] = []
+    for offset, length in sorted(set(records)):
+        if not found or offset >= sum(found[-1]):
+            found.append((offset, length))
+    return found
 
 
 def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
@@ -277,37 +323,3 @@ def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
         return kind.read(stream)  # type: ignore[attr-defined]
     except (McapError, ValueError, struct.error, OverflowError) as error:
         raise DamagedRecordError(f"the {kind.__name__} record at byte {offset} does not parse: {error}") from error
-
-
-def _unpack(payload: bytes, compression: str, raw_size: int, offset: int) -> bytes:
-    """Decompress. The announced size is compared first, so that damage cannot ask for absurd amounts of memory."""
-    if raw_size > _LARGEST_CHUNK:
-        raise DamagedRecordError(
-            f"the chunk at byte {offset} announces {raw_size} bytes, the limit is {_LARGEST_CHUNK}"
-        )
-    if compression == "":
-        return payload
-    if compression == "lz4":
-        try:
-            import lz4.frame
-        except ImportError:
-            raise SessionError("the session is compressed with lz4; install the Python package lz4") from None
-        try:
-            announced = lz4.frame.get_frame_info(payload)["content_size"]
-            raw: bytes = lz4.frame.decompress(payload) if announced in (0, raw_size) else b""
-        except RuntimeError as error:
-            raise DamagedRecordError(f"the chunk at byte {offset} does not decompress: {error}") from error
-        return raw
-    if compression == "zstd":
-        try:
-            import zstandard
-        except ImportError:
-            raise SessionError("the session is compressed with zstd; install the Python package zstandard") from None
-        try:
-            announced = zstandard.get_frame_parameters(payload).content_size
-            if announced not in (raw_size, zstandard.CONTENTSIZE_UNKNOWN):
-                return b""
-            return zstandard.decompress(payload, max_output_size=raw_size)
-        except zstandard.ZstdError as error:
-            raise DamagedRecordError(f"the chunk at byte {offset} does not decompress: {error}") from error
-    raise DamagedRecordError(f"the chunk at byte {offset} is compressed with {compression!r}, known are lz4 and zstd")

@@ -17,13 +17,13 @@ from cloth_sim_ros.session.errors import DamagedSessionError
 from cloth_sim_ros.session.mcap_scan import (
     RECORD_HEAD,
     Chunk,
+    ChunkSearch,
     DamagedRecordError,
     RawMessage,
     RecordPlace,
     Summary,
     check_index,
     chunk_records,
-    find_chunk,
     place_at,
     read_attachment,
     read_chunk,
@@ -81,6 +81,7 @@ class SessionPart:
         self._data_start = 0
         self._at_end = False
         self._file = open_file(self.path)
+        self._search = ChunkSearch(self._file)
         try:
             self._data_start = check_header(self._file, self.path)
             self._read_summary()
@@ -326,7 +327,7 @@ class SessionPart:
         """Whether whole chunks follow a record that claims to reach beyond the file's end; then go on with them."""
         if self._position >= self.size():
             return False
-        following = find_chunk(self._file, self._position)
+        following = self._search.find(self._position)
         if following is None:
             return False
         self._note(DamagedRecordError(f"the record at byte {self._position} has a wrong length"))
@@ -334,7 +335,7 @@ class SessionPart:
         return True
 
     def _find_next_chunk(self) -> None:
-        following = find_chunk(self._file, self._position + 1)
+        following = self._search.find(self._position + 1)
         if following is None:
             left = self.size() - self._position
             self._damage.append(f"{left} bytes from byte {self._position} on cannot be read")

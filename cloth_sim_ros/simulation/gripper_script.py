@@ -15,7 +15,7 @@ from typing import Any
 import attrs
 
 from cloth_sim_ros.physics.gripper_path import normalised, rotation_vector, turned_by
-from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.scene import input_file, ros_yaml
 
 Vector = tuple[float, ...]
 
@@ -66,8 +66,8 @@ class GripperScript:
         import yaml
 
         try:
-            content = ros_yaml.load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            content = ros_yaml.load(input_file.read_text(path))
+        except (OSError, ValueError, yaml.YAMLError) as error:
             raise ScriptError(f"cannot read the script '{path}': {error}") from error
         try:
             return cls.from_dict(content)

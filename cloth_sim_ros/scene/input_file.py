@@ -1,0 +1,62 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bounded reading of input files of any origin."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+#: Most bytes of a configuration: a scene, a study, a script, code that a study names.
+MOST_TEXT = 1 << 24
+#: What is read at a time where a file holds more than it claims [bytes].
+_PIECE = 1 << 20
+
+
+class InputFileError(ValueError):
+    """A file that is not read; the message says why."""
+
+
+def read_bytes(path: str | Path, *, most: int = MOST_TEXT) -> bytes:
+    """Return the content of a file on disk.
+
+    Args:
+        path: of the file.
+        most: largest size that is read [bytes].
+
+    Raises:
+        InputFileError: for a device, a pipe or a socket, none of which need ever end, and for a larger file.
+        OSError: if it can't be read.
+        ValueError: if the path is no file name.
+    """
+    path = Path(path)
+    status = path.stat()
+    # A folder says so when it is opened.
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+        raise InputFileError(f"'{path}' is a device or a pipe; name a file on disk")
+    if status.st_size > most:
+        raise InputFileError(f"'{path}' has {status.st_size} bytes; at most {most} are read")
+    with path.open("rb") as file:
+        content = _bounded(file, status.st_size, most)
+    if content is None:
+        raise InputFileError(f"'{path}' has more than {most} bytes; at most {most} are read")
+    return content
+
+
+def read_text(path: str | Path, *, most: int = MOST_TEXT) -> str:
+    """Return the text of a file on disk, in UTF-8; see `read_bytes`."""
+    try:
+        return read_bytes(path, most=most).decode()
+    except UnicodeDecodeError as error:
+        raise InputFileError(f"'{path}' is no text in UTF-8: {error}") from error
+
+
+def _bounded(file: BinaryIO, size: int, most: int) -> bytes | None:
+    """All of a file that claims so many bytes; None if it holds more than `most`, whatever it claims."""
+    pieces = [file.read(size + 1)]
+    count = len(pieces[0])
+    while count <= most and (piece := file.read(_PIECE)):
+        pieces.append(piece)
+        count += len(piece)
+    return b"".join(pieces) if count <= most else None

@@ -1,0 +1,54 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""JSON of any origin, as values that can be written, printed and walked through."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+#: Largest text [bytes]: a list of lists takes twenty times its text.
+MOST_BYTES = 8 << 20
+_DEEPEST = 64
+
+
+def loads(text: str, *, most: int = MOST_BYTES, **hooks: Any) -> Any:
+    """Return what a text holds.
+
+    Args:
+        text: JSON.
+        most: longest text that is read [characters].
+        hooks: as `json.loads` takes them.
+
+    Raises:
+        ValueError: for a text that is longer, no JSON, nested too deeply, or holds half a surrogate pair, which no
+            file or terminal takes.
+    """
+    if len(text) > most:
+        raise ValueError(f"it has {len(text)} characters, the limit is {most}")
+    try:
+        content = json.loads(text, **hooks)
+    except RecursionError:
+        raise ValueError(f"it is nested more than {_DEEPEST} deep") from None
+    if text.count("[") + text.count("{") > _DEEPEST:
+        _check_depth(content)
+    if "\\u" in text:
+        try:
+            json.dumps(content, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:
+            raise ValueError(f"it holds half a surrogate pair: {error.reason}") from None
+    return content
+
+
+def _check_depth(content: Any) -> None:
+    level = [content]
+    for _ in range(_DEEPEST):
+        level = [
+            entry
+            for value in level
+            if isinstance(value, dict | list)
+            for entry in (value.values() if isinstance(value, dict) else value)
+        ]
+        if not level:
+            return
+    raise ValueError(f"it is nested more than {_DEEPEST} deep")
