@@ -12,16 +12,19 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.batch.vector_env import ClothVectorEnv
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
 
-class ClothEnv(gymnasium.Env[Any, Any]):
+class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
     """A cloth that grippers move: `ClothVectorEnv` of one.
 
     Args:
         options: those of `ClothVectorEnv`, less the number of cloths, autoreset and copying. User's functions are given
             arrays of one cloth, shape (1, ...).
     """
+
+    copy_refusal = ClothVectorEnv.copy_refusal
 
     def __init__(self, **options: Any) -> None:
         for name in ("num_envs", "autoreset_mode", "copy"):

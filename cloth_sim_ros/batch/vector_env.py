@@ -33,6 +33,7 @@ from cloth_sim_ros.batch.spaces import (
     workspace_of,
 )
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
@@ -41,7 +42,7 @@ from cloth_sim_ros.simulation.snapshot import Snapshot
 SPEED = 1.0
 
 
-class ClothVectorEnv(VectorEnv[Any, Any, Any]):
+class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
     """N cloths that grippers move.
 
     The action of a cloth has for each gripper its target's position [m], a quaternion x, y, z, w if `orientations`, and
@@ -76,6 +77,11 @@ class ClothVectorEnv(VectorEnv[Any, Any, Any]):
     Raises:
         ValueError: for a value out of range; the message names it.
     """
+
+    copy_refusal = (
+        "an environment's cloths own memory of the engine, and can't be copied or pickled; make another environment, "
+        "or try futures of its snapshots by rollouts()"
+    )
 
     def __init__(
         self,

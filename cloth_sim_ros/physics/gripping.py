@@ -24,9 +24,10 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.grips import Grips
 from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.parts import least_decay
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 
-class Gripping:
+class Gripping(Uncopyable):
     """The grips of one plan.
 
     Args:

@@ -8,9 +8,10 @@ import weakref
 
 from cloth_sim_ros.engine.binding import check, library
 from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 
-class Owner:
+class Owner(Uncopyable):
     """The engine's plan of a model's masses; it is given back when the last one that keeps this object is gone.
 
     Whoever keeps the handle keeps this too: a plan, and what it hands out and may go before, such as `Plan.contact`.

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Sequence
 from ctypes import addressof
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import empty, zeros
@@ -43,6 +43,7 @@ from cloth_sim_ros.physics.own_forces import OwnForces
 from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.runs import Run, Told, booked_size
 from cloth_sim_ros.physics.turn import one_at_a_time
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.state import State
@@ -66,12 +67,14 @@ def compile(model: Model) -> Plan:
     return Plan(model)
 
 
-class Plan(Measures):
+class Plan(Measures, Uncopyable):
     """Accelerations, runs, energies and bounds of a model, as the sums over its parts.
 
     Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. Not safe for two calls
     at once.
     """
+
+    copy_refusal = "a plan owns memory of the engine, and can't be copied or pickled; compile its model once more"
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -132,9 +135,6 @@ class Plan(Measures):
         found.uniform_to(self._handle)
         if air is not None:
             check(self._library.cloth_plan_air(self._handle, air.ctypes.data))
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        raise TypeError("a plan owns memory of the engine, and can't be copied or pickled; compile its model once more")
 
     # What follows is called in every frame.
 

@@ -100,6 +100,9 @@ class State:
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
         return twin
 
+    #: A copy that shared `memory` would change with the original.
+    __copy__ = copy
+
     def share(self) -> State:
         """Return the state as it is, with the same arrays, those of its memory too: whoever moves this one replaces
         them and writes into none.

@@ -33,13 +33,14 @@ from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED
 from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshes
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 #: Operations of a force evaluation: of a particle in reach of an obstacle, what friction adds to it, and of a pair of
 #: a particle or point and a triangle, or of two edges, that may come near.
 NEAR, RUBBED, PAIR = 60, 150, 150
 
 
-class Touching:
+class Touching(Uncopyable):
     """The contact of one plan.
 
     Args:

@@ -15,9 +15,10 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_features import features, round_enough
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.owner import Owner
+from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 
-class TouchingFeatures:
+class TouchingFeatures(Uncopyable):
     """Those of one plan.
 
     Args:

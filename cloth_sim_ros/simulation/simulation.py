@@ -30,6 +30,7 @@ from cloth_sim_ros.simulation.events import (
     Target,
     ordered,
 )
+from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.holding import grasp, hold, starting_states, stop
@@ -51,8 +52,11 @@ if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
 
 
-class Simulation:
+class Simulation(ExclusiveAccess):
     """A cloth that moves frame by frame.
+
+    Its methods may be called by several threads: they take turns. `state` is the live state, which changes during a
+    frame: other threads read `positions`, or take a `snapshot`.
 
     Args:
         scene: configuration.
@@ -63,6 +67,7 @@ class Simulation:
     """
 
     def __init__(self, scene: Scene, state: State | None = None) -> None:
+        super().__init__()
         self._initial, self.state = starting_states(scene, state)
         self.grippers = grippers_of(scene, self.state)
         self.obstacles = obstacles_of(scene, self.state)
@@ -113,6 +118,7 @@ class Simulation:
         """Whether the next frame, unless events come, costs nothing: it can only be the last one again."""
         return self._slept is not None and self.frame < sleeps_until(self.state)
 
+    @between_frames
     def held(self, index: int) -> int:
         """Number of particles that a gripper holds, or has between its pads."""
         name = self.grippers.names[index]
@@ -121,25 +127,30 @@ class Simulation:
         return int(self.grippers.held(index).size)
 
     @property
+    @between_frames
     def positions(self) -> Array:
         """Particle positions [m], a copy of shape (particle_count, 3)."""
         return self.state.positions
 
     @property
+    @between_frames
     def velocities(self) -> Array:
         """Particle velocities [m/s], a copy of shape (particle_count, 3)."""
         return self.state.velocities
 
+    @exclusive
     def rests(self) -> bool:
         """Whether the cloth would stay where it is, let go at rest here, by the rule by which it falls asleep."""
         return self._sleep.rests(self.state, self.time)
 
+    @exclusive
     def energy(self) -> float:
         """Kinetic plus potential energy [J] at the present state."""
         if self.plan.contact is not None:
             self.plan.contact.take(self.state)
         return self.plan.energy(self.time, self.state.x, self.state.v)
 
+    @exclusive
     def gaps(self) -> Array | None:
         """How many particles each obstacle, and then each pad, touches and the smallest gap [m], shape (count, 2); None
         where there are none.
@@ -147,10 +158,12 @@ class Simulation:
         contact = self.plan.contact
         return None if contact is None else contact.gaps_of(self.state, self.time)
 
+    @exclusive
     def rates(self, scene: Scene) -> tuple[float, float]:
         """Bounds of the squared highest frequency [1/s^2] and of the damping rate [1/s] with another scene in force."""
         return self._plans.rates(scene, self.state.x)
 
+    @between_frames
     def check(self, event: Event) -> None:
         """Refuse an event that can't take effect.
 
@@ -159,6 +172,7 @@ class Simulation:
         """
         check(event, self._scene, self.state, self._initial)
 
+    @between_frames
     def check_scene(self, scene: Scene) -> None:
         """Refuse a scene that is to be in force later where its new obstacles would hold the cloth as it is now.
 
@@ -167,6 +181,7 @@ class Simulation:
         """
         check_added(self._scene, scene, self.state)
 
+    @exclusive
     def advance(self, events: Sequence[Event] = ()) -> Frame:
         """Apply events at the frame's boundary, then let one frame of time pass, unless paused.
 
@@ -182,15 +197,19 @@ class Simulation:
         self._slept = None
         in_order = ordered(list(events))
         check_all(in_order, self._scene, self.state, self._initial)
-        before = self.snapshot()
+        before = self._taken()
         try:
             return self._advance(in_order)
         except BaseException:
             self._become(before)
             raise
 
+    @exclusive
     def snapshot(self) -> Snapshot:
         """Return all that later frames read: restored, the same events give the same bits. It takes microseconds."""
+        return self._taken()
+
+    def _taken(self) -> Snapshot:
         return taken(
             scene=self._scene,
             state=self.state,
@@ -203,6 +222,7 @@ class Simulation:
             rest=(self._known_to_rest, self._slept),
         )
 
+    @exclusive
     def restore(self, snapshot: Snapshot) -> None:
         """Go back, or on, to a snapshot of a simulation of the same scene; live parameters become the snapshot's.
 

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 import warnings
@@ -301,3 +303,10 @@ def test_a_randomised_scene_must_be_alike(make) -> None:
     cloths = make(randomise=lambda rng, scene: {"cloth.resolution": [4, 4]})
     with pytest.raises(ValueError, match="actions and observations of all cloths must be alike"):
         cloths.reset()
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_an_environment_is_not_copied(make, again) -> None:
+    for cloths in (make(), ClothEnv(scene=SCENE, threads=1)):
+        with pytest.raises(TypeError, match="make another environment"):
+            again(cloths)

@@ -1,0 +1,19 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Refusal of copies of an object that works in memory of the engine."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NoReturn
+
+
+class Uncopyable:
+    """An object whose copy would write into the same memory of the engine: `copy` and `pickle` are refused."""
+
+    #: Cause and remedy of the refusal.
+    copy_refusal: ClassVar[str] = (
+        "this object works in memory of the engine, and can't be copied or pickled; compile its model once more"
+    )
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        raise TypeError(self.copy_refusal)

@@ -1,0 +1,74 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Exclusive access to a simulation: threads take turns, a call within a call is refused."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import Concatenate, ParamSpec, TypeVar
+
+from cloth_sim_ros.physics.uncopyable import Uncopyable
+
+_Self = TypeVar("_Self", bound="ExclusiveAccess")
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+
+class ExclusiveAccess(Uncopyable):
+    """An object whose guarded methods run one at a time.
+
+    A thread that calls one while another thread's call runs waits for its end. Because of this, the results are those
+    of some sequence of the calls.
+    """
+
+    copy_refusal = (
+        "a simulation owns memory of the engine, and can't be copied or pickled; make another one of its scene, and "
+        "restore this one's snapshot() in it"
+    )
+
+    def __init__(self) -> None:
+        # Reentrant, so that a second call of the same thread finds `_is_running` set instead of a deadlock.
+        self._turn = threading.RLock()
+        self._is_running = False
+
+
+def exclusive(
+    method: Callable[Concatenate[_Self, _Arguments], _Result],
+) -> Callable[Concatenate[_Self, _Arguments], _Result]:
+    """Let a method run while no other guarded method does.
+
+    Raises:
+        RuntimeError: for a call within another one of the same thread, e.g. by a force or by a signal's handler.
+    """
+
+    @functools.wraps(method)
+    def guarded(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
+        with self._turn:
+            if self._is_running:
+                raise RuntimeError(
+                    f"{type(self).__name__}.{method.__name__} was called while another call of this simulation runs in "
+                    "the same thread (by a force, or by a signal's handler); call it after that one has returned, or "
+                    "make a simulation of its own for it"
+                )
+            self._is_running = True
+            try:
+                return method(self, *arguments, **named)
+            finally:
+                self._is_running = False
+
+    return guarded
+
+
+def between_frames(
+    method: Callable[Concatenate[_Self, _Arguments], _Result],
+) -> Callable[Concatenate[_Self, _Arguments], _Result]:
+    """Let a method that only reads wait until no other thread's call runs; within a call of the same thread it runs."""
+
+    @functools.wraps(method)
+    def guarded(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
+        with self._turn:
+            return method(self, *arguments, **named)
+
+    return guarded
