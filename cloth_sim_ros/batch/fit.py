@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.fit_information import Tie, correlation, ties
+from cloth_sim_ros.batch.fit_misfit import WORSE
 from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, choose
 from cloth_sim_ros.batch.fit_recording import Recording, check, cloud_offsets, visible
-from cloth_sim_ros.batch.fit_runs import Run, Runs, residuals, shift, simulate
+from cloth_sim_ros.batch.fit_runs import Run, Runs, followed, residuals, shift, simulate
 from cloth_sim_ros.batch.fit_solver import Problem, deviations, information
 from cloth_sim_ros.batch.fit_windows import TOLD, Windows, solve
 
@@ -33,10 +34,12 @@ class Estimate:
     #: Relative standard deviation, of its logarithm: the Cramér-Rao bound, widened where residuals are correlated;
     #: infinite where the clouds tell nothing.
     bound: float
-    #: Whether the bound is within what was asked for.
+    #: Whether the bound is within what was asked for, and nothing speaks against it.
     told: bool
     #: Whether it came to lie at the end of the range that was searched.
     at_end: bool = False
+    #: Whether the simulated cloth follows the recording as far as the bound takes for granted; see `Fit.doubt`.
+    followed: bool = True
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -70,6 +73,8 @@ class Fit:
     shift: tuple[float, ...] | None
     #: Why later clouds were not used; empty where all were.
     reason: str
+    #: Why no parameter counts as identified, and the remedy; empty if nothing speaks against the bounds.
+    doubt: str
     #: Simulations that were run.
     runs: int
     #: Of the last window's simulations [m].
@@ -142,17 +147,21 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
     related = correlation(recording, r, last.clouds)
     wider = math.sqrt((1.0 + related) / (1.0 - related)) if related > LEAST_CORRELATION else 1.0
     bounds = wider * deviations(fisher)
+    rms = float(np.sqrt(np.square(r).sum() / max(r.size - len(fitted), 1)))
+    run = Run(values=tuple(np.exp(last.linear.theta).tolist()), clouds=last.clouds, tolerance=last.tolerance)
+    doubt = windows.doubt or _doubt(problem, run, rms)
     estimates = []
     for parameter, theta, bound in zip(fitted, last.linear.theta.tolist(), bounds.tolist(), strict=True):
         value = math.exp(theta)
         at_end = min(abs(value / parameter.least - 1.0), abs(value / parameter.most - 1.0)) < 1e-6
-        told = bound <= within and not at_end
-        estimates.append(Estimate(parameter=parameter, value=value, bound=bound, told=told, at_end=at_end))
+        told = bound <= within and not at_end and not doubt
+        estimates.append(
+            Estimate(parameter=parameter, value=value, bound=bound, told=told, at_end=at_end, followed=not doubt)
+        )
     seen = [int(visible(cloud).sum()) for cloud in recording.clouds[: last.clouds]]
     every = sum(len(cloud) for cloud in recording.clouds[: last.clouds])
     moved = None
     if recording.shifted:
-        run = Run(values=tuple(np.exp(last.linear.theta).tolist()), clouds=last.clouds, tolerance=last.tolerance)
         bare = residuals(attrs.evolve(recording, shifted=False), fitted, run)
         moved = tuple(shift(bare).tolist())
     return Fit(
@@ -161,7 +170,7 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
         ties=tuple(ties(fitted, fisher / wider**2, within)),
         sigma=last.sigma,
         sigma_given=problem.sigma is not None,
-        rms=float(np.sqrt(np.square(r).sum() / max(r.size - len(fitted), 1))),
+        rms=rms,
         correlation=related,
         clouds=last.clouds,
         all_clouds=len(recording.clouds),
@@ -169,6 +178,7 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
         missing=1.0 - sum(seen) / every if recording.matched else None,
         shift=moved,
         reason=windows.reason,
+        doubt=doubt,
         runs=problem.runs.made,
         tolerance=last.tolerance,
         within=within,
@@ -177,6 +187,23 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
         before=_by_cloud(before, offsets) if isinstance(before, np.ndarray) else np.full(last.clouds, np.nan),
         after=_by_cloud(r, offsets),
     )
+
+
+def _doubt(problem: Problem, run: Run, rms: float) -> str:
+    """What speaks against the bounds though all clouds of the last window were followed; empty if nothing does."""
+    if problem.sigma is not None and rms > WORSE * problem.sigma:
+        return (
+            f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "
+            "explain these clouds, and the bounds are too small. Leave --sigma out, or give what the scene lacks"
+        )
+    _, missed = followed(problem.runs.recording, problem.runs.fitted, run)
+    if missed:
+        return (
+            f"the simulation missed its tolerance of {run.tolerance:g} m in {missed} frames, because they took more "
+            "work than is allowed: the bounds hold for no exact motion. Take fewer particles, or end before the "
+            "violent part by --until"
+        )
+    return ""
 
 
 def _by_cloud(r: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -51,6 +51,8 @@ def write_json(fit: Fit, path: Path) -> None:
         "missing": fit.missing,
         "shift": fit.shift,
         "reason": fit.reason,
+        "doubt": fit.doubt,
+        "lost": fit.recording.lost,
         "runs": fit.runs,
         "tolerance": fit.tolerance,
         "within": fit.within,
@@ -79,6 +81,7 @@ def write_parameters(fit: Fit, path: Path) -> list[str]:
             lines.append(f"#   {estimate.parameter.name}: {estimate.value:.6g}, 95 % {low:.4g} to {high:.4g}")
         else:
             lines.append(f"#   {estimate.parameter.name}: not told by these clouds; the scene's value is kept")
+    lines += [f"# No parameter counts as told: {fit.doubt}."] if fit.doubt else []
     with written_whole(path) as place:
         place.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
     return [estimate.parameter.name for estimate in told]

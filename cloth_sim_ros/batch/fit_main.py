@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 #: Exit statuses. Every parameter is known as well as was asked for.
 TOLD = 0
-#: One is not: the clouds don't tell it, or not apart from others.
+#: One is not: the clouds don't tell it, or not apart from others, or the simulated cloth does not follow them.
 NOT_TOLD = 1
 #: It could not be done.
 REFUSED = 2
 
 _DESCRIPTION = (
     "Find parameters of a cloth by least squares between recorded clouds and simulations of the same motion. Exit "
-    "status 0: every parameter is known as well as was asked for; 1: the clouds don't tell one of them; 2: it could "
-    "not be done."
+    "status 0: every parameter is known as well as was asked for; 1: the clouds don't tell one of them, or the "
+    "simulated cloth does not follow the recording; 2: it could not be done."
 )
 
 

@@ -100,11 +100,12 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
             raise FitError(
                 f"the scene has a rate of {scene.rate:g} Hz, the session {recorded.rate:g} Hz; give it the session's"
             )
-        begin, stamp = state.frame, -1
+        begin, stamp, gap = state.frame, -1, ""
         for message in reader.messages([f"{node}/frame", f"{node}/points"]):
             if message.topic == f"{node}/frame":
                 record = read_frame(message)
                 if record.frame > begin + 1:
+                    gap = f"frames {begin + 1} to {record.frame - 1} are missing; nothing after them is used"
                     break
                 begin, stamp = record.frame, message.publish_time
                 events.append(_events(record.events, record.time))
@@ -112,7 +113,7 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
                 frames.append(len(events))
                 seconds.append((begin - state.frame) * scene.period)
                 clouds.append(np.array(decode_cloud(message.data).xyz, dtype=np.float64))
-        lost = reader.missing or ""
+        lost = "; ".join(filter(None, (gap, reader.missing)))
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,

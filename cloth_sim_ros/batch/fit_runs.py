@@ -56,21 +56,27 @@ def simulate(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
         ValueError: where the values make no scene, or an event can't take effect.
         UnstableError: where the motion does not stay finite.
     """
+    return followed(recording, fitted, run)[0]
+
+
+def followed(recording: Recording, fitted: Sequence[Fitted], run: Run) -> tuple[Array, int]:
+    """Return what `simulate` returns, and the number of frames that missed the tolerance within the work limit."""
     scene = scene_with(recording.scene, fitted, run.values, tolerance=run.tolerance, step=0.0, work_limit=MOST_WORK)
     simulation = Simulation(scene, recording.state)
     frames, period = recording.frames[: run.clouds], scene.period
     found = np.empty((len(frames), simulation.state.particle_count, 3))
     x0, v0 = simulation.state.x, simulation.state.v
-    done = 0
+    done = missed = 0
     for k, moment in enumerate(frames):
         while done < moment:
             x0, v0 = simulation.state.x, simulation.state.v
-            simulation.advance([*recording.events[done], *_air(scene, done, recording.lead)])
+            advance = simulation.advance([*recording.events[done], *_air(scene, done, recording.lead)]).advance
+            missed += advance is not None and advance.flagged > 0
             done += 1
         x1, v1 = simulation.state.x, simulation.state.v
         s = moment - (done - 1)
         found[k] = (x1 if done == moment else _between(x0, v0, x1, v1, s, period)).T
-    return found
+    return found, missed
 
 
 def residuals(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:

@@ -51,6 +51,8 @@ class Linear:
     bend: Array
     #: The difference steps, shape (p,).
     steps: Array
+    #: Whether the point is a least square: the next step is at most a standard deviation of each parameter, or 0.1 %.
+    settled: bool = False
 
     def first(self, count: int) -> Linear:
         """Return it for the first so many residuals."""
@@ -146,14 +148,17 @@ def descend(problem: Problem, linear: Linear, clouds: int, tolerance: float) -> 
     """Return the differences at the least squares of a window, from those at a point near it."""
     damping, expected = 1e-3, 1.0 / EXPECTED**2
     identity = np.eye(len(linear.theta))
-    for _ in range(MOST_ITERATIONS):
+    for iteration in range(MOST_ITERATIONS + 1):
         sigma = problem.deviation(linear.r)
         fisher = information(linear, sigma)
         slope = linear.jacobian @ linear.r / sigma**2 + expected * (linear.theta - problem.start)
         matrix = fisher + expected * identity
         newton = _step(matrix, slope)
         unknown = np.sqrt(np.diag(np.linalg.inv(matrix)))
-        if np.all(np.abs(newton) <= np.maximum(SMALL * unknown, TINY)):
+        # A parameter at the end of its range goes no further.
+        possible = problem.within(linear.theta + newton) - linear.theta
+        linear.settled = bool(np.all(np.abs(possible) <= np.maximum(unknown, LEAST_DIFFERENCE)))
+        if np.all(np.abs(newton) <= np.maximum(SMALL * unknown, TINY)) or iteration == MOST_ITERATIONS:
             return linear
         better = None
         while better is None and damping < MOST_DAMPING:

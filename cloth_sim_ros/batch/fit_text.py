@@ -57,6 +57,8 @@ def verdict(estimate: Estimate, within: float) -> str:
     """Return whether a parameter is told, in a word or a few."""
     if estimate.at_end:
         return "NOT TOLD: at the end of the range that was searched"
+    if not estimate.followed:
+        return "NOT TOLD: the simulated cloth does not follow the recording"
     return "told" if estimate.told else f"NOT TOLD: bound above {100 * within:.3g} %"
 
 
@@ -75,18 +77,15 @@ def _explained(fit: Fit) -> Iterator[str]:
     if fit.reason:
         yield ""
         yield fit.reason[0].upper() + fit.reason[1:] + "."
+    if fit.doubt:
+        yield ""
+        yield f"No parameter counts as told: {fit.doubt}."
     if fit.correlation > LEAST_CORRELATION:
         yield ""
         yield (
             f"Residuals of successive clouds are correlated ({fit.correlation:.2f}), as noise alone would not be: "
             "something in the motion is not in the model (the start, the grip, the air, the weave). Intervals are "
             "widened for it, and may still be too narrow."
-        )
-    if fit.sigma_given and fit.rms > 1.5 * fit.sigma:
-        yield ""
-        yield (
-            f"The residuals are {fit.rms / fit.sigma:.1f} times the deviation that was given: the model does not "
-            "explain these clouds, and the intervals are too narrow."
         )
 
 

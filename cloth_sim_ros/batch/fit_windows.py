@@ -8,6 +8,14 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.batch.fit_misfit import (
+    MISFIT,
+    UNSETTLED,
+    UNSTEADY,
+    is_misfit,
+    is_rest_misfit,
+    root_mean_square,
+)
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.batch.fit_solver import (
     MOST_DIFFERENCE,
@@ -33,8 +41,6 @@ OFF = 0.05
 TOLD = 0.025
 #: A cloud is bent where the second difference is this part of the first, and of the noise.
 BENT = 0.5
-#: A longer window whose residuals are so many times larger is not explained by the model.
-WORSE = 1.5
 
 
 @attrs.frozen(kw_only=True)
@@ -56,6 +62,8 @@ class Windows:
     done: tuple[Window, ...]
     #: Why later clouds were not used; empty where all were.
     reason: str = ""
+    #: Why no parameter counts as identified, and the remedy; empty where nothing speaks against it.
+    doubt: str = ""
 
 
 def solve(problem: Problem, seconds: NDArray[np.float64]) -> Windows:
@@ -81,17 +89,19 @@ def solve(problem: Problem, seconds: NDArray[np.float64]) -> Windows:
         reason = ""
         if bent < clouds:
             if bent <= done[-1].clouds * 1.1:
-                return Windows(done=tuple(done), reason=_bent_words(seconds, bent))
+                misfit = is_rest_misfit(linear, problem.offsets, bent, _noise(done))
+                doubt = MISFIT if misfit else UNSTEADY if len(done) == 1 else _unsettled(done)
+                return Windows(done=tuple(done), reason=_bent_words(seconds, bent), doubt=doubt)
             clouds, linear = bent, linear.first(int(problem.offsets[bent]))
         linear = descend(problem, linear, clouds, tolerance)
         sigma = problem.deviation(linear.r)
-        rms = _rms(linear.r)
-        if done and rms > WORSE * _rms(done[-1].linear.r):
-            return Windows(done=tuple(done), reason=_worse_words(seconds, clouds, rms, done[-1]))
+        if done and is_misfit(linear.r, done[-1].linear.r.size, _noise(done)):
+            rms = root_mean_square(linear.r)
+            return Windows(done=tuple(done), reason=_worse_words(seconds, clouds, rms, done[-1]), doubt=MISFIT)
         done.append(Window(clouds=clouds, linear=linear, sigma=sigma, tolerance=tolerance))
         theta, steps = linear.theta, difference_steps(information(linear, sigma))
         if clouds == ends[-1]:
-            return Windows(done=tuple(done), reason=reason)
+            return Windows(done=tuple(done), reason=reason, doubt=_unsettled(done))
         index = next(k for k, end in enumerate(ends) if end > clouds)
 
 
@@ -141,7 +151,7 @@ def _sure(problem: Problem, linear: Linear, clouds: int, tolerance: float) -> tu
         # Of a parameter that is not told anyway, no more is asked than of one that just is.
         just = problem.deviation(linear.r) / (TOLD * np.sqrt(linear.r.size))
         moved = linear.steps * np.maximum(np.sqrt(np.square(linear.jacobian).mean(axis=1)), just)
-        if _rms(again - linear.r) <= OFF * float(moved.min()):
+        if root_mean_square(again - linear.r) <= OFF * float(moved.min()):
             break
         tolerance = finer
         linear = problem.linear(linear.theta, linear.steps, clouds, tolerance, again)
@@ -161,8 +171,13 @@ def _straight(problem: Problem, linear: Linear, sigma: float) -> int:
     return int(whole[found[0]]) if found.size else len(seen)
 
 
-def _rms(r: Array) -> float:
-    return float(np.sqrt(np.square(r).mean())) if r.size else 0.0
+def _noise(done: list[Window]) -> float:
+    """The least deviation of a window's residuals [m]; none is below what the simulation may be off by."""
+    return max(min(root_mean_square(window.linear.r) for window in done), done[-1].tolerance)
+
+
+def _unsettled(done: list[Window]) -> str:
+    return "" if done[-1].linear.settled else UNSETTLED
 
 
 def _bent_words(seconds: NDArray[np.float64], cloud: int) -> str:
@@ -175,5 +190,5 @@ def _bent_words(seconds: NDArray[np.float64], cloud: int) -> str:
 def _worse_words(seconds: NDArray[np.float64], clouds: int, rms: float, last: Window) -> str:
     return (
         f"clouds after {seconds[last.clouds - 1]:.2f} s are not used: up to {seconds[clouds - 1]:.2f} s the residuals "
-        f"grow from {1e3 * _rms(last.linear.r):.3g} to {1e3 * rms:.3g} mm, which the model does not explain"
+        f"grow from {1e3 * root_mean_square(last.linear.r):.3g} to {1e3 * rms:.3g} mm, which the model does not explain"
     )

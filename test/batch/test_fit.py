@@ -26,6 +26,7 @@ from cloth_sim_ros.batch.fit_recording import read_session
 from cloth_sim_ros.batch.fit_text import describe
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.cdr import decode_cloud
 
 TRUTH = random_truth(3)
 NAMES = list(TRUTH)
@@ -98,6 +99,39 @@ def test_where_small_differences_explode_clouds_are_left_out(tmp_path: Path) -> 
     assert 0.2 <= found.until < 1.0
     for estimate in found.estimates:
         assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound + 0.01
+
+
+def test_a_fit_that_ends_by_misfit_identifies_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def see(topic: str, data: bytes, at: int) -> bytes:
+        """From the 8th cloud on, somebody pushes the camera by 14 mm within 5 clouds."""
+        if not topic.endswith("/points") or at < 7:
+            return data
+        xyz = np.array(decode_cloud(data).xyz, dtype=np.float64) + np.array([0.01, 0.0, 0.01]) * min(1.0, (at - 6) / 5)
+        return cloud_bytes(xyz, 0, (6, 6))
+
+    path = record_swing(tmp_path, TRUTH, seed=2, seconds=0.7, resolution=6, strength=4.0, distort=see)
+    out = {name: tmp_path / f"fit.{name}" for name in ("json", "yaml")}
+    options = ["--parameters", "bending", "--start", "bending=3e-4", "--workers", "1"]
+    status = fit_main.main([str(path), *options, "--json", str(out["json"]), "--write", str(out["yaml"])])
+    said, written = capsys.readouterr().out, json.loads(out["json"].read_text())
+    (entry,) = written["parameters"]
+    # The bound alone would do.
+    assert entry["bound"] < 0.025
+    assert not entry["told"]
+    assert not written["all_told"]
+    assert status == fit_main.NOT_TOLD
+    assert "NOT TOLD: the simulated cloth does not follow the recording" in said
+    assert "follows only a part of the recording" in written["doubt"]
+    assert "No parameter counts as told: " in said
+    assert parameter_file.read(out["yaml"])["material.bending_modulus"] == TRUTH["material.bending_modulus"]
+
+
+def test_a_fit_with_residuals_above_a_given_sigma_identifies_nothing(noisy: Path) -> None:
+    found = fit(read_session([noisy]), ["bending"], start={"bending": 3e-4}, sigma=0.0005, workers=1)
+    (estimate,) = found.estimates
+    assert estimate.bound < 0.025
+    assert not estimate.told
+    assert "times the deviation that --sigma gives" in describe(found)
 
 
 def test_a_real_cloths_recording(bag: Path) -> None:

@@ -12,6 +12,7 @@ import attrs
 import numpy as np
 import pytest
 
+from cloth_sim_ros.batch import fit_solver
 from cloth_sim_ros.batch.fit_information import correlation, ties
 from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, choose, scene_with
 from cloth_sim_ros.batch.fit_recording import Recording
@@ -80,7 +81,50 @@ def test_a_later_part_that_the_model_does_not_explain_is_left_out(decay: Decay) 
     windows = solve(problem_of(decay), decay.times)
     assert windows.done[-1].clouds < 130
     assert "the model does not explain" in windows.reason
+    assert "follows only a part of the recording" in windows.doubt
     assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.1)
+
+
+def test_a_misfit_in_the_added_clouds_alone_is_found(decay: Decay) -> None:
+    # The last half at 1.7 times the noise leaves the whole window below 1.5 times.
+    random = np.random.default_rng(7)
+    decay.measured[101:] += random.choice([-1.0, 1.0], 99) * 0.0275
+    windows = solve(problem_of(decay), decay.times)
+    assert windows.done[-1].clouds <= 101
+    assert windows.doubt
+
+
+def test_a_slowly_growing_misfit_is_found(decay: Decay) -> None:
+    # Each window's residuals are 1.4 times those of the window before.
+    for begin in (26, 51, 101):
+        decay.measured[begin:] += np.random.default_rng(begin).normal(scale=0.028, size=200 - begin)
+    assert solve(problem_of(decay), decay.times).doubt
+
+
+class Turning(Decay):
+    """Runs of y = sin(a exp(4 t)) / 3 + b: beyond some time each turn hangs on the parameter too steeply."""
+
+    def residuals(self, a: float, b: float, count: int) -> np.ndarray:
+        return self.measured[:count] - np.sin(a * np.exp(4.0 * self.times[:count])) / 3.0 - b
+
+
+@pytest.mark.parametrize(("jump", "doubted"), [(0.0, False), (1.5, True)])
+def test_an_end_by_steepness_is_doubted_only_by_what_follows(jump: float, doubted: bool) -> None:
+    times = np.linspace(0.0, 2.0, 200)
+    turning = Turning(np.random.default_rng(1).normal(scale=0.02, size=200), times)
+    turning.measured -= turning.residuals(1.02, 0.99, 200) - turning.measured
+    turning.measured[110:] += jump
+    windows = solve(problem_of(turning), times)
+    assert "too steeply" in windows.reason or jump
+    assert windows.done[-1].clouds < 200
+    assert bool(windows.doubt) == doubted
+
+
+def test_a_search_that_does_not_settle_is_doubted(decay: Decay, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit_solver, "MOST_ITERATIONS", 1)
+    decay.fitted = [attrs.evolve(one, start=0.05) for one in decay.fitted]
+    windows = solve(problem_of(decay), decay.times[:30])
+    assert "the search did not settle" in windows.doubt
 
 
 def test_a_run_that_fails_is_told(decay: Decay) -> None:

@@ -96,6 +96,7 @@ def record_swing(
     resolution: int = 10,
     strength: float = 1.0,
     stem: str = "swing",
+    distort: Callable[[str, bytes, int], bytes] = lambda _topic, data, _frame: data,
 ) -> Path:
     """A session of a swing with noisy clouds.
 
@@ -109,6 +110,7 @@ def record_swing(
         resolution: particles along an edge.
         strength: the swing's, 1 is that of `AMPLITUDES`.
         stem: beginning of the file's name.
+        distort: changes a message's bytes, by its topic and the frame's number from 0, before it is recorded.
     """
     state = hung(cloth(values, resolution=resolution))
     state.frame = 0
@@ -128,7 +130,8 @@ def record_swing(
     for k in range(round(seconds * RATE)):
         left, right = hands((k + 1) / RATE, strength=strength)
         maker.add(
-            [Target("left", left, (0.0, 0.0, 0.0, 1.0)), Target("right", right, (0.0, 0.0, 0.0, 1.0))], change=see
+            [Target("left", left, (0.0, 0.0, 0.0, 1.0)), Target("right", right, (0.0, 0.0, 0.0, 1.0))],
+            change=lambda topic, data, k=k: distort(topic, see(topic, data), k),
         )
     return maker.finish()
 
