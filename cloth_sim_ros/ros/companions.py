@@ -50,10 +50,10 @@ class Companions:
         found: list[Event] = []
         for name in scene.obstacle_names:
             found += self._follow(Move, name, scene.described[name].frame, now)
-        if not scene.gripper.timeout and not scene.gripper.frame:
+        if not scene.gripper.timeout and not scene.gripper.frame and not scene.individual:
             return found
         for index, name in enumerate(scene.gripper_names):
-            found += self._follow(Target, name, scene.gripper.frame.replace("{gripper}", name), now)
+            found += self._follow(Target, name, scene.of_gripper(name, "frame").replace("{gripper}", name), now)
             found += self._let_go(scene, index, name, now)
         return found
 

@@ -22,6 +22,7 @@ from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frames import FrameTransformer
+from cloth_sim_ros.ros.gripper_speed import GripperSpeedMonitor
 from cloth_sim_ros.ros.initial_state import begins_anew
 from cloth_sim_ros.ros.lateness import Lateness
 from cloth_sim_ros.ros.log import ThrottledLog
@@ -116,6 +117,7 @@ class ClothNode:
             log=self._log,
             turn=self._turn,
         )
+        self._gripper_speed = GripperSpeedMonitor(self._simulation, self._log)
         self._companions = Companions(self._simulation, self._frames, self._commands.heard, self._log)
         self._obstacles = ObstacleTopics(self.node, self._simulation, self._commands, self._recording, self._log)
         self._services = Services(
@@ -284,6 +286,7 @@ class ClothNode:
             )
         self._latest.failure = self._stepper.trouble
         self._accuracy.after_frame(frame)
+        self._gripper_speed.check()
         self._changed |= any(isinstance(event, SetParameters) for event in frame.events)
         shown = self._shown is not None and begun - self._shown < _PAUSED_PERIOD
         if frame.moved or frame.events or not shown:

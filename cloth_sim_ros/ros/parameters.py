@@ -17,8 +17,8 @@ from rclpy.parameter import Parameter as RosParameter
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.qos_overrides import override_names
 from cloth_sim_ros.ros.sim_time import SIM_TIME, SimTimeNode, check_sim_time
-from cloth_sim_ros.scene import obstacles
-from cloth_sim_ros.scene.parameters import Parameter, ParameterError
+from cloth_sim_ros.scene import gripper_parameters, obstacles
+from cloth_sim_ros.scene.parameters import Parameter, ParameterError, read_only
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.unknown import FOREIGN, suggestion
 from cloth_sim_ros.scene.without_effect import without_effect
@@ -74,7 +74,8 @@ class SceneNode(SimTimeNode):
         """Set parameters together or not at all, as rclpy's method does.
 
         It differs in two ways. Parameters that do not exist are named in the error; rclpy's names none. Setting
-        `<name>.shape` of a new obstacle first declares all parameters of that obstacle.
+        `<name>.shape` of a new obstacle first declares all parameters of that obstacle, and setting a parameter of a
+        single gripper that gripper's.
 
         Raises:
             UnknownParametersError: names each unknown parameter and the known one that is spelt most like it.
@@ -84,6 +85,12 @@ class SceneNode(SimTimeNode):
             name for name in obstacles.described(names, Scene.groups()) if not self.has_parameter(f"{name}.shape")
         ]
         new = [entry for name in described for entry in obstacles.declared(name)]
+        grippers = self.get_parameter_or("grippers").value or ()
+        for name in gripper_parameters.individual(names, Scene.groups(), described):
+            if name.rpartition(".")[0] in grippers and not self.has_parameter(name):
+                if not (entry := gripper_parameters.declared(name)).live:
+                    return SetParametersResult(successful=False, reason=read_only(name))
+                new.append(entry)
         known = {entry.name for entry in new}
         unknown = [name for name in names if name not in known and not self.has_parameter(name)]
         if unknown:
@@ -210,19 +217,21 @@ class LiveParameters:
     def return_to(self, scene: Scene) -> None:
         """Show the values of a scene: a change that was accepted could not take effect after all."""
         before, now = self._accepted.parameters(), scene.parameters()
-        gone = self._accepted.described.keys() - scene.described.keys()
+        gone = self._accepted.entries
+        kept = {entry.name for entry in scene.entries}
         self._accepted = scene
         self._returning = True
         try:
             self._node.set_parameters(
                 [
                     RosParameter(entry.name, _TYPES[entry.kind], _listed(now[entry.name]))
-                    for entry in Scene.declared(scene.described)
+                    for entry in scene.entries
                     if before[entry.name] != now[entry.name]
                 ]
             )
-            for entry in (entry for name in gone for entry in obstacles.declared(name)):
-                self._node.undeclare_parameter(entry.name)
+            for entry in gone:
+                if entry.name not in kept:
+                    self._node.undeclare_parameter(entry.name)
         finally:
             self._returning = False
 
@@ -262,8 +271,9 @@ class LiveParameters:
         return self._returning or (isinstance(self._node, SceneNode) and self._node.declaring)
 
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
-        new = obstacles.described([change.name for change in changes], Scene.groups())
-        known = {entry.name for entry in Scene.declared({*self._accepted.described, *new})}
+        # Those of single grippers and new obstacles are known by their names.
+        names = [change.name for change in changes]
+        known = {entry.name for entry in Scene.declared_for([*self._accepted.parameters(), *names])}
         return {change.name: _plain(change.value) for change in changes if change.name in known}
 
 

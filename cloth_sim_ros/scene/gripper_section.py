@@ -9,6 +9,8 @@ import attrs
 from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE
 from cloth_sim_ros.scene.parameters import parameter
 
+#: Default limit of a gripper's speed, that of obstacles [m/s]: robots move at 2 to 3 m/s, fast parallel ones at 10.
+MAX_SPEED = 10.0
 #: How a gripper may hold.
 MODES = ATTACH, PINCH = ("attach", "pinch")
 
@@ -65,7 +67,19 @@ class Gripper:
     frame: str = parameter(
         "string",
         "",
-        "TF frame that a gripper follows, {gripper} standing for its name; empty for none. Needs tf2_ros",
+        "TF frame that a gripper follows, {gripper} standing for its name; empty for none. Needs tf2_ros. "
+        "<gripper>.frame says so of one gripper",
+    )
+    max_speed: float = parameter(
+        "double",
+        MAX_SPEED,
+        "Fastest that a gripper, and what it holds, follows its target, mean over a frame; 0 sets no limit, but pads "
+        f"keep to {MAX_SPEED:g} m/s. <gripper>.max_speed says so of one gripper",
+        unit="m/s",
+        least=0.0,
+        most=1e6,
+        live=True,
+        observes=True,
     )
     pad_size: tuple[float, ...] = parameter(
         "double[]",

@@ -200,6 +200,11 @@ def _build(cls: Any, values: dict[str, Any], prefix: str, further: dict[str, Any
     return cls(**arguments)
 
 
+def read_only(name: str) -> str:
+    """Return the sentence that refuses to change a parameter that is set at start."""
+    return f"{name} can't change while the cloth runs; set it at start"
+
+
 def _suggestion(name: str, known: dict[str, Parameter]) -> str:
     import difflib
 

@@ -24,8 +24,8 @@ from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import files as scene_files
+from cloth_sim_ros.scene import gripper_parameters, parameter_file, parameters, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
-from cloth_sim_ros.scene import parameter_file, parameters, relaxation, sections
 from cloth_sim_ros.scene import pinch as scene_pinch
 from cloth_sim_ros.scene.build import (
     Sheet,
@@ -154,8 +154,8 @@ class Scene:
     diagnostics: Diagnostics = section(Diagnostics)
     #: Obstacles that are described, by name: those of `obstacles`, and those that wait to be named there.
     described: dict[str, sections.Obstacle] = attrs.field(factory=dict)
-    #: How grippers hold that have a mode of their own, by name.
-    modes: dict[str, str] = attrs.field(factory=dict)
+    #: Parameters of single grippers, by full name.
+    individual: dict[str, Any] = attrs.field(factory=dict)
     #: Content of the files that parameters name, by that name; what a recording must hold to run again.
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
@@ -185,22 +185,24 @@ class Scene:
         self._check_obstacles()
 
     @classmethod
-    def declared(cls, obstacles: Iterable[str] = (), modes: Iterable[str] = ()) -> tuple[parameters.Parameter, ...]:
-        """Every parameter of a scene, with those of obstacles of some names, and modes of grippers of some."""
+    def declared(
+        cls, obstacles: Iterable[str] = (), individual: Iterable[str] = ()
+    ) -> tuple[parameters.Parameter, ...]:
+        """Every parameter of a scene, with those of obstacles of some names and single grippers' of full names."""
         further = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
-        return (*parameters.declared(cls), *further, *(scene_pinch.mode_of(name) for name in modes))
+        return (*parameters.declared(cls), *further, *map(gripper_parameters.declared, individual))
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
         """Every parameter of a scene, with those of the obstacles and grippers that full names describe."""
         given = list(names)
-        modes = scene_pinch.with_modes(given, cls.groups())
-        return cls.declared(scene_obstacles.described(given, cls.groups()), modes)
+        described = scene_obstacles.described(given, cls.groups())
+        return cls.declared(described, gripper_parameters.individual(given, cls.groups(), described))
 
     @property
     def entries(self) -> tuple[parameters.Parameter, ...]:
         """Every parameter of this scene."""
-        return self.declared(self.described, self.modes)
+        return self.declared(self.described, self.individual)
 
     @staticmethod
     @cache
@@ -227,8 +229,9 @@ class Scene:
             cls.declared_for(values), values, hint=lambda name: scene_obstacles.hint(name, cls.groups())
         )
         content = scene_files.read(checked, files or {}, folder)
-        described, modes = scene_obstacles.read(checked, names), scene_pinch.modes(checked, cls.groups())
-        scene: Scene = parameters.build(cls, checked, described=described, modes=modes, files=content)
+        described = scene_obstacles.read(checked, names)
+        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), names)}
+        scene: Scene = parameters.build(cls, checked, described=described, individual=individual, files=content)
         return scene
 
     @classmethod
@@ -245,7 +248,7 @@ class Scene:
         values = parameters.flatten(self)
         for name, obstacle in self.described.items():
             values.update(parameters.flatten(obstacle, f"{name}."))
-        return values | {scene_pinch.mode_of(name).name: mode for name, mode in self.modes.items()}
+        return values | self.individual
 
     def changed(self, values: dict[str, Any]) -> Scene:
         """Return a scene with live parameters changed.
@@ -253,10 +256,12 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, a parameter that can't change while running, or a bad value.
         """
-        known = {entry.name: entry for entry in self.declared(modes=self.modes)}
+        described = scene_obstacles.described([*self.parameters(), *values], self.groups())
+        individual = gripper_parameters.individual(values, self.groups(), described)
+        known = {entry.name: entry for entry in self.declared(individual=individual)}
         for name in values:
             if name in known and not known[name].live:
-                raise ParameterError(f"{name} can't change while the cloth runs; set it at start")
+                raise ParameterError(parameters.read_only(name))
         scene_obstacles.check_meshes(values, self.parameters())
         scene = self.from_parameters({**self.parameters(), **values}, files=self.files)
         for name in self.obstacle_names:
@@ -281,7 +286,11 @@ class Scene:
 
     def pinches(self, gripper: str) -> bool:
         """Whether a gripper pinches."""
-        return self.modes.get(gripper, self.gripper.mode) == PINCH
+        return bool(self.of_gripper(gripper, "mode") == PINCH)
+
+    def of_gripper(self, gripper: str, leaf: str) -> Any:
+        """Value of `<gripper>.<leaf>` where it is set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""
+        return gripper_parameters.value(self.individual, self.gripper, gripper, leaf)
 
     @property
     def obstacle_names(self) -> list[str]:
@@ -391,7 +400,7 @@ class Scene:
 
     def _check_obstacles(self) -> None:
         names = self.obstacle_names
-        scene_pinch.check_modes(self.modes, self.gripper_names)
+        gripper_parameters.check_grippers(self.individual, self.gripper_names)
         scene_obstacles.check_names(names, self.described, self.gripper_names, self.groups())
         if scene_pinch.pads_of(self, 1.0) or (names and self.solids) or self.contact.self_:
             scene_obstacles.check_cloth(self.sheet, self.contact.thickness)

@@ -61,7 +61,14 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "step is set, and a fixed step holds no tolerance",
     ),
     (
-        ("gripper.radius", "gripper.stiffness", "gripper.damping", "gripper.timeout", "gripper.frame"),
+        (
+            "gripper.radius",
+            "gripper.stiffness",
+            "gripper.damping",
+            "gripper.timeout",
+            "gripper.frame",
+            "gripper.max_speed",
+        ),
         lambda scene: not scene.gripper_names,
         "there are no grippers",
     ),

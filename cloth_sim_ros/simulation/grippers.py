@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import operator
 from collections.abc import Sequence
 from typing import Any, TypeAlias
@@ -20,7 +21,10 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Target
-from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, renewed, within
+from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, renewed, travel, within
+
+#: A target at the limit of speed is not beyond it by rounding.
+_ROUNDING = 1.0 + 1e-9
 
 
 @attrs.frozen
@@ -56,6 +60,10 @@ class Grippers:
         self._laid: tuple[Any, ...] | None = None
         #: Of those that pinch, by index: how far their pads reach from their origin [m].
         self.reaches: dict[int, float] = {}
+        #: Of those that followed no faster than their limit in the newest frame, by name: the speed asked for [m/s].
+        self.limited: dict[str, float] = {}
+        #: Distance from each gripper's origin to the furthest particle that it holds [m], and the arrays that say so.
+        self._arms: tuple[Any, Any, list[float]] = (None, None, [])
         #: Paths of all over the newest frame, shape (count, PATH_NUMBERS).
         self.paths = np.zeros((len(names), PATH_NUMBERS))
         count = len(names)
@@ -113,6 +121,10 @@ class Grippers:
             renewed(self._state, "gripper.placed")[g] = True
             self._movers.renewed("pose")[g] = target
 
+    def max_speed(self, index: int, speed: float) -> float:
+        """Return the limit of a gripper's speed [m/s], 0 for none, for the one that is set; pads have one always."""
+        return min(speed or MOST_SPEED, MOST_SPEED) if index in self.reaches else speed
+
     def halt(self) -> list[str]:
         """Let those that pinch stand still where they are, until they are commanded anew; return the names of those
         that moved.
@@ -142,9 +154,10 @@ class Grippers:
             return GraspResult(name, True, int(particles.size))
         if near.any():
             return GraspResult(name, True, 0, f"all {int(near.sum())} particles within {radius} m are anchored")
-        return GraspResult(
-            name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
-        )
+        reason = f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
+        if name in self.limited:
+            reason += "; it is still on its way to its target, at its limit of speed"
+        return GraspResult(name, True, 0, reason)
 
     def pinch(self, name: str) -> GraspResult:
         """Let the pads of a gripper close."""
@@ -166,7 +179,14 @@ class Grippers:
         return GraspResult(name, False, 0, reason)
 
     def plan_frame(
-        self, grips: Grips, model: Model, t: float, duration: float, stiffness: float, damping: float
+        self,
+        grips: Grips,
+        model: Model,
+        t: float,
+        duration: float,
+        stiffness: float,
+        damping: float,
+        speeds: Sequence[float],
     ) -> float:
         """Lay each gripper's path over the frame into the force that holds particles, with what it holds.
 
@@ -182,9 +202,12 @@ class Grippers:
             stiffness: stiffness of the spring that holds the heaviest particle [N/m]; others in proportion to their
             mass.
             damping: dimensionless damping k_d0 of it.
+            speeds: of each gripper, the fastest that it and what it holds may move, mean over the frame [m/s]; 0 for
+                no limit.
         """
         closed, most = self._state.memory["gripper.closed"].tolist(), 0.0
-        goal = functools.partial(self._within, duration) if self.reaches else None
+        self.limited = {}
+        goal = functools.partial(self._within, duration, speeds) if self.reaches or any(speeds) else None
         self.paths, changes = self._movers.paths(t, duration, goal)
         self._lay(grips, self.paths, model, stiffness, damping)
         for g, change in enumerate(changes):
@@ -192,11 +215,37 @@ class Grippers:
                 most = change
         return most
 
-    def _within(self, duration: float, g: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
-        """Where a gripper is at a frame's end: pads follow as obstacles do, lest they jump through the cloth."""
-        if g not in self.reaches or not self._state.memory["gripper.placed"][g]:
+    def _within(
+        self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
+    ) -> Sequence[float]:
+        """Where a gripper is at a frame's end: at its target, or as near to it as its speed lets. Pads never follow
+        faster than obstacles, lest they jump through the cloth.
+        """
+        if pose == target:
             return target
-        return within(pose, target, self.reaches[g], MOST_SPEED * duration)
+        speed = self.max_speed(g, speeds[g])
+        if not speed:
+            return target
+        if g in self.reaches:
+            reach, most = self.reaches[g], speed * duration
+        else:
+            reach, most = self._arm(g), speed * duration * _ROUNDING
+        end = within(pose, target, reach, most)
+        if end is not target:
+            self.limited[self.names[g]] = travel(pose, target, reach) / duration
+        return end
+
+    def _arm(self, g: int) -> float:
+        """Distance from a gripper's origin to the furthest particle that it holds [m]; 0 if it holds none."""
+        starts, offsets = (self._state.memory[name] for name in ("grip.starts", "grip.offsets"))
+        known = self._arms
+        if known[0] is not starts or known[1] is not offsets:
+            # By component, so that no library chooses the order of sums.
+            x, y, z = offsets.T
+            lengths = np.sqrt(x * x + y * y + z * z)
+            arms = [float(lengths[a:b].max(initial=0.0)) for a, b in itertools.pairwise(starts.tolist())]
+            self._arms = known = (starts, offsets, arms)
+        return known[2][g]
 
     def _lay(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
         memory = self._state.memory

@@ -280,7 +280,7 @@ class Simulation(ExclusiveAccess):
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
-        observing = all(entry.observes for entry in Scene.declared(scene.described) if entry.name in values)
+        observing = all(entry.observes for entry in scene.entries if entry.name in values)
         # A motion beyond the fixed step already is none of the parameters' doing.
         stable = observing or self._holds_step()
         self._initial = self._initial.share()  # snapshots hold the old one

@@ -89,7 +89,8 @@ def plan_movers(
     """
     period, gripper, change = scene.period, scene.gripper, 0.0
     if plan.grips is not None:
-        change = grippers.plan_frame(plan.grips, plan.model, t, period, gripper.stiffness, gripper.damping)
+        speeds = [scene.of_gripper(name, "max_speed") for name in grippers.names]
+        change = grippers.plan_frame(plan.grips, plan.model, t, period, gripper.stiffness, gripper.damping, speeds)
     if plan.contact is None:
         return change
     force, paths, most = plan.contact.force, list[Array](), 0.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.recorded import parameters_of
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.errors import SessionError
@@ -293,14 +293,14 @@ def _commands(simulation: Simulation, node: str) -> CommandCheck:
         grippers=scene.gripper_names,
         obstacles=[name for name, obstacle in scene.described.items() if not obstacle.frame],
         frame_id=scene.frame_id,
-        follows_frame=bool(scene.gripper.frame),
+        follows_frame=any(scene.of_gripper(name, "frame") for name in scene.gripper_names),
         from_start=simulation.frame == 0,
     )
 
 
 def _simulation(part: SessionPart) -> Simulation:
     try:
-        values = parameter_file.parse(part.scene_yaml, node=part.metadata.get("node", ""), source="scene.yaml")
+        values = parameters_of(part.scene_yaml, node=part.metadata.get("node", ""))
         return Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
     except ValueError as error:
         raise SessionError(f"{part.path} holds no scene that can be run here: {error}") from error

@@ -1,0 +1,43 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Warnings of grippers that follow their targets at their limit of speed."""
+
+from __future__ import annotations
+
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.simulation.simulation import Simulation
+
+
+class GripperSpeedMonitor:
+    """Warns when the limit of a gripper's speed begins to hold it back.
+
+    Args:
+        simulation: the cloth.
+        log: warned.
+    """
+
+    def __init__(self, simulation: Simulation, log: ThrottledLog) -> None:
+        self._simulation = simulation
+        self._log = log
+        self._limited: set[str] = set()
+
+    def check(self) -> None:
+        """Look at the newest frame."""
+        grippers = self._simulation.grippers
+        limited = grippers.limited
+        if not limited and not self._limited:
+            return
+        for name in limited.keys() - self._limited:
+            self._log.warn(f"speed {name}", self._warning(name, limited[name]))
+        self._limited = set(limited)
+
+    def _warning(self, name: str, asked: float) -> str:
+        scene, grippers = self._simulation.scene, self._simulation.grippers
+        parameter = own if (own := f"{name}.max_speed") in scene.individual else "gripper.max_speed"
+        speed = scene.of_gripper(name, "max_speed")
+        limit = grippers.max_speed(grippers.names.index(name), speed)
+        why, remedy = (parameter, f", or raise {parameter}") if limit == speed else ("the limit of pads", "")
+        return (
+            f"'{name}' follows its target at {limit:g} m/s, {why}: the target asks for {asked:.3g} m/s; send targets "
+            f"that are nearer to each other{remedy}"
+        )

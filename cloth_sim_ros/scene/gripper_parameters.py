@@ -1,0 +1,75 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a single gripper, `<gripper>.frame` and others, which replace those of the section `gripper`."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
+
+import attrs
+
+from cloth_sim_ros.scene import parameters, sections
+from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
+
+#: Last parts of their names.
+LEAVES = ("mode", "frame", "max_speed")
+_SECTION = "gripper."
+
+
+def declared(name: str) -> Parameter:
+    """Return the parameter of a single gripper by its full name, e.g. ``left.frame``."""
+    leaf = name.rpartition(".")[2]
+    common = next(
+        entry for entry in parameters.declared(sections.Gripper, _SECTION) if entry.name == f"{_SECTION}{leaf}"
+    )
+    return attrs.evolve(common, name=name, description=f"Of this gripper alone, instead of {_SECTION}{leaf}")
+
+
+def individual(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
+    """Return the full names that are parameters of a single gripper, in their order.
+
+    Args:
+        names: full names.
+        groups: first parts of the names of all other parameters.
+        described: names of obstacles, which have a parameter `frame` too.
+    """
+    split = [(name, *name.rpartition(".")[::2]) for name in names]
+    return [
+        name
+        for name, gripper, leaf in split
+        if leaf in LEAVES
+        and NAME.fullmatch(gripper)
+        and gripper not in groups
+        and not (leaf == "frame" and gripper in described)
+    ]
+
+
+def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
+    """Refuse a parameter of a gripper that is not there.
+
+    Args:
+        names: full names of parameters of single grippers.
+        grippers: names of the grippers.
+
+    Raises:
+        ParameterError: naming it.
+    """
+    for name in names:
+        gripper = name.rpartition(".")[0]
+        if gripper not in grippers:
+            raise ParameterError(
+                f"{name} is set, and there is no gripper '{gripper}'; there are {', '.join(grippers) or 'none'}"
+            )
+
+
+def value(values: Mapping[str, Any], section: sections.Gripper, gripper: str, leaf: str) -> Any:
+    """Return the value that holds for a gripper.
+
+    Args:
+        values: parameters of single grippers by full name.
+        section: the values of all others.
+        gripper: its name.
+        leaf: last part of the parameter's name, one of `LEAVES`.
+    """
+    return values[own] if (own := f"{gripper}.{leaf}") in values else getattr(section, leaf)

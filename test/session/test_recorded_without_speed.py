@@ -1,0 +1,60 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions that were recorded before grippers had a limit of speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mcap")
+pytest.importorskip("rosbags")
+from support.session_maker import SessionMaker
+
+from cloth_sim_ros import Grasp, Scene, Target
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.recorded import parameters_of
+from cloth_sim_ros.verify.run import verify
+
+
+def jumping(folder: Path, **values: Any) -> Path:
+    """A session of a gripper that holds a corner and jumps by 1 m, and back."""
+    scene = Scene.from_parameters({"cloth.resolution": [5, 5], **values})
+    maker = SessionMaker(folder, scene)
+    x, y, z = scene.initial_positions()[-1].tolist()
+    for k in range(12):
+        grasps = [Grasp("gripper", True)] if k == 1 else []
+        maker.add([Target("gripper", (x, y + (1.0 if k in (4, 5) else 0.0), z), (0.0, 0.0, 0.0, 1.0)), *grasps])
+    return maker.finish()
+
+
+@pytest.fixture
+def older(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let sessions be written as they were before: without the parameter."""
+    dump = parameter_file.dump
+
+    def without(values: dict[str, Any], **options: Any) -> str:
+        return dump({name: value for name, value in values.items() if name != "gripper.max_speed"}, **options)
+
+    monkeypatch.setattr(parameter_file, "dump", without)
+
+
+@pytest.mark.usefixtures("older")
+def test_older_session_runs_again_without_a_limit(tmp_path: Path) -> None:
+    verdict = verify([jumping(tmp_path, **{"gripper.max_speed": 0.0})])
+    assert (verdict.first_frame, verdict.frames) == (None, 12)
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0, 10.0])
+def test_session_runs_again_with_its_limit(tmp_path: Path, speed: float) -> None:
+    verdict = verify([jumping(tmp_path, **{"gripper.max_speed": speed})])
+    assert (verdict.first_frame, verdict.frames) == (None, 12)
+
+
+def test_only_sessions_lack_the_limit_where_it_is_not_set() -> None:
+    text = parameter_file.dump({"rate": 60.0})
+    assert parameters_of(text, node="/cloth_sim") == {"rate": 60.0, "gripper.max_speed": 0.0}
+    assert Scene.from_parameters(parameter_file.parse(text)).gripper.max_speed == 10.0
+    assert parameters_of(parameter_file.dump({"gripper.max_speed": 2.0}), node="/a")["gripper.max_speed"] == 2.0
