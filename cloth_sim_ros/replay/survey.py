@@ -173,7 +173,7 @@ def _windows(reader: SessionReader, samples: int) -> list[tuple[int | None, int 
     """Stretches of log time [ns] to take one cloud from; one endless stretch where a file has no index."""
     times = []
     for part in reader.parts:
-        if part.summary is None or not part.summary.chunks:
+        if not part.indexed or part.summary is None or not part.summary.chunks:
             return [(None, None)]
         times += [
             time

@@ -15,5 +15,9 @@ class DamagedSessionError(SessionError):
     """Bytes of the file fail their checksum or do not parse; raised only where the caller asked for strict reading."""
 
 
+class StrippedSessionError(DamagedSessionError):
+    """A session of which a tool copied the messages, but not the scene and state that it opens with."""
+
+
 class RecordingError(SessionError):
     """A recording cannot be started or continued."""

@@ -179,7 +179,9 @@ def _end(part: SessionPart) -> str:
     reason = part.end_notes.get("reason")
     if reason is not None:
         return reason
-    return "not yet: it is still being recorded" if part.is_being_written() else "cut off"
+    if part.is_being_written():
+        return "not yet: it is still being recorded"
+    return "unknown: the record 'cloth_sim_end' is missing, as after a copy by a tool" if part.finished else "cut off"
 
 
 def _when(summary: SessionSummary) -> str:

@@ -26,6 +26,8 @@ RECORD_HEAD = _RECORD_HEAD.size
 """Bytes of opcode and length before a record's body."""
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
+MESSAGE_HEAD = _MESSAGE.size
+"""Bytes of a message's body before its data."""
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
 #: Largest record [bytes]: a chunk that is not compressed, its head, or an attached file.
 _MOST_BODY = MOST_BYTES + (1 << 10)
@@ -97,6 +99,8 @@ class Summary:
     """By the offset of the chunk, ascending."""
     records: list[tuple[int, int]]
     """Offset and length of every attachment and metadata record."""
+    start: int = 0
+    """Where the summary begins: the data section ends there."""
 
 
 def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
@@ -303,8 +307,14 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
             metadata = parse_record(MetadataIndex, body, place)
             summary.records.append((metadata.offset, metadata.length))
         position += _RECORD_HEAD.size + size
-    records = _apart(summary.records)
-    return Summary(summary.schemas, summary.channels, statistics, dict(sorted(summary.chunks.items())), records)
+    return Summary(
+        summary.schemas,
+        summary.channels,
+        statistics,
+        dict(sorted(summary.chunks.items())),
+        _apart(summary.records),
+        offset,
+    )
 
 
 def _apart(records: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -46,7 +46,7 @@ def check_header(file: BinaryIO, path: Path) -> int:
         raise DamagedSessionError(f"{path}: {error}") from error
     if place is None or header is None:
         raise DamagedSessionError(f"{path} ends inside its opening: nothing was recorded")
-    if place.opcode != Opcode.HEADER or header.profile != "ros2":
+    if place.opcode != Opcode.HEADER or header.profile not in ("ros2", ""):
         raise NotASessionError(f"{path} has MCAP profile {header.profile!r}, a session has 'ros2'")
     return place.end
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,7 +14,16 @@ from typing import NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from cloth_sim_ros.session.errors import DamagedSessionError
+from cloth_sim_ros.session.data_section import (
+    check_data_end,
+    check_stripped,
+    covers_all,
+    further_places,
+    indexes_contents,
+    opening_places,
+    read_bare,
+)
+from cloth_sim_ros.session.errors import DamagedSessionError, SessionError
 from cloth_sim_ros.session.mcap_scan import (
     RECORD_HEAD,
     Chunk,
@@ -40,6 +50,11 @@ from cloth_sim_ros.session.writer import (
     STATE_NAME,
     metadata_checksum,
 )
+
+#: Attachments without which nothing can be run again.
+_HAS_ALWAYS = frozenset((SCENE_NAME, STATE_NAME))
+#: Messages among which a session's own topics are looked for.
+_LOOKED_AT = 1000
 
 
 class Message(NamedTuple):
@@ -80,12 +95,16 @@ class SessionPart:
         self._channels: dict[int, Channel] = {}
         self._data_start = 0
         self._at_end = False
+        self._bare = False
+        """Whether messages lie outside of chunks."""
         self._file = open_file(self.path)
         self._search = ChunkSearch(self._file)
         try:
             self._data_start = check_header(self._file, self.path)
             self._read_summary()
             self._read_contents()
+            if not self.metadata or not self.attachments.keys() >= _HAS_ALWAYS:
+                check_stripped(self.path, self.metadata, self.attachments, self._read_channels())
             check_contents(self.path, self.metadata, self.attachments)
         except BaseException:
             self._file.close()
@@ -139,6 +158,11 @@ class SessionPart:
         return self._summary
 
     @property
+    def indexed(self) -> bool:
+        """Whether the indexes name all that the file holds; else it is read record by record."""
+        return self._summary is not None and covers_all(self._summary, self._data_start)
+
+    @property
     def position(self) -> int:
         """Bytes read so far."""
         return self._position
@@ -186,12 +210,12 @@ class SessionPart:
         return f"{self.path.name}: {'; '.join(found)}" if found else None
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
-        """The chunks from the present position to the end of what is whole.
+        """The chunks from the present position to the end of what is whole; messages without one are given as one, too.
 
         With `start` or `end` (log times in ns, half open) the chunks of a finished file that lie outside are passed
         over.
         """
-        if self._summary is not None:
+        if self._summary is not None and self.indexed:
             yield from self._indexed_chunks(self._summary, start, end)
         else:
             yield from self._walked_chunks()
@@ -248,24 +272,39 @@ class SessionPart:
 
     def _read_contents(self) -> None:
         """Metadata and attachments: by the index of a finished file (tools may move them), else before the chunks."""
+        summary = self._summary
         try:
-            if self._summary is not None and self._summary.records:
-                for offset, _ in self._summary.records:
+            if summary is not None and indexes_contents(summary):
+                for offset, _ in summary.records:
                     place = place_at(self._file, offset)
                     if place is not None:
                         self._read_content(place)
                 return
-            position = self._data_start
-            while (place := place_at(self._file, position)) is not None and place.opcode != Opcode.CHUNK:
+            for place in opening_places(self._file, self._data_start):
                 self._read_content(place)
-                position = place.end
+            if not self.metadata or not self.attachments.keys() >= _HAS_ALWAYS:
+                for place in further_places(self._file, self._data_start):
+                    self._read_content(place)
         except DamagedRecordError as error:
             raise DamagedSessionError(f"{self.path}: {error}; the session cannot be read without it") from error
+
+    def _read_channels(self) -> dict[str, str]:
+        """Message types by topic: those of the indexes, or else of the first chunks."""
+        self.rewind()
+        for _ in itertools.islice(self.messages(), 0 if self._channels else _LOOKED_AT):
+            pass
+        found = (self.channel(number) for number in self._channels)
+        return {channel[0]: channel[1] for channel in found if channel is not None}
 
     def _read_content(self, place: RecordPlace) -> None:
         if place.opcode == Opcode.METADATA:
             record = read_metadata(self._file, place)
             if record.name == METADATA_NAME:
+                if self.metadata and self.metadata != record.metadata:
+                    raise SessionError(
+                        f"{self.path} holds the openings of two recordings, as after a merge: what belongs to which "
+                        "cannot be told; give the files that were merged, those of one session in order"
+                    )
                 self.metadata = MappingProxyType(record.metadata)
             elif record.name == END_METADATA_NAME:
                 self._read_end_notes(record, place)
@@ -293,7 +332,7 @@ class SessionPart:
         self._at_end = True
 
     def _walked_chunks(self) -> Iterator[Chunk]:
-        """Chunks of an unfinished file, from record to record, to the end of what is whole."""
+        """Chunks of a file whose indexes do not name all, from record to record, to the end of what is whole."""
         while not self._at_end:
             try:
                 place = place_at(self._file, self._position)
@@ -303,7 +342,7 @@ class SessionPart:
                 self._find_next_chunk()
                 continue
             if place is not None:
-                self._position = place.end
+                self._position = place.end if chunk is None else chunk.place.end
                 if chunk is not None:
                     yield chunk
             elif self.is_being_written() or not self._has_more():
@@ -313,15 +352,28 @@ class SessionPart:
         """Deal with one record of the data section."""
         if place.opcode == Opcode.CHUNK:
             return read_chunk(self._file, place)
+        bare = read_bare(self._file, place)
+        if bare is not None:
+            self._bare = True
+            return bare
         if place.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
             self._read_content(place)
         elif place.opcode == Opcode.MESSAGE_INDEX:
             check_index(self._file, place)
         elif place.opcode == Opcode.DATA_END and place.body_size == 4:
             self._at_end = True
+            self._check_data_end(place)
         else:
             raise DamagedRecordError(f"byte {place.offset} begins a record that has no place there")
         return None
+
+    def _check_data_end(self, place: RecordPlace) -> None:
+        """Check what has no checksum but that of the whole data section."""
+        if self._bare:
+            try:
+                check_data_end(self._file, place)
+            except DamagedRecordError as error:
+                self._note(error)
 
     def _has_more(self) -> bool:
         """Whether whole chunks follow a record that claims to reach beyond the file's end; then go on with them."""

@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
         description="Run recorded sessions again from their own snapshots and events, and compare every frame. "
-        "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read; "
+        "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read, or holds no frames; "
         "3: recorded with other arithmetic, and nothing differs that this does not explain; "
         "4: with --accuracy, the tolerance's promise was not kept somewhere, and no frame flagged.",
     )
@@ -117,7 +117,7 @@ def _check_one_session(parser: argparse.ArgumentParser, options: argparse.Namesp
 
 def status_of(verdict: Verdict) -> int:
     """The exit status that a verdict alone gives."""
-    if verdict.damaged:
+    if verdict.damaged or not verdict.frames:
         return UNREADABLE
     if verdict.same:
         return SAME

@@ -1,0 +1,103 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Copies of a session as other tools write them: by the mcap library's own reader and writer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+
+class CopiedMessage(NamedTuple):
+    """A message to be copied."""
+
+    topic: str
+    data: bytes
+    log_time: int
+    publish_time: int
+    sequence: int
+
+
+def copy_by_tool(
+    source: Path,
+    target: Path,
+    *,
+    metadata: Callable[[str], bool] = lambda _name: True,
+    attachments: Callable[[str], bool] = lambda _name: True,
+    topics: Callable[[str], bool] = lambda _topic: True,
+    contents_last: bool = False,
+    more: tuple[Path, ...] = (),
+    profile: str = "ros2",
+    **options: Any,
+) -> Path:
+    """Copy a session, and `more` behind it, with other channel numbers.
+
+    Args:
+        source: the session.
+        target: its copy.
+        metadata: whether a metadata record of a name is kept.
+        attachments: whether an attachment of a name is kept.
+        topics: whether a topic is kept.
+        contents_last: metadata and attachments come behind the messages.
+        more: further files, as `mcap merge` takes them.
+        profile: of the copy.
+        options: of the library's writer.
+    """
+    with target.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start(profile=profile, library="a tool")
+        # As other tools do: numbers are dealt anew.
+        writer.register_schema(name="std_msgs/msg/Empty", encoding="ros2msg", data=b"")
+        for path in (source, *more):
+            if contents_last:
+                _copy_messages(path, writer, topics)
+            _copy_contents(path, writer, metadata, attachments)
+            if not contents_last:
+                _copy_messages(path, writer, topics)
+        writer.finish()
+    return target
+
+
+def _copy_contents(
+    path: Path, writer: Writer, metadata: Callable[[str], bool], attachments: Callable[[str], bool]
+) -> None:
+    with path.open("rb") as stream:
+        for record in make_reader(stream).iter_metadata():
+            if metadata(record.name):
+                writer.add_metadata(record.name, record.metadata)
+    with path.open("rb") as stream:
+        for attachment in make_reader(stream).iter_attachments():
+            if attachments(attachment.name):
+                writer.add_attachment(
+                    attachment.create_time,
+                    attachment.log_time,
+                    attachment.name,
+                    attachment.media_type,
+                    attachment.data,
+                )
+
+
+def _copy_messages(path: Path, writer: Writer, topics: Callable[[str], bool]) -> None:
+    schemas: dict[str, int] = {}
+    channels: dict[str, int] = {}
+    with path.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages():
+            if schema is None or not topics(channel.topic):
+                continue
+            if schema.name not in schemas:
+                schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.topic not in channels:
+                channels[channel.topic] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.name], dict(channel.metadata)
+                )
+            writer.add_message(
+                channels[channel.topic],
+                message.log_time,
+                message.data,
+                message.publish_time,
+                message.sequence,
+            )
