@@ -22,6 +22,7 @@ WRENCH = "geometry_msgs/msg/WrenchStamped"
 POINT = "geometry_msgs/msg/PointStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
 BOOL = "std_msgs/msg/Bool"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 _LITTLE = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
@@ -84,6 +85,16 @@ def point_bytes(position: Iterable[float], *, frame_id: str, stamp: int) -> byte
 def wrench_bytes(wrench: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
     """A geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
     return _stamped(frame_id, stamp, tuple(map(float, wrench)))
+
+
+def transforms_bytes(frames: Iterable[tuple[str, Iterable[float]]], *, frame_id: str, stamp: int) -> bytes:
+    """A tf2_msgs/TFMessage: names, each with position [m] and quaternion x, y, z, w in the parent frame, 7 numbers."""
+    listed = list(frames)
+    body = bytearray(struct.pack("<I", len(listed)))
+    for name, pose in listed:
+        body = _aligned(body, 4) + _stamp(stamp) + _text(frame_id)
+        body = _aligned(_aligned(body, 4) + _text(name), 8) + _DOUBLES[7](*pose)
+    return _LITTLE + bytes(body)
 
 
 def bool_bytes(value: bool) -> bytes:

@@ -1,29 +1,49 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the commands as they were received are the events that took effect.
+"""Received commands against the events that took effect.
 
 Running a session again shows that its events lead to its clouds. That the events are what was commanded shows in the
-received messages beside them: every grasp takes effect with the next frame, and every target that took effect is one of
-those received.
+received messages beside them: every grasp takes effect with the next frame; of the targets that have arrived when a
+frame begins, the newest takes effect in it.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode
+from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Move, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.verdict import Findings
 
-#: Received targets that are kept for comparison: more than the node lets wait.
-_KEPT = 20_000
+#: Received targets that may wait: more than the node lets wait.
+_MOST_WAITING = 20_000
 #: A target may have been received this long before the recording began, and wait for its stamp [ns].
 _GRACE = 1_500_000_000
+#: Events that services and the node itself cause, without a message.
+_UNASKED = ("set_parameters", "pause", "step", "reset", "relax")
 
 _Pose = tuple[float, ...]
+
+
+class _Waiting(NamedTuple):
+    """A received target that has not taken effect yet."""
+
+    stamp: int
+    """From when on it counts [ns]."""
+    number: int
+    """Its place in the order of arrival."""
+    pose: _Pose
+    certain: bool
+    """Whether the node must have accepted it, and taken it with the next frame that is due at its stamp or later."""
+    topic: str
 
 
 class CommandCheck:
@@ -31,33 +51,29 @@ class CommandCheck:
 
     Args:
         node: resolved name of the node.
-        grippers: their names.
-        obstacles: names of those whose targets are compared: described at the beginning, following no TF frame.
-        frame_id: the cloth's coordinate frame; targets in other frames were transformed before they took effect, so
-            that a gripper which was sent one is not compared from then on.
-        follows_frame: the grippers follow TF frames: their targets come from there.
+        scene: in force at the beginning. What follows a TF frame has its targets from there. Targets in other
+            coordinate frames were transformed before they took effect: who was sent one is not compared from then on.
         from_start: the recording began with the first frame; before one that began later, commands may have come that
             it does not hold.
+        findings: for what differs.
     """
 
-    def __init__(
-        self,
-        *,
-        node: str,
-        grippers: Iterable[str],
-        obstacles: Iterable[str] = (),
-        frame_id: str,
-        follows_frame: bool,
-        from_start: bool,
-    ) -> None:
-        self._obstacles = set(obstacles)
-        self._follows_frame = follows_frame
-        self._frame_id = frame_id
-        self._kinds = {f"{node}/{name}/{leaf}": (name, leaf) for name in grippers for leaf in _READERS}
-        self._kinds |= {f"{node}/{name}/target": (name, "target") for name in self._obstacles}
-        self._targets: dict[str, deque[_Pose]] = {}
+    def __init__(self, *, node: str, scene: Scene, from_start: bool, findings: Findings) -> None:
+        self._findings, self._frame_id = findings, scene.frame_id
+        self._grippers = frozenset(scene.gripper_names)
+        self._kinds = {
+            f"{node}/{name}/{leaf}": (name, leaf)
+            for names, leaves in ((scene.gripper_names, _READERS), (scene.described, ("target", "point")))
+            for name in names
+            for leaf in leaves
+        }
+        #: Who does not move by received commands alone, and why.
+        self._not_told = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
+        self._not_told |= {name: _FOLLOWS for name, obstacle in scene.described.items() if obstacle.frame}
+        self._waiting: dict[str, list[_Waiting]] = {}
+        self._newest: dict[str, int] = {}
         self._grasps: dict[str, list[bool]] = {}
-        self._transformed: set[str] = set()
+        self._count = 0
         self._known_from: int | None = -1 if from_start else None
 
     @property
@@ -65,57 +81,164 @@ class CommandCheck:
         """The topics of commands."""
         return frozenset(self._kinds)
 
-    def receive(self, message: Message) -> None:
-        """Take note of a received command. Raises SessionError if its bytes do not parse."""
+    def receive(self, message: Message, simulation: Simulation) -> None:
+        """Take note of a command that came after the last frame."""
         name, leaf = self._kinds[message.topic]
-        content = decode(message.data, message.type_name)
-        if leaf == "grasp":
+        try:
+            content = decode(message.data, message.type_name)
+            pose = None if leaf == "grasp" else _READERS[leaf](content)
+        except (SessionError, AttributeError, ValueError):
+            self._leave(message.topic, "refused: its bytes are no such message")
+            return
+        if pose is None:
             self._grasps.setdefault(name, []).append(bool(content.data))
             return
         if content.header.frame_id not in ("", self._frame_id):
-            self._transformed.add(name)
-        self._targets.setdefault(name, deque(maxlen=_KEPT)).append(_READERS[leaf](content))
+            self._not_told[name] = _TRANSFORMED
+        if name in self._not_told:
+            self._leave(message.topic, self._not_told[name])
+            return
+        stamp = content.header.stamp.sec * 10**9 + content.header.stamp.nanosec
+        refused = self._refused(name, pose, simulation)
+        if refused or content.header.stamp.sec < 0 or content.header.stamp.nanosec >= 10**9:
+            self._leave(message.topic, "refused by the node's own rules")
+            return
+        arrived = message.publish_time
+        stamp, newest = stamp or arrived, self._newest.get(name, 0)
+        self._newest[name] = max(stamp, newest)
+        self._count += 1
+        waiting = self._waiting.setdefault(name, [])
+        waiting.append(_Waiting(stamp, self._count, pose, newest <= stamp <= arrived, message.topic))
+        if len(waiting) > _MOST_WAITING:
+            self._leave(waiting.pop(0).topic, "more than can wait")
 
-    def compare(self, record: FrameRecord, log_time: int) -> str | None:
-        """What of a frame's events was not commanded so, in words; None if nothing."""
+    def compare(self, record: FrameRecord, log_time: int, stamp: int, simulation: Simulation) -> None:
+        """Compare what was received before a frame with its events.
+
+        Args:
+            record: of the frame.
+            log_time: of the record [ns].
+            stamp: ROS time at which the frame was due [ns].
+            simulation: after the frame.
+        """
         if self._known_from is None:
             self._known_from = log_time + _GRACE
-        waiting, self._grasps = self._grasps, {}
-        found = None
+        known = log_time > self._known_from
+        cleared = "clock_jump" in record.extras
+        forgiven = cleared or any(event.get("kind") == "reset" for event in record.events)
+        grasps, self._grasps = self._grasps, {}
+        moved = set()
         for event in record.events:
-            name = str(event.get("gripper", ""))
-            if event.get("kind") == "grasp":
-                received = waiting.get(name, [])
-                # Those that were not received came by a service.
-                if received and received[0] == event["closed"]:
-                    received.pop(0)
-            elif event.get("kind") == "set_parameters":
-                self._obstacles -= {key.removesuffix(".frame") for key in event["values"] if key.endswith(".frame")}
-            elif log_time > self._known_from and not self._is_known(event):
-                name = name or event["obstacle"]
-                found = found or f"{name} moved to {list(event['position'])}, which was not commanded"
-        # A clock that went back clears what waits.
-        if "clock_jump" not in record.extras:
-            for name, left in waiting.items():
-                if left:
-                    action = "close" if left[0] else "open"
-                    found = found or f"{name} was commanded to {action}, which did not take effect"
-        return found
+            kind = event.get("kind")
+            if kind == "grasp":
+                self._take_grasp(event, grasps)
+            elif kind in ("target", "move"):
+                name = str(event["gripper" if kind == "target" else "obstacle"])
+                moved.add(name)
+                self._take_target(name, event, stamp, known=known)
+            elif kind in _UNASKED:
+                self._leave("events", f"{kind}, by a service or the node itself")
+                if kind == "set_parameters":
+                    self._follow_parameters(event["values"])
+        for name in [name for name, waiting in self._waiting.items() if waiting and name not in moved]:
+            self._expect_target(name, stamp, simulation, known=known and not forgiven)
+        for name, left in grasps.items():
+            # A clock that went back clears what waits.
+            if cleared:
+                self._leave(f"{name}/grasp", "cleared when the clock went back", len(left))
+            elif left:
+                action = "close" if left[0] else "open"
+                self._findings.difference("command", f"{name} was commanded to {action}, which did not take effect")
+        if cleared:
+            for name, waiting in self._waiting.items():
+                self._drop(waiting, "cleared when the clock went back")
+                self._newest.pop(name, None)
 
-    def _is_known(self, event: Any) -> bool:
-        """Whether an event is none that moves something, or the target was received."""
-        if event.get("kind") == "move":
-            name = event["obstacle"]
-            if name not in self._obstacles:
-                return True
-        elif event.get("kind") != "target" or self._follows_frame:
-            return True
+    def end(self) -> None:
+        """List what waits for a frame that is not in the session."""
+        for waiting in self._waiting.values():
+            self._drop(waiting, "waiting at the end, or refused as too far ahead or too old")
+        for name, left in self._grasps.items():
+            self._leave(f"{name}/grasp", "waiting at the end", len(left))
+
+    def _take_grasp(self, event: Mapping[str, Any], grasps: Mapping[str, list[bool]]) -> None:
+        received = grasps.get(str(event.get("gripper", "")), [])
+        if received and received[0] == event.get("closed"):
+            received.pop(0)
+            self._findings.compared("command")
         else:
-            name = event["gripper"]
-        if name in self._transformed:
-            return True
+            self._leave("events", "grasp without a message, by a service or gripper.timeout")
+
+    def _take_target(self, name: str, event: Mapping[str, Any], stamp: int, *, known: bool) -> None:
+        if name in self._not_told:
+            self._leave("events", f"{event['kind']} of {name}: {self._not_told[name]}")
+            return
         wanted = _pose(event["position"], event.get("orientation"))
-        return any(_same(wanted, received) for received in reversed(self._targets.get(name, ())))
+        waiting = self._waiting.get(name, [])
+        found = max((one for one in waiting if _same(wanted, one.pose)), default=None)
+        if found is None:
+            if known:
+                self._findings.difference(
+                    "command", f"{name} moved to {list(event['position'])}, which was not commanded"
+                )
+            else:
+                self._leave("events", f"{event['kind']} that may have been commanded before the recording began")
+            return
+        self._findings.compared("command")
+        replaced = [one for one in waiting if one < found]
+        self._waiting[name] = [one for one in waiting if one > found]
+        self._drop(replaced, "replaced by a newer one in the same frame, refused, or too old")
+        self._expect_target(name, stamp, None, known=known)
+
+    def _expect_target(self, name: str, stamp: int, simulation: Simulation | None, *, known: bool) -> None:
+        """Of what waits, the node must have taken what is certain and was due."""
+        waiting = self._waiting.get(name, [])
+        overdue = [one for one in waiting if one.certain and one.stamp <= stamp]
+        if not overdue:
+            return
+        self._waiting[name] = [one for one in waiting if one > max(overdue)]
+        if known and not (simulation is not None and self._may_be_impossible(name, simulation)):
+            self._findings.difference(
+                "command", f"{name} was commanded to {list(overdue[-1].pose[:3])}, which did not take effect"
+            )
+        else:
+            self._drop([one for one in waiting if one <= max(overdue)], "cleared, or received before the recording")
+
+    def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
+        """Whether what was accepted may have been refused in the end: it is gone, or its pads have no place yet."""
+        grippers = simulation.grippers
+        if name not in self._grippers:
+            return simulation.obstacles is None or name not in simulation.obstacles.names
+        return not grippers.is_placed(grippers.names.index(name))
+
+    def _follow_parameters(self, values: Mapping[str, Any]) -> None:
+        for key in values:
+            if key.endswith(".frame"):
+                name = key.removesuffix(".frame")
+                names = self._grippers if name == "gripper" else (name,)
+                self._not_told |= dict.fromkeys(names, _FOLLOWS)
+                for one in names:
+                    self._drop(self._waiting.get(one, []), _FOLLOWS)
+
+    def _refused(self, name: str, pose: _Pose, simulation: Simulation) -> bool:
+        kind = Target if name in self._grippers else Move
+        try:
+            simulation.check(kind(name, pose[:3], pose[3:] or None))
+        except EventError:
+            return True
+        return False
+
+    def _drop(self, waiting: list[_Waiting], reason: str) -> None:
+        for one in waiting:
+            self._leave(one.topic, reason)
+        waiting.clear()
+
+    def _leave(self, topic: str, reason: str, count: int = 1) -> None:
+        self._findings.not_compared(topic, reason, count)
+
+
+_FOLLOWS = "follows a TF frame"
+_TRANSFORMED = "in another coordinate frame"
 
 
 def _pose(position: Iterable[float], orientation: Iterable[float] | None) -> _Pose:

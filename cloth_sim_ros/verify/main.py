@@ -10,7 +10,7 @@ import argparse
 import contextlib
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,12 +132,15 @@ def describe(verdict: Verdict) -> str:
     if not verdict.frames:
         sentences = ["it holds no frames: there is nothing to compare."]
     elif verdict.same:
-        sentences = [f"{counts} came out the same to the last bit ({pace})."]
+        if not verdict.clouds:
+            counts = counted(verdict.frames, "frame")
+        sentences = [f"{counts} came out the same to the last bit{_further(verdict)} ({pace})."]
     else:
         sentences = [
             f"it differs from frame {verdict.first_frame} ({verdict.first_time:.3f} s) on, in {verdict.first_reason}.",
             f"Of {counts}, {counted(verdict.different, 'frame')} {'differs' if verdict.different == 1 else 'differ'}; "
             f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({pace}).",
+            f"What differs: {', '.join(counts_of(verdict.differing))}.",
         ]
     if verdict.other_arithmetic and not verdict.same:
         sentences.append(
@@ -150,9 +153,46 @@ def describe(verdict: Verdict) -> str:
         changed = "; ".join(verdict.environment)
         promise = "" if verdict.same else ", where equal bits are not promised"
         sentences.append(f"Here is not what it was recorded with{promise}: {changed}.")
+    if verdict.absent:
+        sentences.append(f"No message is there of {', '.join(verdict.absent)}{_without_clouds(verdict)}.")
+    if verdict.not_compared:
+        sentences.append(f"Not compared: {'; '.join(omissions(verdict))}.")
     if verdict.missing:
         sentences.append(f"Not all of it is there: {'; '.join(verdict.missing)}.")
     return where + " ".join(sentences)
+
+
+def counts_of(counts: Mapping[str, int]) -> list[str]:
+    """Numbers of frames and messages by kind, in words."""
+    plurals = {"wrench": "wrenches", "topology": "topologies"}
+    return [
+        f"{count} {plurals[kind]}" if kind in plurals and count != 1 else counted(count, kind)
+        for kind, count in sorted(counts.items())
+        if count
+    ]
+
+
+def omissions(verdict: Verdict) -> list[str]:
+    """What was not compared, by topic: how much of it, and why."""
+    found: dict[str, dict[int, list[str]]] = {}
+    for (topic, reason), count in sorted(verdict.not_compared.items()):
+        found.setdefault(topic, {}).setdefault(count, []).append(reason)
+    listed = []
+    for topic, counts in found.items():
+        words = "; ".join(f"{count} x {', '.join(reasons)}" for count, reasons in counts.items())
+        listed.append(f"{topic} ({words})")
+    return listed
+
+
+def _further(verdict: Verdict) -> str:
+    """What else came out the same."""
+    further = counts_of({kind: count for kind, count in verdict.compared.items() if kind != "cloud"})
+    return f", and so did {', '.join(further)}" if further else ""
+
+
+def _without_clouds(verdict: Verdict) -> str:
+    clouds = any(topic.endswith("/points") for topic in verdict.absent)
+    return ": of the positions, the digests of the frames alone were compared" if clouds else ""
 
 
 def _verify(paths: Sequence[Path]) -> Verdict:

@@ -1,13 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Running a recorded session again from its own snapshots and events, and comparing every frame."""
+"""Re-run of a recorded session from its own snapshot and events, and comparison of every message."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -18,60 +17,30 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.recorded import parameters_of
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.session.cdr import decode, decode_cloud
+from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.session.writer import STATE_NAME
 from cloth_sim_ros.simulation.environment import differences, recorder_with_other_arithmetic
 from cloth_sim_ros.simulation.events import Event, from_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.commands import CommandCheck
+from cloth_sim_ros.verify.diagnostics import TOPIC as DIAGNOSTICS
+from cloth_sim_ros.verify.diagnostics import DiagnosticsCheck
+from cloth_sim_ros.verify.numbering import Numbering
+from cloth_sim_ros.verify.shown import ShownCheck
+from cloth_sim_ros.verify.verdict import Findings, Place, Verdict
 
-_WRENCH = "geometry_msgs/msg/WrenchStamped"
+__all__ = ["Verdict", "Watch", "verify"]
+
 #: What a frame's record tells that other arithmetic can change: the rest it must get right.
 _OF_ROUNDING = frozenset({"the digest of its state", "its steps", "its integrator"})
-
-
-@dataclass(kw_only=True)
-class Verdict:
-    """How a session came out when it was run again."""
-
-    name: str
-    """The session's files."""
-    frames: int = 0
-    """Frames that were run and compared."""
-    clouds: int = 0
-    """Clouds that were compared."""
-    different: int = 0
-    """Frames of which anything differs."""
-    first_frame: int | None = None
-    """Number of the first of them."""
-    first_time: float = 0.0
-    """Its simulated time [s]."""
-    first_reason: str = ""
-    """What differs there."""
-    largest_deviation: float = 0.0
-    """Of any particle's position in any cloud [m]; infinite where a cloud holds something that is no number."""
-    simulated: float = 0.0
-    """Simulated time that was run [s]."""
-    seconds: float = 0.0
-    """Wall time that it took [s]."""
-    environment: list[str] = field(default_factory=list)
-    """Differences of code and files from the recording's that change bits, or may; a phrase each."""
-    other_arithmetic: str = ""
-    """By what it was recorded, where that rounds otherwise than this package; empty where it does not."""
-    unexplained: str = ""
-    """With other arithmetic: the first frame and what differs in it that no rounding explains."""
-    missing: list[str] = field(default_factory=list)
-    """What the session lacks, a sentence each."""
-    damaged: bool = False
-    """Whether frames are damaged or missing in the middle, so that they could not be compared."""
-
-    @property
-    def same(self) -> bool:
-        """Whether all that was compared came out the same to the last bit."""
-        return self.first_frame is None
+#: Topics that the node shares with others, of which it records its own part or what it hears; why they are listed.
+_SHARED = {"/rosout": "texts of the log", "/parameter_events": "changes of parameters, as the node announced them"}
+#: Why a recording ends with a whole frame; after any other end, the last frame may lack messages.
+_WHOLE_ENDS = frozenset({"stopped", "split", "node stopped", "~/record", "failed"})
 
 
 class Watch(Protocol):
@@ -109,19 +78,20 @@ def verify(
         verdict.other_arithmetic = recorder_with_other_arithmetic(reader.metadata)
         if not verdict.other_arithmetic:
             verdict.environment = differences(reader.metadata)
-        done = 0
-        before: _Run | None = None
+        run, done = _Run(reader.node, Findings(verdict), watch), 0
         for part in reader.parts:
-            run = _Run(part, reader.node, verdict, before, watch)
+            run.begin(part)
             part.rewind()
-            for message in part.messages(topics=run.topics):
+            whole = True
+            for message in part.messages():
                 if not run.take(message):
+                    whole = False
                     break
                 progress(done + part.position)
-            run.finish()
+            run.finish(whole=whole)
             verdict.damaged = verdict.damaged or bool(part.damage)
             done += part.size()
-            before = run
+        run.end()
         if reader.missing:
             verdict.missing.insert(0, reader.missing)
     verdict.seconds = time.perf_counter() - begun
@@ -129,91 +99,139 @@ def verify(
 
 
 class _Run:
-    """One file's run."""
+    """A session's run, file by file."""
 
-    def __init__(
-        self, part: SessionPart, node: str, verdict: Verdict, before: _Run | None, watch: Watch | None
-    ) -> None:
-        self.simulation = _simulation(part)
-        self._watch = watch
-        self._part = part
-        self._verdict = verdict
-        self._differs = False
-        self._check_snapshot(before)
-        scene = self.simulation.scene
-        for name in sorted(set(scene.files) - set(part.files)):
-            verdict.environment.append(f"{name} as found here: the session does not hold it")
+    def __init__(self, node: str, findings: Findings, watch: Watch | None) -> None:
+        self._node, self._findings, self._watch = node, findings, watch
+        self._verdict = findings.verdict
         self._frame_topic, self._points = f"{node}/frame", f"{node}/points"
-        names = [*scene.gripper_names, *scene.described]
-        self._wrenches = {f"{node}/{name}/wrench": name for name in names}
-        # Commands wait across the end of a file.
-        self._commands: CommandCheck = before._commands if before else _commands(self.simulation, node)
-        self._frame: Frame | None = None
-        self._frame_stamp = -1
+        self._numbering = Numbering(findings)
+        self._numbering.declare(self._frame_topic, "frame", droppable=False)
+        self._numbering.declare(self._points, "cloud", droppable=True)
+        self._before: Simulation | None = None
+        self._commands: CommandCheck | None = None
+        self._diagnostics: DiagnosticsCheck | None = None
 
-    @property
-    def topics(self) -> frozenset[str]:
-        """The topics that are compared."""
-        return frozenset({self._frame_topic, self._points, *self._wrenches}) | self._commands.topics
+    def begin(self, part: SessionPart) -> None:
+        """Go on with a file, from the snapshot that it opens with."""
+        self._part = part
+        self.simulation = simulation = _simulation(part)
+        scene, from_start = simulation.scene, simulation.frame == 0
+        self._check_snapshot()
+        for name in sorted(set(scene.files) - set(part.files)):
+            self._verdict.environment.append(f"{name} as found here: the session does not hold it")
+        opened = part.attachments[STATE_NAME].log_time
+        self._numbering.begin(part, opened)
+        # Commands wait across the end of a file.
+        if self._commands is None or self._diagnostics is None:
+            self._commands = CommandCheck(node=self._node, scene=scene, from_start=from_start, findings=self._findings)
+            self._diagnostics = DiagnosticsCheck(self._node, from_start=from_start, findings=self._findings)
+        else:
+            self._diagnostics.next_file()
+        self._shown = ShownCheck(
+            self._node, part=part, opened=opened, simulation=simulation, numbering=self._numbering,
+            findings=self._findings,
+        )  # fmt: skip
+        for topic in self._commands.topics:
+            self._numbering.declare(topic, "command", droppable=False)
+        self._frame: Frame | None = None
+        self._frames_before = self._verdict.frames
 
     def take(self, message: Message) -> bool:
         """Run or compare what a message tells; False where the session cannot be run any further."""
-        if message.topic == self._frame_topic:
+        topic, opens = message.topic, self._frame is None
+        assert self._commands is not None
+        assert self._diagnostics is not None
+        if topic == self._frame_topic:
+            self._numbering.add(message, own=True, opens=opens)
             return self._run_frame(read_frame(message), message)
-        if message.topic == self._points:
-            self._compare_cloud(message)
-        elif message.topic in self._wrenches:
-            self._compare_wrench(message)
+        if self._shown.takes(topic):
+            same = self._shown.take(message, opens=opens)
+            self._numbering.add(message, own=True, opens=opens)
+            if topic == self._points and same is not None:
+                self._show_cloud(message, same)
+            return True
+        if topic in self._commands.topics:
+            self._numbering.add(message, own=True, opens=opens)
+            self._commands.receive(message, self.simulation)
+        elif topic == DIAGNOSTICS:
+            self._numbering.add(message, own=True, opens=opens)
+            self._diagnostics.compare(message, self.simulation)
         else:
-            self._commands.receive(message)
+            self._leave(message, opens)
         return True
 
-    def finish(self) -> None:
-        """Count what the last frame showed."""
-        self._close_frame()
+    def finish(self, *, whole: bool) -> None:
+        """Count what the last frame showed; `whole`: whether the file was read to its end."""
+        self._shown.close_frame()
+        self._close_watch()
+        if self._verdict.frames > self._frames_before:
+            self._shown.finish()
+        self._numbering.finish(whole=whole)
+        self._before = self.simulation
 
-    def _check_snapshot(self, before: _Run | None) -> None:
+    def end(self) -> None:
+        """End the session."""
+        assert self._commands is not None
+        part, place = self._part, self._findings.place
+        if part.end_notes.get("reason") not in _WHOLE_ENDS and self._verdict.frames:
+            lacking = self._numbering.pardon(place)
+            if lacking:
+                self._findings.missing(f"its last frame, {place.frame}, was recorded without {', '.join(lacking)}")
+        self._shown.end()
+        self._numbering.end()
+        self._commands.end()
+
+    def _leave(self, message: Message, opens: bool) -> None:
+        topic = message.topic
+        own = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
+        self._numbering.add(message, own=own, opens=opens)
+        reason = _SHARED.get(topic)
+        self._findings.not_compared(topic, reason or ("an unknown topic of the node" if own else "not the node's"))
+
+    def _check_snapshot(self) -> None:
         """A file of a split session opens with the state at which the one before ended."""
-        if before is None or before.simulation.frame != self.simulation.frame:
+        before = self._before
+        if before is None or before.frame != self.simulation.frame:
             return
-        if before.simulation.state.digest() != self.simulation.state.digest():
-            self._note_difference(f"the snapshot that {self._part.path.name} opens with", rounding=True)
-            self._close_frame()
+        if before.state.digest() != self.simulation.state.digest():
+            self._findings.difference("snapshot", f"the snapshot that {self._part.path.name} opens with", rounding=True)
 
     def _run_frame(self, record: FrameRecord, message: Message) -> bool:
-        self._close_frame()
-        simulation = self.simulation
+        self._shown.close_frame()
+        self._close_watch()
+        simulation, verdict = self.simulation, self._verdict
         if record.frame > simulation.frame + 1:
-            self._verdict.damaged = True
-            self._verdict.missing.append(
+            verdict.damaged = True
+            verdict.missing.append(
                 f"{self._part.path.name}: frames {simulation.frame + 1} to {record.frame - 1} are missing; "
                 "what follows them cannot be run"
             )
             return False
+        self._findings.place = Place(verdict.frames, record.frame, record.time)
         since, scene, before = simulation.time, simulation.scene, simulation.state.share()
+        verdict.frames += 1
         try:
             events: list[Event] = [from_dict(dict(event)) for event in record.events]
-            self._frame = simulation.advance(events)
+            self._frame = frame = simulation.advance(events)
         except (ValueError, UnstableError) as error:
-            self._verdict.frames += 1
-            self._note_difference(f"it cannot be run: {error}", record)
-            self._close_frame()
+            self._findings.difference("frame", f"it cannot be run: {error}")
             return False
         # What belongs to a frame has its publish time; a log time may be raised to keep the order of recording.
-        self._frame_stamp = message.publish_time
-        self._verdict.frames += 1
-        self._verdict.simulated += simulation.time - since
-        self._compare_frame(record)
+        stamp = message.publish_time
+        verdict.simulated += simulation.time - since
+        self._compare_frame(record, frame)
         if self._watch is not None:
-            self._watch.frame(simulation, scene, before, self._frame, record)
-        uncommanded = self._commands.compare(record, message.log_time)
-        if uncommanded:
-            self._note_difference(uncommanded, record)
+            self._watch.frame(simulation, scene, before, frame, record)
+        assert self._commands is not None
+        assert self._diagnostics is not None
+        self._commands.compare(record, message.log_time, stamp, simulation)
+        self._diagnostics.follow(frame, simulation)
+        self._shown.open_frame(frame, stamp)
         return True
 
-    def _compare_frame(self, record: FrameRecord) -> None:
-        frame, simulation = self._frame, self.simulation
-        assert frame is not None
+    def _compare_frame(self, record: FrameRecord, frame: Frame) -> None:
+        simulation = self.simulation
         steps = frame.advance.steps if frame.advance else 0
         compared = (
             ("its number", record.frame, frame.index),
@@ -227,75 +245,41 @@ class _Run:
         for what, recorded, again in compared:
             if recorded != again:
                 rounding = what in _OF_ROUNDING
-                self._note_difference(f"{what} ({recorded} was recorded, {again} came out)", record, rounding=rounding)
+                self._findings.difference(
+                    "frame", f"{what} ({recorded} was recorded, {again} came out)", rounding=rounding
+                )
+                return
+        if record.extras:
+            self._compare_extras(record, frame)
+
+    def _compare_extras(self, record: FrameRecord, frame: Frame) -> None:
+        energy = self.simulation.energy_report
+        for key, recorded in record.extras.items():
+            if key == "flagged":
+                again = frame.advance.flagged if frame.advance else 0
+                wrong = recorded != again
+            elif key == "energy" and energy is not None:
+                again = energy.total
+                wrong = not (isinstance(recorded, float) and math.isclose(recorded, again, rel_tol=1e-9, abs_tol=1e-12))
+            else:
+                self._findings.not_compared(self._frame_topic, f"'{key}' of the record")
+                continue
+            if wrong:
+                self._findings.difference(
+                    "frame", f"its {key} ({recorded} was recorded, {again} came out)", rounding=True
+                )
+
+    def _show_cloud(self, message: Message, same: bool) -> None:
+        if self._watch is not None:
+            try:
+                self._watch.cloud(decode_cloud(message.data).xyz, same)
+            except SessionError:
+                # That is a difference already; there are no positions to look at.
                 return
 
-    def _compare_cloud(self, message: Message) -> None:
-        if message.publish_time != self._frame_stamp:
-            return
-        cloud = decode_cloud(message.data)
-        recorded, again = cloud.xyz, self.simulation.state.x.T.astype(np.float32)
-        self._verdict.clouds += 1
-        if self._watch is not None:
-            same = recorded.shape == again.shape and np.array_equal(recorded.view(np.uint32), again.view(np.uint32))
-            self._watch.cloud(recorded, same)
-        if recorded.shape != again.shape:
-            self._note_difference(f"its cloud has {len(recorded)} points, the cloth {len(again)}")
-        elif not np.array_equal(recorded.view(np.uint32), again.view(np.uint32)):
-            away = np.linalg.norm(recorded.astype(np.float64) - again, axis=1)
-            worst = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
-            deviation = float(away[worst]) if math.isfinite(away[worst]) else math.inf
-            self._verdict.largest_deviation = max(self._verdict.largest_deviation, deviation)
-            self._note_difference(
-                f"its cloud, by {deviation:.3g} m at particle {worst}", rounding=math.isfinite(deviation)
-            )
-        elif cloud.velocity is not None:
-            again = self.simulation.state.v.T.astype(np.float32)
-            wrong = np.flatnonzero((cloud.velocity.view(np.uint32) != again.view(np.uint32)).any(axis=1))
-            if wrong.size:
-                self._note_difference(f"its cloud, by the velocity of particle {wrong[0]}", rounding=True)
-
-    def _compare_wrench(self, message: Message) -> None:
-        if message.publish_time != self._frame_stamp or self._frame is None:
-            return
-        wrench = decode(message.data, _WRENCH).wrench
-        recorded = [getattr(part, axis) for part in (wrench.force, wrench.torque) for axis in "xyz"]
-        name, scene = self._wrenches[message.topic], self.simulation.scene
-        bodies = [*zip(scene.gripper_names, self._frame.wrenches, strict=True)]
-        bodies += zip(scene.obstacle_names, self._frame.loads, strict=True)
-        again = dict(bodies).get(name, [])
-        if recorded != [float(value) for value in again]:
-            self._note_difference(f"the wrench on {message.topic.split('/')[-2]}", rounding=True)
-
-    def _note_difference(self, reason: str, record: FrameRecord | None = None, *, rounding: bool = False) -> None:
-        """Note what differs; `rounding` says that other arithmetic alone can make it differ."""
-        self._differs = True
-        verdict = self._verdict
-        frame = self.simulation.frame if record is None else record.frame
-        if verdict.other_arithmetic and not rounding and not verdict.unexplained:
-            verdict.unexplained = f"frame {frame}, {reason}"
-        if verdict.first_frame is None:
-            verdict.first_frame = frame
-            verdict.first_time = self.simulation.time if record is None else record.time
-            verdict.first_reason = reason
-
-    def _close_frame(self) -> None:
-        self._verdict.different += self._differs
-        self._differs = False
+    def _close_watch(self) -> None:
         if self._watch is not None:
             self._watch.close()
-
-
-def _commands(simulation: Simulation, node: str) -> CommandCheck:
-    scene = simulation.scene
-    return CommandCheck(
-        node=node,
-        grippers=scene.gripper_names,
-        obstacles=[name for name, obstacle in scene.described.items() if not obstacle.frame],
-        frame_id=scene.frame_id,
-        follows_frame=any(scene.of_gripper(name, "frame") for name in scene.gripper_names),
-        from_start=simulation.frame == 0,
-    )
 
 
 def _simulation(part: SessionPart) -> Simulation:

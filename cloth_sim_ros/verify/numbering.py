@@ -1,0 +1,236 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Completeness of a session: sequence numbers, log times, the end record's counts.
+
+The recorder numbers the messages of each topic from 0, those included that a slow disk made it drop. Clouds, wrenches
+and transforms may be dropped; the end record of each file counts them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.verify.verdict import Findings, Place
+
+#: A log time that lies back by less is raised to the one before, by the recorder [ns].
+_IN_ORDER = 1_000_000_000
+_WRAP = 0xFFFFFFFF
+
+
+@dataclass(slots=True)
+class _Topic:
+    """What was read of one topic."""
+
+    kind: str
+    droppable: bool
+    count: int = 0
+    last: Message | None = None
+    unnumbered: bool = False
+    """Every sequence number so far is 0, of more than one message."""
+    lacking: int = 0
+    """Frames without their message since the last one that had it."""
+    lacks_from: Place | None = None
+    """The first of them."""
+
+
+class Numbering:
+    """Follows a session's messages from its first file to its last.
+
+    Args:
+        findings: what is wrong goes there.
+        foreign: topics of which not the node's own messages alone are recorded do not count in the end record.
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._topics: dict[str, _Topic] = {}
+        self._part: SessionPart | None = None
+        self._opened = 0
+        self._log_time: int | None = None
+        self._counts = Counter[bool]()
+        self._dropped = 0
+        self._may_lack = False
+        """Whether a file has no end record that counts what was dropped, or is damaged."""
+        self._gaps: list[tuple[Place, str, int]] = []
+        """Messages of droppable topics that are not there: since which frame, of which topic, how many."""
+
+    def begin(self, part: SessionPart, opened: int) -> None:
+        """Go on with a file that was opened at a log time [ns]."""
+        self._part, self._opened = part, opened
+        self._counts = Counter()
+        if part.number:
+            self._log_time = opened
+
+    def declare(self, topic: str, kind: str, *, droppable: bool) -> None:
+        """Make a topic of the node known: the kind of its messages, and whether they may be dropped."""
+        self._topics.setdefault(topic, _Topic(kind, droppable))
+
+    def is_seen(self, topic: str) -> bool:
+        """Whether a message of the topic was read."""
+        return topic in self._topics and self._topics[topic].count > 0
+
+    def last(self, topic: str) -> Message | None:
+        """The last message read of a topic; None before the first."""
+        return self._topics[topic].last if topic in self._topics else None
+
+    def is_repeated(self, message: Message) -> bool:
+        """Whether a message is the last one of its topic once more, as a file of a split session begins."""
+        last = self.last(message.topic)
+        return last is not None and (last.data, last.publish_time, last.sequence) == (
+            message.data,
+            message.publish_time,
+            message.sequence,
+        )
+
+    def add(self, message: Message, *, own: bool, opens: bool) -> None:
+        """Take a message.
+
+        Args:
+            message: it.
+            own: whether it is the node's, or one that it hears and records.
+            opens: whether it may repeat what was last sent before the file began.
+        """
+        self._counts[own] += 1
+        topic = self._topics.setdefault(message.topic, _Topic(message.topic, droppable=False))
+        if own:
+            repeated = opens and self._part is not None and self._part.number > 0 and self.is_repeated(message)
+            self._check_log_time(message, repeated, topic.kind)
+            if not repeated:
+                self._check_sequence(message, topic)
+        topic.count += 1
+        topic.last = message
+
+    def lack(self, topic: str) -> None:
+        """Note that the last frame has no message of a topic that it must have."""
+        entry = self._topics[topic]
+        entry.lacking += 1
+        if entry.lacks_from is None:
+            entry.lacks_from = self._findings.place
+
+    def finish(self, *, whole: bool) -> None:
+        """End a file: compare what its end record says. `whole`: whether it was read to its end."""
+        part = self._part
+        assert part is not None
+        notes = part.end_notes
+        dropped = notes.get("dropped", "0")
+        self._dropped += int(dropped) if dropped.isdecimal() else 0
+        self._may_lack |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
+        told = notes.get("messages", "")
+        if not whole or part.damage or not told.isdecimal():
+            return
+        found = self._counts[True]
+        if int(told) not in (found, found + self._counts[False]):
+            self._findings.difference(
+                "message count",
+                f"the end record of {part.path.name}: it counts {counted(int(told), 'message')}, {found} are there",
+            )
+
+    def end(self) -> None:
+        """End the session: what is not there must be what was dropped."""
+        for name, topic in self._topics.items():
+            if topic.unnumbered:
+                self._findings.not_compared(name, "without sequence numbers, so that missing ones do not show")
+            if topic.lacking and topic.count:
+                self._resolve(name, topic, None)
+        gone = sum(count for _, _, count in self._gaps)
+        if gone <= self._dropped:
+            return
+        place, name, _ = min(self._gaps)
+        if self._may_lack:
+            self._findings.missing(f"{counted(gone, 'message')} of {self._names()}, dropped or lost")
+        else:
+            self._findings.difference(
+                self._topics[name].kind,
+                f"{counted(gone, 'message')} of {self._names()} that are missing, where the end record tells of "
+                f"{self._dropped} dropped",
+                place=place,
+                count=gone - self._dropped,
+            )
+
+    def absent(self, topic: str) -> bool:
+        """Whether frames lack messages of a topic, and there is none in the session."""
+        entry = self._topics[topic]
+        return not entry.count and entry.lacking > 0
+
+    def pardon(self, place: Place) -> list[str]:
+        """Take back what only the last frame record lacks, in a file that ended within it; the topics."""
+        found = []
+        for name, topic in self._topics.items():
+            if topic.lacking == 1 and topic.lacks_from == place:
+                topic.lacking, topic.lacks_from = 0, None
+                found.append(name)
+        return found
+
+    def _names(self) -> str:
+        return ", ".join(sorted({name for _, name, _ in self._gaps}))
+
+    def _check_sequence(self, message: Message, topic: _Topic) -> None:
+        if topic.last is None:
+            # A later file may be given alone.
+            first = self._part is not None and not self._part.number
+            self._resolve(message.topic, topic, message.sequence if first else None)
+            return
+        before, number = topic.last.sequence, message.sequence
+        if number == before == 0 and (topic.unnumbered or topic.count == 1):
+            topic.unnumbered = True
+            self._resolve(message.topic, topic, None)
+            return
+        ahead = (number - before) & _WRAP
+        if not 0 < ahead < _WRAP >> 1:
+            word = "twice" if not ahead else f"behind number {before}"
+            self._findings.difference(topic.kind, f"number {number} of {message.topic} is there {word}")
+            return
+        if topic.unnumbered:
+            topic.unnumbered = False
+            self._findings.difference(topic.kind, f"number 0 of {message.topic} is there twice")
+        self._resolve(message.topic, topic, ahead - 1)
+
+    def _resolve(self, name: str, topic: _Topic, gap: int | None) -> None:
+        """Compare a gap of sequence numbers (None if it is not known) with the frames that lack a message."""
+        lacking, place = topic.lacking, topic.lacks_from or self._findings.place
+        topic.lacking, topic.lacks_from = 0, None
+        gone = lacking if gap is None else gap
+        if not gone and not lacking:
+            return
+        if topic.droppable and gone == lacking:
+            self._gaps.append((place, name, gone))
+        elif self._is_lenient():
+            self._findings.missing(f"{counted(max(gone, lacking), 'message')} of {name}")
+        else:
+            self._findings.difference(
+                topic.kind,
+                f"{counted(max(gone, lacking), 'message')} of {name} that {'is' if max(gone, lacking) == 1 else 'are'} "
+                "missing",
+                place=place,
+                count=max(gone, lacking),
+            )
+
+    def _is_lenient(self) -> bool:
+        part = self._part
+        return part is not None and (bool(part.damage) or part.end_notes.get("reason") == "recovered")
+
+    def _check_log_time(self, message: Message, repeated: bool, kind: str) -> None:
+        """A message is logged at its publish time, unless that lies shortly before the log time of the one before."""
+        before, self._log_time = self._log_time, message.log_time
+        if repeated:
+            wanted = self._opened
+        elif before is not None and 0 < before - message.publish_time < _IN_ORDER:
+            wanted = before
+        else:
+            wanted = message.publish_time
+        late = 0 < message.log_time - message.publish_time < _IN_ORDER
+        if message.log_time == wanted or (late and self._may_have_dropped()):
+            return
+        self._findings.difference(
+            kind, f"the log time of a message of {message.topic}: {message.log_time} ns is recorded, {wanted} expected"
+        )
+
+    def _may_have_dropped(self) -> bool:
+        """Whether a dropped message may have raised the log times of later ones."""
+        part = self._part
+        return self._is_lenient() or (
+            part is not None and (not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0)
+        )

@@ -1,0 +1,221 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages that each frame must have: clouds, wrenches, states, markers, transforms; and those that a file begins with.
+
+A message belongs to the frame record before it that has its publish time. One that belongs to none is a difference, and
+so is a frame that lacks one, unless the end record tells of dropped messages.
+"""
+
+from __future__ import annotations
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.verify import outputs
+from cloth_sim_ros.verify.markers import MarkerCheck
+from cloth_sim_ros.verify.numbering import Numbering
+from cloth_sim_ros.verify.states import GripperStateCheck, StateCheck
+from cloth_sim_ros.verify.verdict import Findings, Place
+
+_TF = "/tf"
+
+
+class ShownCheck:
+    """Compares what one file's frames show.
+
+    Args:
+        node: resolved name of the node.
+        part: the file.
+        opened: log time at which it was opened [ns].
+        simulation: as the file begins; it is advanced by others.
+        numbering: of the session.
+        findings: for what differs.
+    """
+
+    def __init__(
+        self,
+        node: str,
+        *,
+        part: SessionPart,
+        opened: int,
+        simulation: Simulation,
+        numbering: Numbering,
+        findings: Findings,
+    ) -> None:
+        self._node, self._part, self._opened = node, part, opened
+        self._simulation, self._numbering, self._findings = simulation, numbering, findings
+        scene = simulation.scene
+        self._points, self._topology = f"{node}/points", f"{node}/topology"
+        self._state_topic, self._marker_topic = f"{node}/state", f"{node}/obstacles"
+        self._wrenches = {name: f"{node}/{name}/wrench" for name in (*scene.gripper_names, *scene.described)}
+        self._grippers = {f"{node}/{name}/state": name for name in scene.gripper_names}
+        self._clouds = outputs.CloudCheck(scene, findings)
+        self._states = StateCheck(findings)
+        self._gripper_states = GripperStateCheck(node, findings)
+        self._markers = MarkerCheck(node, simulation, findings)
+        self._latched = frozenset({self._topology, self._state_topic, self._marker_topic, *self._grippers})
+        self._taken = frozenset({self._points, *self._wrenches.values(), *self._latched})
+        numbering.declare(self._points, "cloud", droppable=True)
+        numbering.declare(self._topology, "topology", droppable=False)
+        numbering.declare(self._state_topic, "state", droppable=False)
+        numbering.declare(self._marker_topic, "marker message", droppable=False)
+        numbering.declare(_TF, "transform", droppable=True)
+        for topic in self._wrenches.values():
+            numbering.declare(topic, "wrench", droppable=True)
+        for topic in self._grippers:
+            numbering.declare(topic, "gripper state", droppable=False)
+        self._frame: Frame | None = None
+        self._stamp = -1
+        self._first: Place | None = None
+        self._got: set[str] = set()
+        self._opening: set[str] = set()
+        #: Wrench of each body in the frame, by topic; those that the frame must have.
+        self._again: dict[str, Array] = {}
+        self._due: list[str] = []
+        self._reasons: dict[str, str] = {}
+        self._changed = False
+
+    def takes(self, topic: str) -> bool:
+        """Whether messages of a topic are compared here."""
+        return topic in self._taken or (topic == _TF and self._simulation.scene.tf.publish)
+
+    def open_frame(self, frame: Frame, stamp: int) -> None:
+        """Look at a frame that was just run and was due at a ROS time [ns]: what follows must be its messages."""
+        simulation = self._simulation
+        scene = simulation.scene
+        self._frame, self._stamp = frame, stamp
+        self._first = self._first or self._findings.place
+        self._got = set()
+        self._again = {self._wrenches[name]: wrench for name, wrench in outputs.wrenches(scene, frame)}
+        self._due = [self._points, *self._again]
+        self._changed = False
+        if simulation.obstacles is not None or simulation.pinching is not None or self._markers.names:
+            self._changed, moved = self._markers.follow(simulation)
+            if moved:
+                self._due.append(self._marker_topic)
+            if self._changed:
+                # The node sends no wrenches of obstacles in a frame in which some have come or gone.
+                for name in scene.obstacle_names:
+                    self._due.remove(self._wrenches[name])
+        self._reasons = self._gripper_states.due(frame, simulation)
+        self._due += [f"{self._node}/{name}/state" for name in self._reasons]
+        if scene.tf.publish:
+            self._due.append(_TF)
+
+    def take(self, message: Message, *, opens: bool) -> bool | None:
+        """Compare a message.
+
+        Args:
+            message: of a topic that is compared here.
+            opens: whether no frame has come yet.
+
+        Returns:
+            Whether its positions are the same, for the cloud of a frame; None for all else.
+        """
+        topic = message.topic
+        if opens:
+            self._take_opening(message)
+            return None
+        if topic == self._state_topic:
+            self._states.compare(message, self._simulation)
+            return None
+        if topic == self._topology or message.publish_time != self._stamp:
+            self._tell_orphan(message)
+            return None
+        if topic in self._got:
+            self._findings.difference(self._kind(topic), f"a second message of {topic}")
+            return None
+        self._got.add(topic)
+        return self._compare(message)
+
+    def close_frame(self) -> None:
+        """All that was recorded of a frame has come: note what it lacks."""
+        if self._frame is None:
+            return
+        for topic in self._due:
+            if topic not in self._got:
+                self._numbering.lack(topic)
+        if self._states.is_due(self._simulation):
+            self._findings.difference(
+                "state", f"a message of {self._state_topic} that is missing: whether time passes has changed"
+            )
+        self._frame = None
+
+    def finish(self) -> None:
+        """End a file that has frames: it must begin with the topology."""
+        if self._topology not in self._opening:
+            self._findings.difference(
+                "topology", f"the topology, which is missing in {self._part.path.name}", place=self._first
+            )
+
+    def end(self) -> None:
+        """End the session: name topics of which there is no message at all."""
+        topics = [self._points, *self._wrenches.values(), *self._grippers, self._marker_topic, _TF]
+        self._findings.verdict.absent += [topic for topic in topics if self._numbering.absent(topic)]
+
+    def _compare(self, message: Message) -> bool | None:
+        topic, simulation, findings = message.topic, self._simulation, self._findings
+        if topic == self._points:
+            findings.compared("cloud")
+            return self._clouds.compare(message, simulation, self._stamp)
+        if topic in self._again:
+            findings.compared("wrench")
+            outputs.compare_wrench(
+                message,
+                self._again[topic],
+                frame_id=simulation.scene.frame_id,
+                stamp=self._stamp,
+                findings=findings,
+            )
+        elif topic in self._grippers and self._grippers[topic] in self._reasons:
+            name = self._grippers[topic]
+            self._gripper_states.compare(message, name, self._reasons[name], simulation)
+        elif topic == self._marker_topic:
+            findings.compared("marker message")
+            self._markers.compare(message, simulation, self._stamp, changed=self._changed)
+        elif topic == _TF:
+            findings.compared("transform")
+            outputs.compare_transforms(message, self._node, simulation, self._stamp, findings)
+        else:
+            self._tell_orphan(message)
+        return None
+
+    def _take_opening(self, message: Message) -> None:
+        """Compare what a recording begins with: what was last sent of each latched topic."""
+        topic = message.topic
+        part, numbering = self._part, self._numbering
+        repeated = part.number > 0 and numbering.is_repeated(message)
+        alone = part.number > 0 and numbering.last(topic) is None and message.publish_time <= self._opened
+        if topic not in self._latched or not (repeated or alone or message.publish_time == self._opened):
+            self._tell_orphan(message)
+            return
+        if topic in self._opening:
+            self._findings.difference(self._kind(topic), f"a second message of {topic}")
+            return
+        self._opening.add(topic)
+        if topic == self._topology:
+            self._findings.compared("topology")
+            outputs.compare_topology(message, self._simulation.scene, self._findings)
+        elif topic == self._marker_topic:
+            self._findings.compared("marker message")
+            self._markers.compare(message, self._simulation, None)
+        elif topic == self._state_topic:
+            self._states.compare(message, self._simulation)
+        elif repeated:
+            # It was compared when it came first.
+            self._findings.compared("gripper state")
+        else:
+            self._gripper_states.compare_older(message, self._grippers[topic], self._simulation)
+
+    def _tell_orphan(self, message: Message) -> None:
+        self._findings.difference(
+            self._kind(message.topic), f"a message of {message.topic} that belongs to no frame", place=None
+        )
+
+    def _kind(self, topic: str) -> str:
+        if topic == self._points:
+            return "cloud"
+        if topic in self._grippers:
+            return "gripper state"
+        kinds = {self._topology: "topology", self._state_topic: "state", self._marker_topic: "marker message"}
+        return kinds.get(topic, "transform" if topic == _TF else "wrench")

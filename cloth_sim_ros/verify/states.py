@@ -1,0 +1,149 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded states of the node and of its grippers against those of the re-run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from cloth_sim_ros.session.cdr import decode
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.simulation.events import Reset
+from cloth_sim_ros.simulation.frame import Frame
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.verdict import Findings
+
+STATE, STATUS = "lifecycle_msgs/msg/State", "diagnostic_msgs/msg/DiagnosticStatus"
+#: Numbers and labels are those of managed nodes.
+_INACTIVE, _ACTIVE = (2, "inactive"), (3, "active")
+_OK, _WARN = 0, 1
+
+
+class StateCheck:
+    """Compares `~/state`, which says whether time passes.
+
+    Args:
+        findings: for what differs.
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._last: tuple[int, str] | None = None
+        #: Whether the frame at which that was said was paused.
+        self._explained = False
+
+    def compare(self, message: Message, simulation: Simulation) -> None:
+        """Compare a state with whether the frame before it was paused."""
+        try:
+            content = decode(message.data, STATE)
+        except SessionError as error:
+            self._findings.difference("state", f"the state of the node cannot be read: {error}")
+            return
+        self._last, self._explained = (content.id, content.label), simulation.paused
+        if self._last == (_INACTIVE if simulation.paused else _ACTIVE):
+            self._findings.compared("state")
+        elif self._last == _ACTIVE:
+            self._findings.difference("state", "the state of the node (active is recorded, the frame is paused)")
+        elif self._last[0] in (_INACTIVE[0], _ACTIVE[0]) and self._last != _INACTIVE:
+            self._findings.difference("state", f"the state of the node, by its label {content.label!r}")
+        else:
+            self._findings.not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
+
+    def is_due(self, simulation: Simulation) -> bool:
+        """Whether the last state contradicts the frame that was just run, so that another one must follow."""
+        if simulation.paused:
+            return self._last == _ACTIVE
+        return self._last == _INACTIVE and self._explained
+
+
+class GripperStateCheck:
+    """Compares `~/<gripper>/state`, which says what a gripper holds.
+
+    Args:
+        node: resolved name of the node.
+        findings: for what differs.
+    """
+
+    def __init__(self, node: str, findings: Findings) -> None:
+        self._prefix, self._findings = node.strip("/"), findings
+
+    @staticmethod
+    def due(frame: Frame, simulation: Simulation) -> dict[str, str]:
+        """Grippers whose state is sent at a frame, and why they hold nothing or nothing has changed."""
+        if not frame.events and not frame.pinches:
+            return {}
+        changed = {grasp.gripper: grasp.reason for grasp in (*frame.grasps, *frame.pinches) if not grasp.pending}
+        if any(isinstance(event, Reset) for event in frame.events):
+            changed = {name: "" for name in simulation.grippers.names} | changed
+        return changed
+
+    def compare(self, message: Message, name: str, reason: str, simulation: Simulation) -> None:
+        """Compare the state of a gripper after the frame that was just run."""
+        recorded = self._read(message, name)
+        if recorded is None:
+            return
+        self._findings.compared("gripper state")
+        again = self._again(name, reason, simulation)
+        wrong = [key for key, value in again.items() if recorded.get(key) != value]
+        more = [key for key in recorded if key not in again]
+        if wrong == ["message"] and self._findings.verdict.environment:
+            self._findings.not_compared(message.topic, "texts, by other code")
+        elif wrong or more:
+            key = (wrong or more)[0]
+            self._findings.difference(
+                "gripper state",
+                f"the state of {name}, by its {key} ({recorded.get(key)} is recorded, {again.get(key)} is due)",
+                rounding=key in ("held", "message", "level"),
+            )
+
+    def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
+        """Compare a state that was sent before the file began: what of it must still hold."""
+        recorded = self._read(message, name)
+        if recorded is None:
+            return
+        again = self._again(name, "", simulation)
+        if recorded == again:
+            self._findings.compared("gripper state")
+            return
+        told, frame = recorded.get("closed"), str(recorded.get("frame", ""))
+        if told != again["closed"] or not frame.isdecimal() or int(frame) > simulation.frame:
+            self._findings.difference("gripper state", f"the state of {name} that the file begins with")
+        else:
+            self._findings.not_compared(message.topic, "sent before the file began")
+
+    def _read(self, message: Message, name: str) -> dict[str, object] | None:
+        try:
+            content = decode(message.data, STATUS)
+        except SessionError as error:
+            self._findings.difference("gripper state", f"the state of {name} cannot be read: {error}")
+            return None
+        return {
+            "level": _level(content.level),
+            "name": content.name,
+            "message": content.message,
+            "hardware_id": content.hardware_id,
+            **{value.key: value.value for value in content.values},
+        }
+
+    def _again(self, name: str, reason: str, simulation: Simulation) -> dict[str, object]:
+        grippers = simulation.grippers
+        index = grippers.names.index(name)
+        closed, held = grippers.is_closed(index), simulation.held(index)
+        words = f"closed, holds {counted(held, 'particle') if held else 'nothing'}" if closed else "open"
+        return {
+            "level": _WARN if closed and not held else _OK,
+            "name": f"{self._prefix}: {name}",
+            "message": f"{words}: {reason}" if reason else words,
+            "hardware_id": "none",
+            "closed": str(closed).lower(),
+            "held": str(held),
+            "frame": str(simulation.frame),
+            "simulated_time": f"{simulation.time:.6f}",
+        }
+
+
+def _level(value: Any) -> int:
+    """A message's byte, which is a number or one byte."""
+    return value[0] if isinstance(value, bytes) else int(value)
