@@ -67,7 +67,7 @@ EXTRAS = {
     "replay": [*SESSION, "rerun-sdk>=0.41,<0.42"],
     # Trajectories as Parquet.
     "export": ["pyarrow>=18.0"],
-    "mesh": ["trimesh>=4.0"],
+    "mesh": ["trimesh>=4.0", "plyfile>=1.0.3"],
     # Studies on Dask (bokeh draws its dashboard), environments of gymnasium, datasets as zarr and Parquet with video.
     "batch": [
         *SESSION,

@@ -89,7 +89,19 @@ os.environ.pop("ROS_STATIC_PEERS", None)
 
 
 # What a robot with the distribution's packages alone may lack; `make test` has all of it.
-_OPTIONAL = {"lz4", "matplotlib", "mcap", "pyarrow", "rclpy", "rerun", "rosbags", "sksundae", "trimesh", "zstandard"}
+_OPTIONAL = {
+    "lz4",
+    "matplotlib",
+    "mcap",
+    "plyfile",
+    "pyarrow",
+    "rclpy",
+    "rerun",
+    "rosbags",
+    "sksundae",
+    "trimesh",
+    "zstandard",
+}
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -25,7 +25,18 @@ ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geo
 VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
 STUDIES = {"loky", "dask", "distributed", "gymnasium", "zarr", "bokeh", "av"}
 # Libraries that take long to load, or that a robot may lack: loaded only where they are first needed.
-LATE = {"matplotlib", "numba", "scipy.sparse", "scipy.optimize", "trimesh", "sksundae", "pyarrow", *STUDIES, *VIEWER}
+LATE = {
+    "matplotlib",
+    "numba",
+    "scipy.sparse",
+    "scipy.optimize",
+    "plyfile",
+    "trimesh",
+    "sksundae",
+    "pyarrow",
+    *STUDIES,
+    *VIEWER,
+}
 FILES = {"mcap", "rosbags", "yaml"}
 ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "batch", "ros", "replay", "bench")
 

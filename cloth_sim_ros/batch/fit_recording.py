@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
-from cloth_sim_ros.scene.recorded import parameters_of
+from cloth_sim_ros.scene.recorded import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Relax, SetParameters, from_dict
 from cloth_sim_ros.simulation.sleep import wake
@@ -90,7 +90,7 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
     with SessionReader(list(paths)) as reader:
         node = reader.node
         try:
-            recorded = Scene.from_parameters(parameters_of(reader.scene_yaml, node=node), files=reader.files)
+            recorded = Scene.from_parameters(recorded_values(reader.scene_yaml, node=node), files=reader.files)
             state = State.from_bytes(reader.state)
         except ValueError as error:
             raise FitError(f"{paths[0]} holds no scene that can be run here: {error}") from error

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.batch.errors import StoppedError
 from cloth_sim_ros.batch.recording import RunRecording
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import recorded
+from cloth_sim_ros.scene.recorded import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader, read_frame
@@ -63,7 +63,7 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
     try:
         with SessionReader([session]) as reader:
             part = reader.parts[0]
-            values = recorded.parameters_of(part.scene_yaml, node=reader.node)
+            values = recorded_values(part.scene_yaml, node=reader.node)
             simulation = Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
             part.rewind()
             records = [read_frame(message) for message in part.messages(topics=frozenset({f"{reader.node}/frame"}))]

@@ -30,7 +30,7 @@ SLEEP_PROMISE = 0.03
 PARTS = ("hand", "features", "counts", "outputs", "start")
 #: What a scene that uses a feature loads, and others do not.
 MARKERS = {
-    "mesh files": ("cloth_sim_ros.scene.mesh_file", "trimesh"),
+    "mesh files": ("cloth_sim_ros.scene.mesh_file", "plyfile", "trimesh"),
     "raw springs": ("cloth_sim_ros.scene.springs_file",),
     "bending springs across hinges": ("cloth_sim_ros.physics.sheets.bending",),
     "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.integrators.implicit_run"),

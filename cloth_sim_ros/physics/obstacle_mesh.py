@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
+from cloth_sim_ros.physics.sheets.seams import open_seam
 
 #: Points times triangles that are looked at in one go.
 _AT_ONCE = 1 << 18
@@ -34,8 +35,9 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
     flat = np.flatnonzero(~(area2 > FLATNESS * longest * longest))
     if flat.size:
         raise ValueError(
-            f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()}, has no area; leave it out, or join its "
-            "vertices, in the program that made the mesh"
+            f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()} at {_place(a[flat[0]])} m, has no area: "
+            f"its height is at most {FLATNESS:g} of its longest side. To leave it out opens the mesh: merge its "
+            "vertices, or give the mesh as a file, where such triangles are joined to their neighbours"
         )
     # Every side of a triangle runs once one way and once the other.
     ways = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -51,8 +53,10 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
     if open_ways.size:
         first, second = divmod(int(open_ways[0]), count)
         raise ValueError(
-            f"the mesh is open: the edge from vertex {first} to {second} is in one triangle alone, as are "
-            f"{open_ways.size - 1} others; close it, or give a solid shape instead"
+            f"the mesh is open: the edge from vertex {first} to {second}, at {_place(vertices[first])} m, is in one "
+            f"triangle alone, as are {open_ways.size - 1} others; "
+            + _gap(vertices, triangles, np.stack(np.divmod(open_ways, count), axis=1))
+            + "close it, or give a solid shape instead"
         )
     for piece, members in enumerate(_pieces(triangles, count)):
         middle = vertices[triangles[members[0], 0]]
@@ -62,6 +66,21 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
                 f"piece {piece} of the mesh, with triangle {members[0]}, has the volume {volume:.3g} m^3: it is inside "
                 "out. Reverse its triangles, so that each runs counterclockwise seen from outside; leave cavities out"
             )
+
+
+def _place(vertex: Array) -> str:
+    return "[" + ", ".join(f"{value:.6g}" for value in vertex) + "]"
+
+
+def _gap(vertices: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> str:
+    """A clause on the narrowest gap of an open mesh; empty if its border lies far apart everywhere."""
+    seam = open_seam(vertices, triangles, border)
+    if seam is None:
+        return ""
+    return (
+        f"parts of its border nearly meet, the closest {seam.distance:.3g} m apart, at "
+        f"{_place(vertices[seam.vertex])} m: merge by distance in the program that made it; or "
+    )
 
 
 def _check_arrays(vertices: Array, triangles: NDArray[np.int64], most: float) -> None:

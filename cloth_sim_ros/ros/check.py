@@ -19,6 +19,7 @@ from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.step_setters import in_words, step_setters
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.unknown import unknown
@@ -64,6 +65,7 @@ def check(path: str, *, node: str) -> int:
         node_refusals.refuse_values(values)
         known = {entry.name for entry in Scene.declared_for(values)}
         own = {name: value for name, value in values.items() if name in known}
+        silence_reader()
         scene = Scene.from_parameters(own, files=session_state(str(own.get("initial_state", ""))))
         node_refusals.refuse_scene(scene, node=node)
         simulation = Simulation(scene)
@@ -74,8 +76,12 @@ def check(path: str, *, node: str) -> int:
         return 1
     if not values:
         print(f"warning: '{path}' sets nothing for the node /{node.strip('/')}: all has its default")
-    for sentence in [*unknown([name for name in values if name not in known], known), *without_effect(scene, own)]:
+    notes, doubts = mesh_notes(scene)
+    ignored = unknown([name for name in values if name not in known], known)
+    for sentence in [*ignored, *without_effect(scene, own), *doubts]:
         print(f"warning: {sentence}")
+    for sentence in notes:
+        print(sentence)
     _print_cloth(scene, simulation)
     setters = step_setters(simulation.plan, simulation.state.x)
     _print_forecast(simulation, cost)

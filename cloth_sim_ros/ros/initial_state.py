@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import recorded
 from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.recorded import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation import events
 from cloth_sim_ros.simulation.environment import recorder_with_other_arithmetic
@@ -69,7 +69,7 @@ def _state_at(path: str, number: int, name: str) -> bytes:
 
 def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:
     """Run a session's file again from its snapshot to a frame; the bytes of the state there."""
-    values = recorded.parameters_of(reader.scene_yaml, node=reader.node)
+    values = recorded_values(reader.scene_yaml, node=reader.node)
     simulation = Simulation(Scene.from_parameters(values, files=reader.files), state)
     # Of another arithmetic the motion comes out the same but for rounding: a place to begin at all the same.
     repeatable = not recorder_with_other_arithmetic(reader.metadata)

@@ -18,6 +18,7 @@ from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.qos_overrides import override_names
 from cloth_sim_ros.ros.sim_time import SIM_TIME, SimTimeNode, check_sim_time
 from cloth_sim_ros.scene import gripper_parameters, obstacles
+from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
 from cloth_sim_ros.scene.parameters import Parameter, ParameterError, read_only
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.unknown import FOREIGN, suggestion
@@ -133,11 +134,15 @@ def declare(node: Node) -> Scene:
             # Declared by the override, of whatever type that has: checked here, where the message says what to do.
             values[entry.name] = entry.check(_plain(node.get_parameter(entry.name).value))
             node.undeclare_parameter(entry.name)
+    silence_reader()
     scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
     for entry in known:
         declare_one(node, entry, values.get(entry.name, entry.default))
     _warn_of_unknown(node, [*(entry.name for entry in known), *FOREIGN, *_profiles(node, scene)])
-    for sentence in without_effect(scene, values):
+    notes, warnings = mesh_notes(scene)
+    for sentence in notes:
+        node.get_logger().info(sentence)
+    for sentence in [*warnings, *without_effect(scene, values)]:
         node.get_logger().warning(sentence)
     return scene
 

@@ -99,7 +99,7 @@ def build_sheet(scene: Configuration) -> Sheet:
         name = "cloth.mesh" if cloth.mesh else "cloth.springs"
         path = cloth.mesh or cloth.springs
         try:
-            return _parsed(name, path, scene.files[path], scene.contact.self_)
+            return _parsed(name, path, scene.files[path], scene.contact.self_, cloth.merge, cloth.scale)
         except ValueError as error:
             raise ParameterError(f"{name} '{path}': {error}") from error
     rows, columns = cloth.resolution
@@ -108,11 +108,11 @@ def build_sheet(scene: Configuration) -> Sheet:
 
 
 @lru_cache(maxsize=8)
-def _parsed(parameter: str, path: str, data: bytes, several: bool) -> MeshSheet | RawSprings:
+def _parsed(parameter: str, path: str, data: bytes, several: bool, merge: bool, scale: float) -> MeshSheet | RawSprings:
     if parameter == "cloth.mesh":
         from cloth_sim_ros.scene import mesh_file
 
-        return mesh_file.parse(data, name=path, several=several)
+        return mesh_file.parse(data, name=path, several=several, merge=merge, scale=scale)
     from cloth_sim_ros.scene import springs_file
 
     return springs_file.parse(data)

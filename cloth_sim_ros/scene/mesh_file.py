@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Triangle meshes from OBJ, PLY and STL files; vertices keep the order of the file.
 
-PLY and STL are read by trimesh, after checks of what it takes in silence: files that end before their header says.
+STL is read by trimesh, after checks of what it takes in silence: files that end before their header says. Vertices that
+are copies of one, up to rounding, are merged (`physics.sheets.merging`).
 """
 
 from __future__ import annotations
@@ -12,81 +13,129 @@ import io
 import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.sheets.merging import merge_limit
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.sheets.meshes import CheckedMesh, checked_mesh, triangulated
+from cloth_sim_ros.physics.solid_repair import closed_solid, is_closed, used_vertices
 
 KINDS = ("obj", "ply", "stl")
 #: Bytes of a binary STL file's header, the count of triangles included, and of each triangle.
 STL_HEADER, STL_TRIANGLE = 84, 50
 
-#: Vertices (n, 3) [m], triangles (m, 3), and what was mended on the way.
-_Read: TypeAlias = tuple[NDArray[np.float64], NDArray[np.int64], list[str]]
-
 _log = logging.getLogger(__name__)
 
 
-def parse(data: bytes, *, name: str, several: bool = False) -> MeshSheet:
-    """Return the sheet of a mesh file's content, its name given for its kind and for messages; says what it repaired.
+@attrs.frozen(eq=False, kw_only=True)
+class _Content:
+    """What a mesh file holds."""
 
-    Args:
-        data: the content.
-        name: of the file.
-        several: whether it may hold several pieces of cloth.
+    points: NDArray[np.float64]
+    """Vertices as they are in the file, (n, 3)."""
+    triangles: NDArray[np.int64]
+    """Vertices of each, (m, 3)."""
+    repairs: tuple[str, ...] = ()
+    """What was mended, one sentence each."""
+    single: bool = False
+    """True if vertices are in single precision."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class SolidMesh:
+    """A mesh that is to be a solid."""
+
+    vertices: NDArray[np.float64]
+    """[m], (m, 3)."""
+    triangles: NDArray[np.int64]
+    """Vertices of each, (t, 3)."""
+    notes: tuple[str, ...] = ()
+    """What was done to close it, one sentence each; empty for a mesh that is closed as it is."""
+
+
+def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> MeshSheet:
+    """Return the sheet of a mesh file's content and log what was merged and mended; arguments as those of `read`.
 
     Raises:
         ValueError: if it is not such a file, or holds no surface of one cloth.
     """
-    mesh = read(data, name=name, several=several)
+    mesh = read(data, name=name, several=several, merge=merge, scale=scale)
+    for note in mesh.notes:
+        _log.info("mesh '%s': %s", name, note)
     for repair in mesh.repairs:
         _log.warning("mesh '%s': %s", name, repair)
-    return MeshSheet(rest=mesh.positions, surface=mesh.surface)
+    return MeshSheet(rest=mesh.positions, surface=mesh.surface, notes=mesh.notes, repairs=mesh.repairs)
 
 
-def read(data: bytes, *, name: str, several: bool = False) -> CheckedMesh:
+def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> CheckedMesh:
     """Return the checked mesh of a file's content; `parse` without words.
 
     An STL file repeats a vertex in each of its triangles: that is how the format is, so making them one is no repair
     there, and vertices are numbered as they first appear.
 
+    Args:
+        data: the content.
+        name: of the file; its ending tells the kind.
+        several: whether it may hold several pieces of cloth.
+        merge: true merges vertices that are copies of one up to rounding; false those at exactly one place alone.
+        scale: factor that makes metres of the file's coordinates.
+
     Raises:
         ValueError: if it is not such a file, or holds no surface of one cloth.
     """
-    kind, (points, faces, words) = _content(data, name)
-    mesh = checked_mesh(points, faces, several=several)
+    kind, content = _content(data, name)
+    limit = _limit(content) if merge else 0.0
+    mesh = checked_mesh(content.points, content.triangles, several=several, merge=limit, scale=scale)
     repairs = [repair for repair in mesh.repairs if kind != "stl" or "at the place of another" not in repair]
-    return CheckedMesh(
-        positions=mesh.positions, surface=mesh.surface, kept=mesh.kept, repairs=tuple((*words, *repairs))
-    )
+    return attrs.evolve(mesh, repairs=(*content.repairs, *repairs))
 
 
-def solid(data: bytes, *, name: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return vertices (n, 3) [m] and triangles (m, 3) of a mesh file's content that is to be a solid.
+def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
+    """Return the mesh of a file's content that is to be a solid.
 
-    Vertices at one place are made one, those of no triangle left out; nothing else is mended.
+    Vertices at one place are made one, those of no triangle left out. If the mesh is not closed then, copies of
+    vertices are merged, flat triangles joined to their neighbours, and edges split at vertices that lie on them.
+
+    Args:
+        data: the content.
+        name: of the file; its ending tells the kind.
+        scale: factor that makes metres of the file's coordinates.
 
     Raises:
         ValueError: if it is not such a file, or a triangle names a vertex that is not there.
     """
-    _, (points, faces, _) = _content(data, name)
+    _, content = _content(data, name)
+    points, faces = content.points, content.triangles
     if len(faces) == 0:
         raise ValueError(f"'{name}' has no triangles; a solid has at least 4")
     if faces.min() < 0 or faces.max() >= len(points):
         raise ValueError(f"'{name}' has vertices 0 to {len(points) - 1}, and a triangle of others")
     # Adding zero makes one zero of both.
     _, first, same = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
-    corners = first[same.reshape(-1)][faces]
-    kept = np.unique(corners)
-    number = np.zeros(len(points), dtype=np.int64)
-    number[kept] = np.arange(len(kept))
-    return np.ascontiguousarray(points[kept]), number[corners]
+    vertices, triangles = used_vertices(points, first[same.reshape(-1)][faces])
+    notes: tuple[str, ...] = ()
+    if not is_closed(vertices, triangles):
+        used = content.points[np.unique(faces)]
+        limit = merge_limit(used, single=content.single) if np.isfinite(used).all() else 0.0
+        vertices, triangles, notes = closed_solid(vertices, triangles, limit)
+        for note in notes:
+            _log.info("mesh '%s': %s", name, note)
+    return SolidMesh(vertices=vertices if scale == 1.0 else vertices * scale, triangles=triangles, notes=notes)
 
 
-def _content(data: bytes, name: str) -> tuple[str, _Read]:
+def _limit(content: _Content) -> float:
+    """Distance below which vertices are copies of one, in the file's unit."""
+    faces, count = content.triangles, len(content.points)
+    used = np.unique(faces[(faces >= 0) & (faces < count)])
+    points = content.points[used]
+    return merge_limit(points[np.isfinite(points).all(axis=1)], single=content.single)
+
+
+def _content(data: bytes, name: str) -> tuple[str, _Content]:
     """The kind of a mesh file, and what is in it."""
     kind = Path(name).suffix.lower().lstrip(".")
     if kind not in KINDS:
@@ -97,7 +146,7 @@ def _content(data: bytes, name: str) -> tuple[str, _Read]:
         raise ValueError(f"'{name}' is no readable {kind.upper()} file: {error}") from error
 
 
-def _obj(data: bytes) -> _Read:
+def _obj(data: bytes) -> _Content:
     """Vertices and faces of an OBJ file alone.
 
     Not by trimesh, which splits and reorders at materials, groups and texture seams, counts relative indices from the
@@ -124,7 +173,7 @@ def _obj(data: bytes) -> _Read:
     if highest > len(points):
         raise ValueError(f"line {highest_line}: a face has vertex {highest}; the file has {len(points)} vertices")
     positions = np.array(points, dtype=np.float64).reshape(-1, 3)
-    return positions, triangulated(positions, polygons), []
+    return _Content(points=positions, triangles=triangulated(positions, polygons))
 
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
@@ -157,67 +206,21 @@ def _obj_index(word: bytes, line: int, before: int) -> int:
     return index - 1 if index > 0 else before + index
 
 
-def _ply(data: bytes) -> _Read:
-    """Vertices and faces of a PLY file; not through trimesh's mesh, which cuts concave faces outside."""
-    from trimesh.exchange.ply import load_ply
+def _ply(data: bytes) -> _Content:
+    """Vertices and faces of a PLY file; not by trimesh, which cuts concave faces outside and guesses at its format."""
+    from cloth_sim_ros.scene.ply_file import read_ply
 
-    if b"end_header" not in data:
-        raise ValueError("the header does not end with end_header")
-    head, body = data.split(b"end_header", 1)
-    if b"ascii" in head.split(b"element", 1)[0]:
-        _check_ascii_ply(head, body.split(b"\n", 1)[-1])
-    try:
-        loaded = _by_trimesh(load_ply, io.BytesIO(data), fix_texture=False, skip_materials=True)
-    except ValueError as error:
-        if "unexpected length" not in str(error):
-            raise
-        raise ValueError(
-            "its length is not what its header says: it is cut short, or has more behind its end, or its faces have "
-            "different numbers of corners, which can be read from ASCII PLY only"
-        ) from error
-    face = loaded["metadata"]["_ply_raw"].get("face", {})
-    if not face.get("length") or "vertices" not in loaded:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), []
-    rows = face["data"]
-    lists = [key for key in ("vertex_indices", "vertex_index", *face["properties"]) if key in face["properties"]]
-    polygons = rows[lists[0]]
-    if isinstance(rows, np.ndarray):
-        counts, polygons = polygons["f0"], polygons["f1"]
-        if np.any(counts != counts[0]):
-            raise ValueError(f"face {int(np.argmax(counts != counts[0]))} has another number of corners than face 0")
-    points = np.array(loaded["vertices"], dtype=np.float64).reshape(-1, 3)
-    return points, triangulated(points, [np.asarray(row).astype(np.int64).tolist() for row in polygons]), []
+    mesh = read_ply(data)
+    triangles = triangulated(mesh.points, mesh.polygons)
+    return _Content(points=mesh.points, triangles=triangles, single=mesh.single)
 
 
-def _check_ascii_ply(head: bytes, body: bytes) -> None:
-    """Refuse a file with fewer rows, or fewer values in a row, than its header says: trimesh takes what there is."""
-    elements: list[tuple[str, int, list[bool]]] = []
-    for words in (line.split() for line in head.splitlines()):
-        if words[:1] == [b"element"] and len(words) == 3:
-            elements.append((words[1].decode(errors="replace"), int(words[2]), []))
-        elif words[:1] == [b"property"] and elements:
-            elements[-1][2].append(words[1:2] == [b"list"])
-    rows = body.rstrip().splitlines()
-    at = 0
-    for element, count, properties in elements:
-        here = rows[at : at + count]
-        if len(here) < count:
-            many = {"vertex": "vertices"}.get(element, element + "s")
-            raise ValueError(f"it ends after {len(here)} of {count} {many}")
-        for number, row in enumerate(here):
-            values = row.split()
-            needed = 0
-            for is_list in properties:
-                needed += 1 + (int(values[needed]) if is_list and needed < len(values) else 0)
-            if len(values) < needed:
-                raise ValueError(f"{element} {number} has {len(values)} of {needed} values")
-        at += count
-
-
-def _stl(data: bytes) -> _Read:
+def _stl(data: bytes) -> _Content:
     """Corners of an STL file's triangles, three for each, once its length is known to be right."""
-    import trimesh
-
+    try:
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise ValueError("the Python package trimesh, which reads STL, is missing: install it, or write OBJ") from error
     count = int.from_bytes(data[80:84], "little")
     length, words = STL_HEADER + STL_TRIANGLE * count, []
     told = None
@@ -236,11 +239,16 @@ def _stl(data: bytes) -> _Read:
         words.append(f"{len(data) - length} bytes after the last triangle left out")
         data = data[:length]
     if (count if told is None else told) == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), []
+        return _Content(points=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int64))
     mesh = _by_trimesh(trimesh.load_mesh, io.BytesIO(data), file_type="stl", process=False, validate=False)
     if told is not None and len(mesh.faces) != told:
         raise ValueError(f"{len(mesh.faces)} of {told} facets could be read: a vertex is not three numbers")
-    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64), words
+    return _Content(
+        points=np.array(mesh.vertices, dtype=np.float64),
+        triangles=np.array(mesh.faces, dtype=np.int64),
+        repairs=tuple(words),
+        single=True,
+    )
 
 
 def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:

@@ -21,6 +21,7 @@ from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.scene.mesh_file import SolidMesh
 
 #: Of an obstacle that is there, the parameters that may change.
 LIVE = ("friction", "frame")
@@ -155,14 +156,25 @@ def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacl
     vertices = triangles = None
     try:
         if description.shape == "mesh":
-            from cloth_sim_ros.scene import mesh_file
-
-            vertices, triangles = mesh_file.solid(content, name=description.mesh)
+            mesh = solid_mesh(content, description.mesh, description.scale)
+            vertices, triangles = mesh.vertices, mesh.triangles
         return Obstacle(
             name=name, shape=description.shape, size=size, friction=friction, vertices=vertices, triangles=triangles
         )
     except ValueError as error:
         raise ParameterError(str(error)) from error
+
+
+@lru_cache(maxsize=16)
+def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
+    """Return the mesh of an obstacle's file: its content, its name, and the factor that makes metres of it.
+
+    Raises:
+        ValueError: if it holds none.
+    """
+    from cloth_sim_ros.scene import mesh_file
+
+    return mesh_file.solid(content, name=name, scale=scale)
 
 
 def check_count(name: str, friction: Sequence[float]) -> None:

@@ -1,26 +1,43 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a recorded session, those that came after it included."""
+"""Scenes of recorded sessions and states, which may be older than a parameter."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import attrs
 
 from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import ParameterError
 
-#: Parameters that earlier versions did not have, with the value that does what they did. A session's scene.yaml sets
-#: every parameter of the version that recorded it.
-EARLIER = {"gripper.max_speed": 0.0}
+if TYPE_CHECKING:
+    from cloth_sim_ros.scene.scene import Scene
+
+#: A session holds every parameter of its scene. One that lacks these was recorded when there was no such parameter, and
+#: runs again as it ran then.
+BEFORE: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0}
 
 
-def parameters_of(scene_yaml: str, *, node: str) -> dict[str, Any]:
-    """Return the parameters with which a session's cloth moved, by full name.
+def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
+    """Return the parameters of a session's scene by full name.
 
     Args:
-        scene_yaml: content of the session's attachment ``scene.yaml``.
-        node: full name of the node that recorded it.
+        scene_yaml: its parameter file.
+        node: name of its node with the namespace.
 
     Raises:
-        ParameterError: for a text that is no parameter file.
+        ParameterError: if the text is no parameter file.
     """
-    return {**EARLIER, **parameter_file.parse(scene_yaml, node=node, source="scene.yaml")}
+    return {**BEFORE, **parameter_file.parse(scene_yaml, node=node, source="scene.yaml")}
+
+
+def merge_hint(scene: Scene) -> str:
+    """Return the end of a sentence on an initial state that fits a scene only with `cloth.merge: false`; else empty."""
+    if not scene.cloth.mesh or not scene.cloth.merge:
+        return ""
+    try:
+        attrs.evolve(scene, cloth=attrs.evolve(scene.cloth, merge=False))
+    except ParameterError:
+        return ""
+    return ": vertices of the mesh were merged since; with cloth.merge: false it fits"

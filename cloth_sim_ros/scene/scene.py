@@ -38,6 +38,7 @@ from cloth_sim_ros.scene.build import (
 from cloth_sim_ros.scene.gripper_section import PINCH
 from cloth_sim_ros.scene.identity import cloth_of, difference
 from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
+from cloth_sim_ros.scene.recorded import merge_hint
 from cloth_sim_ros.scene.sections import (
     Air,
     Bending,
@@ -387,7 +388,7 @@ class Scene:
         cloth = cloth_of(self.sheet)
         other = difference(state, cloth)
         if other:
-            raise ParameterError(f"{what} {other}")
+            raise ParameterError(f"{what} {other}{merge_hint(self)}")
         state.cloth = cloth
         # A state that never ran has no gripper memory at all, and fits any number; one that ran without has 0 of them.
         poses = state.memory.get("gripper.pose")

@@ -29,6 +29,20 @@ class Cloth:
         "int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096
     )
     mesh: str = parameter("string", "", "Triangle mesh file (OBJ, PLY, STL) instead of size and resolution")
+    merge: bool = parameter(
+        "bool",
+        True,
+        "Whether a mesh's vertices closer than 1e-7 of its extent are merged, as copies of one vertex; false merges "
+        "those at exactly one place alone",
+    )
+    scale: float = parameter(
+        "double",
+        1.0,
+        "Factor that makes metres of a mesh's coordinates, e.g. 0.001 for a file in millimetres",
+        least=0.0,
+        most=1e6,
+        open_least=True,
+    )
     springs: str = parameter("string", "", "File of raw springs (YAML, npz), for experts, instead of a sheet")
     position: tuple[float, ...] = parameter(
         "double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4
@@ -242,6 +256,16 @@ class Obstacle:
         "seen from outside; a file can't be named while the cloth runs",
         live=True,
     )
+    scale: float = parameter(
+        "double",
+        1.0,
+        "Factor that makes metres of its mesh's coordinates, e.g. 0.001 for a file in millimetres; changes only while "
+        "it is not in obstacles",
+        least=0.0,
+        most=1e6,
+        open_least=True,
+        live=True,
+    )
     position: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0, 0.0),
@@ -279,7 +303,7 @@ class Obstacle:
 
 @attrs.frozen(kw_only=True)
 class Points:
-    """What ~/points tells of each particle beside its position."""
+    """Fields of ~/points."""
 
     velocity: bool = parameter(
         "bool", False, "Fields vx, vy, vz [m/s] behind x, y, z; the cloud is twice as large", live=True, observes=True

@@ -11,6 +11,7 @@ from cloth_sim_ros.scene.scene import Scene
 
 #: Names, when they have no effect, and why, in words that follow "has no effect:".
 _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
+    (("cloth.merge", "cloth.scale"), lambda scene: not scene.cloth.mesh, "cloth.mesh is not set"),
     (
         ("cloth.size", "cloth.resolution", "cloth.shear_layout"),
         lambda scene: bool(scene.cloth.mesh or scene.cloth.springs),
@@ -129,4 +130,6 @@ def _of_obstacles(scene: Scene, chosen: set[str]) -> list[str]:
             sentences.append(f"{name}.size is set and has no effect: a {obstacle.shape} has no size")
         elif f"{name}.mesh" in chosen and obstacle.shape != "mesh":
             sentences.append(f"{name}.mesh is set and has no effect: {name}.shape is {obstacle.shape}; set it to mesh")
+        elif f"{name}.scale" in chosen and obstacle.shape != "mesh":
+            sentences.append(f"{name}.scale is set and has no effect: a {obstacle.shape} has no mesh")
     return sentences

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.recorded import parameters_of
+from cloth_sim_ros.scene.recorded import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
@@ -284,7 +284,7 @@ class _Run:
 
 def _simulation(part: SessionPart) -> Simulation:
     try:
-        values = parameters_of(part.scene_yaml, node=part.metadata.get("node", ""))
+        values = recorded_values(part.scene_yaml, node=part.metadata.get("node", ""))
         return Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
     except ValueError as error:
         raise SessionError(f"{part.path} holds no scene that can be run here: {error}") from error

@@ -25,6 +25,9 @@ class MeshSheet:
     #: Rest positions [m], shape (particle_count, 3), every particle in at least one triangle.
     rest: Array
     surface: Surface
+    #: What was merged, and what was mended or is doubtful, when a file was read; a sentence each.
+    notes: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()
 
     def positions(self) -> Array:
         """Rest positions [m], shape (particle_count, 3)."""

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """From vertices and triangles as found in files to the surface of one cloth: harmless faults mended, others refused.
 
-Mended, and said so: vertices in no triangle (left out), vertices at one and the same place (made one), triangles
-given twice (kept once), triangles with two corners in one place (left out, which leaves no hole), triangles wound
-against their neighbours (turned).
+Mended, and said so: vertices in no triangle (left out), vertices at one and the same place (made one), vertices closer
+than a limit (merged, if there is a limit), triangles given twice (kept once), triangles with two corners in one place
+(left out, which leaves no hole), triangles wound against their neighbours (turned).
+
+Said, and left as it is: a seam that looks closed and is open.
 
 Refused, with the place: values that are not finite or no cloth's in metres, indices out of range, faces that no fan of
 triangles fills, triangles whose three corners lie on one line, edges of more than two triangles, parts that touch in
@@ -23,6 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.powers import in_order, in_rows
+from cloth_sim_ros.physics.sheets.merging import MERGE_SHARE, clusters, merge_limit
+from cloth_sim_ros.physics.sheets.seams import border_edges, open_seam
 from cloth_sim_ros.physics.sheets.surface import Surface, SurfaceError
 
 #: A triangle whose height over its longest side is below this share of that side has no area.
@@ -42,44 +46,77 @@ class CheckedMesh:
     kept: NDArray[np.int64]
     """Index of each vertex in what was given, ascending, (n,)."""
     repairs: tuple[str, ...]
-    """What was mended, one sentence each; empty for a clean mesh."""
+    """What was mended or is doubtful, one sentence each; empty for a clean mesh."""
+    notes: tuple[str, ...] = ()
+    """Sentences on what was done as a matter of course: vertices merged."""
 
 
-def checked_mesh(positions: ArrayLike, triangles: ArrayLike, *, several: bool = False) -> CheckedMesh:
-    """Check vertices (n, 3) [m] and triangles (m, 3) and mend what can be mended without changing the cloth.
+def checked_mesh(
+    positions: ArrayLike,
+    triangles: ArrayLike,
+    *,
+    several: bool = False,
+    merge: float = 0.0,
+    scale: float = 1.0,
+) -> CheckedMesh:
+    """Check vertices (n, 3) and triangles (m, 3) and mend what can be mended without changing the cloth.
 
     Args:
-        positions: of the vertices.
+        positions: of the vertices [m / scale].
         triangles: indices of three vertices each.
         several: whether it may be of several pieces.
+        merge: distance below which vertices are copies of one [m / scale]; 0 for those at exactly one place alone.
+        scale: factor that makes metres of the positions.
 
     Raises:
         SurfaceError: for a fault that can't be mended; the message names the vertices or triangles as given, counted
             from 0.
     """
     points, faces = _arrays(positions, triangles)
-    _check_size(points, faces)
     repairs: list[str] = []
+    notes: list[str] = []
     place, copies = _first_of_equals(points, faces)
     if copies:
         repairs.append(f"{_several(copies, 'vertex', 'vertices')} at the place of another made one with it")
     faces = place[faces]
     faces = _without_repeats(faces, repairs)
+    faces, merged = _merged(points, faces, merge, notes)
+    if scale != 1.0:
+        points = points * scale
+    try:
+        return _checked(points, faces, several, len(points) - copies - merged, repairs, notes)
+    except SurfaceError as error:
+        if not merged:
+            raise
+        raise SurfaceError(
+            f"{error} ({_several(merged, 'vertex', 'vertices')} closer than {merge:.3g} to another merged with it; "
+            "cloth.merge: false keeps them apart)"
+        ) from error
+
+
+def _checked(
+    points: Array, faces: NDArray[np.int64], several: bool, distinct: int, repairs: list[str], notes: list[str]
+) -> CheckedMesh:
+    """Return the mesh of triangles whose corners are at places of their own; `distinct`: vertices left by merging."""
+    _check_size(points, faces)
     faces = _without_slivers(points, faces, repairs)
     if len(faces) == 0:
         raise SurfaceError("no triangle with an area is left: a cloth needs at least one")
     _check_edges(faces, points)
     faces = _wound(faces, repairs)
     kept = np.unique(faces)
-    loose = len(points) - copies - len(kept)
+    loose = distinct - len(kept)
     if loose:
         repairs.append(f"{_several(loose, 'vertex', 'vertices')} in no triangle left out")
     number = np.full(len(points), -1)
     number[kept] = np.arange(len(kept))
+    gap = open_seam(points, faces, border_edges(faces))
+    seam = gap.describe(points) if gap is not None else ""
     try:
         surface = Surface.from_triangles(number[faces], particle_count=len(kept))
     except SurfaceError as error:
-        raise SurfaceError(f"{error} (vertices counted after repairs: {'; '.join(repairs) or 'none'})") from error
+        done = "; ".join(repairs) or "none"
+        raise SurfaceError(f"{error} (vertices counted after repairs: {done}){seam and f'. {seam}'}") from error
     pieces = surface.pieces()
     if pieces.max() > 0 and not several:
         other = int(np.argmax(pieces > 0))
@@ -87,8 +124,44 @@ def checked_mesh(positions: ArrayLike, triangles: ArrayLike, *, several: bool = 
             f"the mesh has {pieces.max() + 1} pieces that share no edge; vertex {kept[surface.triangles[other, 0]]} is "
             f"not in the piece of vertex {kept[surface.triangles[0, 0]]}: a cloth is one piece, "
             "so give each its own file, join them, or set contact.self: true, which keeps pieces apart"
+            + (seam and f". {seam}")
         )
-    return CheckedMesh(positions=np.ascontiguousarray(points[kept]), surface=surface, kept=kept, repairs=tuple(repairs))
+    if seam:
+        repairs.append(seam)
+    positions = np.ascontiguousarray(points[kept])
+    return CheckedMesh(positions=positions, surface=surface, kept=kept, repairs=tuple(repairs), notes=tuple(notes))
+
+
+def _merged(points: Array, faces: NDArray[np.int64], limit: float, notes: list[str]) -> tuple[NDArray[np.int64], int]:
+    """Merge vertices closer than a limit into the lowest of them; return the triangles, and how many vertices went."""
+    used = np.unique(faces)
+    lowest = used[clusters(points[used], limit)]
+    moved = np.flatnonzero(lowest != used)
+    if not moved.size:
+        return faces, 0
+    extent = merge_limit(points[used]) / MERGE_SHARE
+    place = np.arange(len(points))
+    place[used] = lowest
+    merged, repeated = place[faces], _collapsed(faces)
+    proper = ~_collapsed(merged)
+    flat = int(np.sum(~proper & ~repeated))
+    before = faces[proper]
+    _, first, same = np.unique(np.sort(merged[proper], axis=1), axis=0, return_index=True, return_inverse=True)
+    if len(first) < len(before):
+        twin = first[same.ravel()]
+        other = int(np.argmax(twin != np.arange(len(before))))
+        raise SurfaceError(
+            f"triangles {before[twin[other]].tolist()} and {before[other].tolist()} lie on one another: their vertices "
+            f"are closer than {limit:.3g}, {limit / extent:.1g} of the mesh's extent. Remove one of them, or, if they "
+            "are two layers of cloth, set cloth.merge: false"
+        )
+    notes.append(
+        f"{_several(len(moved), 'vertex', 'vertices')} closer than {limit:.3g} to another ({limit / extent:.1g} of the "
+        f"mesh's extent) merged with it, the first {used[moved[0]]} with {lowest[moved[0]]}"
+        + (f"; {_several(flat, 'triangle')} between them left out" if flat else "")
+        + "; particle numbers leave them out; cloth.merge: false keeps them apart"
+    )
+    return merged[proper | repeated], len(moved)
 
 
 def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
@@ -147,12 +220,13 @@ def _check_size(points: Array, faces: NDArray[np.int64]) -> None:
         bad = int(used[np.argmax(reach)])
         raise SurfaceError(
             f"vertex {bad} is {points[bad].tolist()}: a coordinate of magnitude {reach.max():.3g} m is beyond "
-            f"{FARTHEST:g} m; positions are in metres, so scale the mesh or move it to the origin"
+            f"{FARTHEST:g} m; positions are in metres, so scale the mesh (cloth.scale) or move it to the origin"
         )
     extent = float(np.ptp(points[used], axis=0).max())
     if extent < SMALLEST:
         raise SurfaceError(
-            f"the whole mesh is {extent:.3g} m across, less than {SMALLEST:g} m; positions are in metres, so scale it"
+            f"the whole mesh is {extent:.3g} m across, less than {SMALLEST:g} m; positions are in metres, so scale it "
+            "(cloth.scale)"
         )
 
 
@@ -198,7 +272,7 @@ def _without_repeats(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np
 
 def _without_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
     """Leave out triangles of fewer than three vertices; refuse thin ones, whose removal would open the surface."""
-    collapsed = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    collapsed = _collapsed(faces)
     if np.any(collapsed):
         repairs.append(f"{_several(int(collapsed.sum()), 'triangle')} with a repeated vertex left out")
         faces = faces[~collapsed]
@@ -209,10 +283,17 @@ def _without_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]
     if np.any(thin):
         bad = int(np.argmax(thin))
         raise SurfaceError(
-            f"triangle {faces[bad].tolist()} has no area: its corners {points[faces[bad]].tolist()} lie on one line; "
-            "remove it and split its neighbour's long side at the middle corner"
+            f"triangle {faces[bad].tolist()} has no area: its height is {height[bad]:.2g} of its longest side, at most "
+            f"{FLATNESS:g}; its corners {points[faces[bad]].tolist()} lie on one line. Remove it and split its "
+            "neighbour's long side at the middle corner (Blender: Mesh, Clean Up, Degenerate Dissolve)"
         )
     return faces
+
+
+def _collapsed(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which triangles (m, 3) have a repeated vertex, (m,)."""
+    one, two, three = faces.T
+    return (one == two) | (two == three) | (three == one)
 
 
 def _check_edges(faces: NDArray[np.int64], points: Array) -> None:

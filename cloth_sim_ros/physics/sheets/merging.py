@@ -1,0 +1,123 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Clusters of mesh vertices that are copies of one vertex, up to rounding.
+
+A program that closes a seam by sin(2 pi), or that writes each triangle with a rounding of its own, leaves copies of a
+vertex that differ in their last digits. Two vertices are linked if they are closer than the limit; linked vertices are
+one cluster, and its lowest vertex stands for it. A cluster with a vertex further than twice the limit from its lowest
+one is no set of copies but a fine part of the mesh: it is left as it is.
+
+The result depends on positions and order alone: every distance is computed by single additions and multiplications in
+double precision, which every machine rounds alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.force import Array
+
+#: Share of a mesh's extent below which two vertices are copies of one.
+MERGE_SHARE = 1e-7
+#: The same for coordinates in single precision, whose last digit may be larger than that: at most this share.
+SINGLE_PRECISION_SHARE = 1e-6
+#: More different vertices than this in a cube of two limits are no copies of one vertex.
+_CROWD = 64
+#: Links that are collected before they are reduced to clusters.
+_PENDING = 1 << 22
+#: Factors that mix the three numbers of a cell into one.
+_MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+
+
+def merge_limit(points: Array, *, single: bool = False) -> float:
+    """Return the distance below which two vertices of a mesh are copies of one [m].
+
+    Args:
+        points: vertices [m], (n, 3).
+        single: true if the file keeps single precision: its last digit is the limit if that is larger.
+
+    Returns:
+        1e-7 of the diagonal of the bounding box; 0, which merges nothing, if that is not finite.
+    """
+    if not len(points):
+        return 0.0
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z = high - low
+        extent = float(np.sqrt(x * x + y * y + z * z))
+        limit = MERGE_SHARE * extent
+        if single and np.isfinite(extent):
+            # Each coordinate is off by one last digit: the distance is at most sqrt(3) of it.
+            last = float(np.spacing(np.float32(max(-low.min(), high.max()))))
+            limit = max(limit, min(2.0 * last, SINGLE_PRECISION_SHARE * extent))
+    return limit if np.isfinite(limit) else 0.0
+
+
+def clusters(points: Array, limit: float) -> NDArray[np.int64]:
+    """Return the lowest vertex of each vertex's cluster, (n,).
+
+    Args:
+        points: different finite vertices [m], (n, 3).
+        limit: distance below which two are linked [m]; 0 links none.
+    """
+    lowest = np.arange(len(points))
+    if not limit > 0.0 or len(points) < 2:
+        return lowest
+    low = points.min(axis=0)
+    links: list[NDArray[np.int64]] = []
+    # Cells of two limits, in eight grids that are shifted by one: two linked vertices share a cell in one of them.
+    scaled = (points - low) / (2.0 * limit)
+    for shift in np.ndindex(2, 2, 2):
+        cell = np.floor(scaled + 0.5 * np.array(shift)).astype(np.int64).astype(np.uint64)
+        for one, two in _in_one_cell(np.bitwise_xor.reduce(cell * _MIX, axis=1)):
+            near = _square(points[one], points[two]) < limit * limit
+            if np.any(near):
+                links.append(np.stack((one[near], two[near]), axis=1))
+            if sum(map(len, links)) > _PENDING:
+                lowest = _lowest(links, len(points))
+                links = [np.stack((np.arange(len(points)), lowest), axis=1)]
+    if links:
+        lowest = _lowest(links, len(points))
+    wide = lowest[_square(points, points[lowest]) > 4.0 * limit * limit]
+    if wide.size:
+        apart = np.isin(lowest, wide)
+        lowest[apart] = np.flatnonzero(apart)
+    return lowest
+
+
+def _lowest(links: list[NDArray[np.int64]], count: int) -> NDArray[np.int64]:
+    """Return the lowest vertex that each of `count` vertices is linked to, directly or through others."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    one, two = np.concatenate(links).T
+    graph = coo_array((np.ones(len(one), dtype=np.int8), (one, two)), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    _, first = np.unique(label, return_index=True)
+    return first[label].astype(np.int64)
+
+
+def _in_one_cell(key: NDArray[np.uint64]) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Pairs of vertices with equal keys (n,), but of keys that no crowd has."""
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    begins = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+    sizes = np.diff(np.append(begins, len(key)))
+    together = np.repeat((sizes > 1) & (sizes <= _CROWD), sizes)
+    order, key = order[together], key[together]
+    pairs = []
+    for away in range(1, _CROWD):
+        same = key[away:] == key[:-away]
+        if not np.any(same):
+            break
+        pairs.append((order[:-away][same], order[away:][same]))
+    return pairs
+
+
+def _square(one: Array, two: Array) -> Array:
+    """Squares of distances between vertices (n, 3) and others [m^2], (n,)."""
+    away = one - two
+    x, y, z = away.T
+    square: Array = x * x + y * y + z * z
+    return square

@@ -1,0 +1,149 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Seams of a mesh that look closed and are open.
+
+Two vertices of the border are one seam's if they are closer than a hundredth of the shortest border edge at either of
+them; so is a vertex and a border edge of another triangle if it lies within a hundredth of the edge's length of it.
+"""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.force import Array
+
+#: Share of the local edge length below which two places of the border look joined.
+SEAM_SHARE = 0.01
+#: Neighbours of a border vertex, and pairs of edges and vertices, that are looked at.
+_NEIGHBOURS, _MAX_PAIRS = 8, 1 << 22
+
+
+@attrs.frozen(kw_only=True)
+class OpenSeam:
+    """Places of a mesh's border that nearly coincide and are not joined."""
+
+    count: int
+    """Number of border vertices that lie near another part of the border."""
+    vertex: int
+    """The vertex of the closest such place."""
+    distance: float
+    """Distance of that vertex from the other part of the border [m]."""
+
+    def describe(self, points: Array) -> str:
+        """Return a sentence for a log; points: vertices [m], (n, 3)."""
+        place = ", ".join(f"{value:.6g}" for value in points[self.vertex])
+        one = self.count == 1
+        return (
+            f"{self.count} border {'vertex lies' if one else 'vertices lie'} within a hundredth of an edge of another "
+            f"part of the border and {'is' if one else 'are'} not joined to it; the closest, vertex {self.vertex} at "
+            f"[{place}], is {self.distance:.3g} m away. If that is a seam, it is open: merge by distance in the "
+            "program that made the mesh"
+        )
+
+
+def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the edges of one triangle alone, directed as it runs, (b, 2), of triangles (m, 3)."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    keys = edges.min(axis=1) * (int(triangles.max()) + 1) + edges.max(axis=1)
+    _, first, uses = np.unique(keys, return_index=True, return_counts=True)
+    return np.asarray(edges[np.sort(first[uses == 1])])
+
+
+def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> OpenSeam | None:
+    """Return the places of a border that look joined and are not; None if there are none.
+
+    Args:
+        points: vertices [m], (n, 3).
+        triangles: vertices of each triangle, (m, 3).
+        border: the two vertices of each edge that has one triangle, (b, 2).
+    """
+    if len(border) < 2:
+        return None
+    from scipy.spatial import cKDTree
+
+    sides = points[border[:, 1]] - points[border[:, 0]]
+    lengths = np.sqrt((sides * sides).sum(axis=1))
+    vertices, places = np.unique(border, return_inverse=True)
+    ends = places.reshape(border.shape)
+    shortest = np.full(len(vertices), np.inf)
+    np.minimum.at(shortest, ends.ravel(), np.repeat(lengths, 2))
+    tree = cKDTree(points[vertices])
+    away, near = tree.query(points[vertices], k=_NEIGHBOURS, distance_upper_bound=SEAM_SHARE * lengths.max())
+    reach = np.append(shortest, 0.0)
+    itself = near == np.arange(len(vertices))[:, None]
+    looks_joined = (away <= SEAM_SHARE * np.minimum(shortest[:, None], reach[near])) & ~itself
+    rows, columns = np.nonzero(looks_joined)
+    looks_joined[rows, columns] = ~_joined(triangles, vertices[rows], vertices[near[rows, columns]])
+    distances = np.where(looks_joined, away, np.inf).min(axis=1)
+    at_edges = _at_edges(points, triangles, border, vertices, tree, lengths)
+    distances = np.minimum(distances, at_edges)
+    count = int(np.isfinite(distances).sum())
+    if not count:
+        return None
+    closest = int(np.argmin(distances))
+    return OpenSeam(count=count, vertex=int(vertices[closest]), distance=float(distances[closest]))
+
+
+def _at_edges(
+    points: Array,
+    triangles: NDArray[np.int64],
+    border: NDArray[np.int64],
+    vertices: NDArray[np.int64],
+    tree: object,
+    lengths: Array,
+) -> Array:
+    """Distances of border vertices from the middle part of border edges of other triangles, where small [m]."""
+    distances = np.full(len(vertices), np.inf)
+    edges, which = near_edges(points, border, tree, lengths)
+    begin, side = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
+    share = ((points[vertices[which]] - begin) * side).sum(axis=1) / (side * side).sum(axis=1)
+    foot = points[vertices[which]] - begin - share[:, None] * side
+    away = np.sqrt((foot * foot).sum(axis=1))
+    inside = (share > SEAM_SHARE) & (share < 1.0 - SEAM_SHARE) & (away <= SEAM_SHARE * lengths[edges])
+    # The third corner of a thin triangle lies near its own edge.
+    opposite = _opposite(triangles, border)
+    inside &= opposite[edges] != vertices[which]
+    np.minimum.at(distances, which[inside], away[inside])
+    return distances
+
+
+def near_edges(
+    points: Array, border: NDArray[np.int64], tree: object, lengths: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return pairs of a border edge and a border vertex, as rows of the tree, that its middle's sphere holds.
+
+    Args:
+        points: vertices [m], (n, 3).
+        border: the two vertices of each edge, (b, 2).
+        tree: a cKDTree of the border's vertices.
+        lengths: of the edges [m], (b,).
+
+    Returns:
+        Edges and vertices, each (p,); none if there were more than can be looked at.
+    """
+    middles = 0.5 * (points[border[:, 0]] + points[border[:, 1]])
+    radii = 0.5 * lengths
+    counts = tree.query_ball_point(middles, radii, return_length=True)  # type: ignore[attr-defined]
+    if counts.sum() > _MAX_PAIRS:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    found = tree.query_ball_point(middles, radii, return_sorted=True)  # type: ignore[attr-defined]
+    which = np.array([vertex for row in found for vertex in row], dtype=np.int64)
+    return np.repeat(np.arange(len(border)), counts), which
+
+
+def _joined(triangles: NDArray[np.int64], one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell whether an edge joins each of some vertices (p,) to another (p,)."""
+    count = int(triangles.max()) + 1
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    return np.isin(np.minimum(one, two) * count + np.maximum(one, two), edges[:, 0] * count + edges[:, 1])
+
+
+def _opposite(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Third corner of the triangle at each directed border edge, (b,)."""
+    count = int(triangles.max()) + 1
+    tails, heads, thirds = (np.concatenate([triangles[:, (k + at) % 3] for k in range(3)]) for at in range(3))
+    keys = tails * count + heads
+    order = np.argsort(keys)
+    return np.asarray(thirds[order[np.searchsorted(keys[order], border[:, 0] * count + border[:, 1])]])

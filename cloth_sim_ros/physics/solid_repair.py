@@ -1,0 +1,193 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Repair of triangle meshes that enclose a volume but for their rounding and their flat triangles.
+
+CAD programs cut each face of a solid on its own. Where one face has a vertex in the middle of another's edge (a
+T-junction), the edge stays whole on one side, or a triangle without area fills the gap of no width. Such a mesh is
+closed in four steps, which move its surface by no more than the flatness of the triangles that they take out:
+
+1. Vertices that are copies of one, up to rounding, are merged. So are the ends of a side that is short beside the
+   longest side of a flat triangle.
+2. Two triangles that lie back to back, or one given twice, are left out.
+3. Flat triangles are left out: each leaves a T-junction at its middle corner.
+4. An open edge is split at the vertices of the border that lie on it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.obstacle_mesh import check_closed
+from cloth_sim_ros.physics.sheets.merging import clusters
+from cloth_sim_ros.physics.sheets.meshes import FLATNESS
+from cloth_sim_ros.physics.sheets.seams import near_edges
+
+#: How far from an edge a vertex lies on it, as a share of its length: flat triangles may lie on one another.
+_ON_EDGE = 4.0 * FLATNESS
+#: Rounds of the steps: one splits each triangle along one side.
+_MAX_ROUNDS = 12
+
+
+def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
+    """Tell whether a mesh of vertices (m, 3) and triangles (t, 3) encloses a volume as it is."""
+    try:
+        check_closed(vertices, triangles, sys.float_info.max)
+    except ValueError:
+        return False
+    return True
+
+
+def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Leave out the vertices (m, 3) that no triangle (t, 3) has."""
+    kept = np.unique(triangles)
+    number = np.zeros(len(vertices), dtype=np.int64)
+    number[kept] = np.arange(len(kept))
+    return np.ascontiguousarray(vertices[kept]), number[triangles]
+
+
+def closed_solid(
+    vertices: Array, triangles: NDArray[np.int64], limit: float
+) -> tuple[Array, NDArray[np.int64], tuple[str, ...]]:
+    """Close a mesh as far as the steps of this module do; what else keeps it open stays.
+
+    Args:
+        vertices: [m], shape (m, 3).
+        triangles: shape (t, 3).
+        limit: distance below which two vertices are copies of one [m].
+
+    Returns:
+        Vertices and triangles that are left, and a sentence on each step that changed something.
+    """
+    if not np.isfinite(vertices).all():
+        return vertices, triangles, ()
+    lowest = clusters(vertices, limit)
+    merged = int(np.sum(lowest != np.arange(len(vertices))))
+    triangles = _without_twins(lowest[triangles])
+    flat = split = 0
+    for _ in range(_MAX_ROUNDS):
+        if not len(triangles):
+            break
+        triangles, needles = _without_needles(vertices, triangles)
+        thin = _flat(vertices, triangles)
+        triangles = triangles[~thin]
+        triangles, cuts = _split_edges(vertices, triangles, limit)
+        flat += needles + int(thin.sum())
+        split += cuts
+        if not (needles or np.any(thin) or cuts):
+            break
+    notes = []
+    if merged:
+        notes.append(f"{_counted(merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
+    if flat:
+        notes.append(f"{_counted(flat, 'triangle', 'triangles')} without area joined to the neighbours")
+    if split:
+        notes.append(f"{_counted(split, 'edge', 'edges')} split at vertices that lie on it")
+    return *used_vertices(vertices, triangles), tuple(notes)
+
+
+def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
+    """Lengths of the sides from each corner to the next [m], (t, 3)."""
+    corners = vertices[triangles]
+    away = np.roll(corners, -1, axis=1) - corners
+    lengths: Array = np.sqrt((away * away).sum(axis=2))
+    return lengths
+
+
+def _flat(vertices: Array, triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which triangles have no area, as `check_closed` does, (t,)."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    longest = _sides(vertices, triangles).max(axis=1)
+    flat: NDArray[np.bool_] = ~(np.sqrt((across * across).sum(axis=1)) > FLATNESS * longest * longest)
+    return flat
+
+
+def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Leave out triangles with a repeated corner, pairs that lie back to back, and second copies."""
+    one, two, three = triangles.T
+    triangles = triangles[(one != two) & (two != three) & (three != one)]
+    # The lowest corner first, as they run.
+    first = np.argmin(triangles, axis=1)
+    turned = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
+    back = turned[:, 1] > turned[:, 2]
+    _, which = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    fronts, backs = (np.bincount(which[mask], minlength=len(triangles)) for mask in (~back, back))
+    # Of each way, one is left where the other way has none.
+    keep = (fronts[which] == 0) | (backs[which] == 0)
+    _, original = np.unique(which, return_index=True)
+    keep &= np.isin(np.arange(len(triangles)), original)
+    return triangles[keep]
+
+
+def _without_needles(vertices: Array, triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """Merge the ends of the short side of flat triangles that have one; return the number of such triangles."""
+    sides = _sides(vertices, triangles)
+    needle = _flat(vertices, triangles) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
+    count = int(needle.sum())
+    if not count:
+        return triangles, 0
+    rows = triangles[needle]
+    begin = np.argmin(sides[needle], axis=1)
+    at = np.arange(count)
+    ends = np.stack((rows[at, begin], rows[at, (begin + 1) % 3]), axis=1)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    size = len(vertices)
+    graph = coo_array((np.ones(count, dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
+    _, label = connected_components(graph, directed=False)
+    _, first = np.unique(label, return_index=True)
+    return _without_twins(first[label].astype(np.int64)[triangles]), count
+
+
+def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
+    """Split open edges at vertices of the border that lie on them, one side of a triangle; return how many were."""
+    if not len(triangles):
+        return triangles, 0
+    count = len(vertices)
+    tails, heads, thirds = (np.concatenate([triangles[:, (k + at) % 3] for k in range(3)]) for at in range(3))
+    is_open = ~np.isin(tails * count + heads, heads * count + tails)
+    if not np.any(is_open):
+        return triangles, 0
+    from scipy.spatial import cKDTree
+
+    owner = np.flatnonzero(is_open) % len(triangles)
+    tails, heads, thirds = tails[is_open], heads[is_open], thirds[is_open]
+    border = np.unique(np.concatenate((tails, heads)))
+    sides = vertices[heads] - vertices[tails]
+    lengths = np.sqrt((sides * sides).sum(axis=1))
+    tree = cKDTree(vertices[border])
+    edges, which = near_edges(vertices, np.stack((tails, heads), axis=1), tree, lengths)
+    middle = border[which]
+    away = vertices[middle] - vertices[tails[edges]]
+    share = (away * sides[edges]).sum(axis=1) / (lengths[edges] * lengths[edges])
+    foot = away - share[:, None] * sides[edges]
+    tolerance = np.maximum(2.0 * limit, _ON_EDGE * lengths[edges])
+    lies_on = ((foot * foot).sum(axis=1) <= tolerance * tolerance) & (share > 0.0) & (share < 1.0)
+    lies_on &= (middle != tails[edges]) & (middle != heads[edges]) & (middle != thirds[edges])
+    cuts: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    for edge, position, vertex in zip(edges[lies_on], share[lies_on], middle[lies_on], strict=True):
+        cuts[int(edge)].append((float(position), int(vertex)))
+    left = np.ones(len(triangles), dtype=np.bool_)
+    further: list[tuple[int, int, int]] = []
+    done = 0
+    for edge in sorted(cuts):
+        if left[owner[edge]]:
+            left[owner[edge]] = False
+            chain = [int(tails[edge]), *(vertex for _, vertex in sorted(cuts[edge])), int(heads[edge])]
+            further.extend((one, two, int(thirds[edge])) for one, two in pairwise(chain))
+            done += 1
+    if not done:
+        return triangles, 0
+    return np.concatenate((triangles[left], np.array(further, dtype=np.int64))), done
+
+
+def _counted(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"

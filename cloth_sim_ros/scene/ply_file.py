@@ -1,0 +1,279 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Vertices and faces of PLY files, as scanners and modelling programs write them.
+
+plyfile reads the rows; those of a binary file whose rows all have one length are an array as they are. Before that the
+header is read here: it is written anew without comments, its counts are held against the length of the file, and the
+values of an ASCII file are laid out a row a line, because programs break lines where they like.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+import warnings
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+#: numpy's names of the types.
+_KINDS = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_SINGLE, _FRACTIONS = ("float", "float32"), ("float", "float32", "double", "float64")
+_FORMATS = {"ascii", "binary_little_endian", "binary_big_endian"}
+#: No file has as many rows.
+_MAX_COUNT = 10**15
+#: Names of the list of a face's corners, the usual ones first.
+_CORNERS = ("vertex_indices", "vertex_index")
+_END = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*end_header[ \t]*(?:\r\n|\r|\n|\Z)")
+
+
+@attrs.define(kw_only=True)
+class PlyElement:
+    """A kind of row, as the header declares it."""
+
+    name: str
+    count: int
+    #: Name of each property, the type of its list's length ("" for a single value), and the type of its values.
+    properties: list[tuple[str, str, str]] = attrs.field(factory=list)
+
+    @property
+    def plural(self) -> str:
+        """Its name for several rows."""
+        return {"vertex": "vertices"}.get(self.name, f"{self.name}s")
+
+    def lines(self) -> Iterator[str]:
+        """Lines of the header."""
+        yield f"element {self.name} {self.count}"
+        for name, length, kind in self.properties:
+            yield f"property list {length} {kind} {name}" if length else f"property {kind} {name}"
+
+
+@attrs.frozen(kw_only=True)
+class PlyMesh:
+    """The mesh of a PLY file."""
+
+    points: NDArray[np.float64]
+    """Vertices as they are in the file, (n, 3)."""
+    polygons: list[list[int]]
+    """Vertices of each face."""
+    single: bool
+    """True if coordinates are in single precision."""
+
+
+def read_ply(data: bytes) -> PlyMesh:
+    """Return vertices and faces of a PLY file's content; a file without faces may have triangle strips.
+
+    Raises:
+        ValueError: if it is no whole PLY file.
+    """
+    form, elements, body = _header(data)
+    by_name = {element.name: element for element in elements}
+    vertex, face = by_name.get("vertex"), by_name.get("face")
+    strips = face is None or not face.count
+    if strips:
+        face = by_name.get("tristrips")
+    if vertex is None or not vertex.count or face is None or not face.count:
+        return PlyMesh(points=np.zeros((0, 3)), polygons=[], single=False)
+    kinds = {name: kind for name, length, kind in vertex.properties if not length}
+    missing = [axis for axis in "xyz" if axis not in kinds]
+    if missing:
+        raise ValueError(f"its vertices have no property {', '.join(missing)}")
+    corners = _corners(face)
+    rows = _rows(form, elements, body)
+    columns = [np.asarray(rows["vertex"][axis], dtype=np.float64) for axis in "xyz"]
+    numbers: list[list[int]] = [row.tolist() for row in rows[face.name][corners]]
+    if strips:
+        numbers = [triangle for row in numbers for triangle in _triangles(row)]
+    return PlyMesh(
+        points=np.stack(columns, axis=1), polygons=numbers, single=any(kinds[axis] in _SINGLE for axis in "xyz")
+    )
+
+
+def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
+    """The format, the elements, and what follows the header."""
+    end = _END.search(data)
+    if end is None:
+        raise ValueError("the header does not end with end_header")
+    lines = [line.split() for line in re.split(rb"[\r\n]+", data[: end.start()])]
+    lines = [line for line in lines if line]
+    if not lines or lines[0] != [b"ply"]:
+        raise ValueError("it does not begin with ply")
+    form = ""
+    elements: list[PlyElement] = []
+    for raw in lines[1:]:
+        words = [word.decode(errors="replace") for word in raw]
+        shown = " ".join(words)[:60]
+        if words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "format" and len(words) == 3 and words[1] in _FORMATS:
+            form = words[1]
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal() and words[2].isascii():
+            # Python refuses to parse integers of more than a few thousand digits.
+            digits = words[2].lstrip("0") or "0"
+            count = int(digits) if len(digits) < len(str(_MAX_COUNT)) else _MAX_COUNT
+            elements.append(PlyElement(name=words[1], count=count))
+        elif words[0] == "property" and len(words) == 3 and words[1] in _KINDS and elements:
+            elements[-1].properties.append((words[2], "", words[1]))
+        elif words[0] == "property" and len(words) == 5 and elements and words[1] == "list":
+            length, kind = words[2:4]
+            if length not in _KINDS or kind not in _KINDS or length in _FRACTIONS:
+                raise ValueError(f"'{shown}' in the header is no list")
+            elements[-1].properties.append((words[4], length, kind))
+        else:
+            raise ValueError(f"'{shown}' in the header is no PLY")
+    if not form:
+        raise ValueError(f"the header has no format of {', '.join(sorted(_FORMATS))}")
+    body = data[end.end() :]
+    _check_counts(elements, form, len(body))
+    return form, elements, body
+
+
+def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
+    """Refuse counts of rows that the rest of a binary file, of a length in bytes, can't hold."""
+    for element in elements:
+        if element.count and not element.properties:
+            raise ValueError(f"element {element.name} in the header has no property")
+        if form == "ascii":
+            # Its values are counted as they come.
+            continue
+        least = sum(np.dtype(_KINDS[length_kind or kind]).itemsize for _, length_kind, kind in element.properties)
+        if element.count * least > length:
+            count = str(element.count) if element.count < _MAX_COUNT else f"{_MAX_COUNT} or more"
+            raise ValueError(
+                f"its header says {count} {element.plural} of at least {least} bytes each, and {length} bytes follow: "
+                "it is cut short, or the count is wrong"
+            )
+
+
+def _corners(face: PlyElement) -> str:
+    """The name of the list of a face's corners."""
+    lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
+    for name in (*_CORNERS, *lists):
+        if name in lists:
+            return name
+    raise ValueError(f"its {face.plural} have no list of whole numbers, such as {_CORNERS[0]}")
+
+
+def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
+    """The rows of every element."""
+    if form != "ascii":
+        uniform = _uniform_rows(elements, body, "<" if form == "binary_little_endian" else ">")
+        if uniform is not None:
+            return uniform
+    try:
+        import plyfile
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            "its rows differ in length, or are text, and the Python package plyfile, which reads those, is missing: "
+            "install it, or write binary PLY with triangles alone, or OBJ"
+        ) from error
+
+    if form == "ascii":
+        body = b"\n".join(_ascii_rows(elements, body.split())) + b"\n"
+    lines = ["ply", f"format {form} 1.0", *(line for element in elements for line in element.lines()), "end_header"]
+    stream = io.BytesIO(("\n".join(lines) + "\n").encode() + body)
+    try:
+        with warnings.catch_warnings():
+            # An empty list of an ASCII file.
+            warnings.simplefilter("ignore")
+            read = plyfile.PlyData.read(stream, mmap=False)
+    except plyfile.PlyElementParseError as error:
+        cut = error.message.startswith("early end-of-file")
+        row = "" if error.row is None else f" {error.row}"
+        raise ValueError(
+            f"it is cut short: it ends within {error.element.name}{row} of {error.element.count}"
+            if cut
+            else f"{error.element.name}{row} is wrong: {error.message}"
+        ) from error
+    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
+        raise ValueError(str(error)) from error
+    if form != "ascii":
+        _check_end(len(body), stream.tell() - (len(stream.getvalue()) - len(body)))
+    return {element.name: element.data for element in read.elements}
+
+
+def _check_end(length: int, used: int) -> None:
+    """Refuse a binary file with bytes behind its last row."""
+    if used < length:
+        raise ValueError(f"{length - used} bytes follow its last row: a count in its header is wrong")
+
+
+def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[str, NDArray[np.void]] | None:
+    """The rows of a binary file; None if rows of an element differ in length, or the file in length from its header."""
+    rows: dict[str, NDArray[np.void]] = {}
+    at = 0
+    for element in elements:
+        fields: list[tuple[str, str, tuple[int, ...]]] = []
+        lengths: dict[str, int] = {}
+        end = at
+        for name, length, kind in element.properties:
+            shape: tuple[int, ...] = ()
+            if length:
+                size = np.dtype(order + _KINDS[length])
+                if end + size.itemsize > len(body):
+                    return None
+                # As long as that of the first row.
+                lengths[f"length of {name}"] = int(np.frombuffer(body, size, 1, end)[0])
+                shape = (max(0, lengths[f"length of {name}"]),)
+                fields.append((f"length of {name}", order + _KINDS[length], ()))
+                end += size.itemsize
+            fields.append((name, order + _KINDS[kind], shape))
+            end += int(np.dtype(_KINDS[kind]).itemsize * np.prod(shape, dtype=np.int64))
+        if len({name for name, _, _ in fields}) < len(fields) or (end - at) * element.count > len(body) - at:
+            return None
+        row = np.dtype(fields)
+        rows[element.name] = np.frombuffer(body, row, element.count, at) if element.count else np.zeros(0, row)
+        if any(np.any(rows[element.name][name] != length) for name, length in lengths.items()):
+            return None
+        at += row.itemsize * element.count
+    return rows if at == len(body) else None
+
+
+def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
+    """Lay out the values of an ASCII file a row a line."""
+    at = 0
+    for element in elements:
+        for number in range(element.count):
+            begin = at
+            for name, length, _ in element.properties:
+                at += 1
+                if length and at <= len(values):
+                    at += _list_length(values[at - 1], f"{element.name} {number}", name)
+            if at > len(values):
+                there = len(values) - begin
+                if number + 1 < element.count or not there:
+                    raise ValueError(f"it ends after {number + bool(there)} of {element.count} {element.plural}")
+                raise ValueError(f"{element.name} {number} has {there} of {at - begin} values")
+            yield b" ".join(values[begin:at])
+    if at < len(values):
+        raise ValueError(f"{len(values) - at} values follow its last row: a count in its header is wrong")
+
+
+def _list_length(value: bytes, row: str, name: str) -> int:
+    if not value.isdigit() or len(value) > 9:
+        raise ValueError(f"{row} has a list {name} of length {value[:20].decode(errors='replace')!r}")
+    return int(value)
+
+
+def _triangles(strip: list[int]) -> Iterator[list[int]]:
+    """Triangles of a strip in which -1 begins another; every second one is wound the other way."""
+    for ends, run in itertools.groupby(strip, key=lambda vertex: vertex == -1):
+        if ends:
+            continue
+        corners = list(run)
+        for k in range(len(corners) - 2):
+            one, two, three = corners[k : k + 3]
+            if len({one, two, three}) == 3:
+                yield [one, two, three] if k % 2 == 0 else [two, one, three]
