@@ -22,7 +22,7 @@ def main() -> None:
                     print(f"{frame.time:7.3f} s  {event}")
             if frame.time >= due:
                 due += 1.0
-                low = recorded.cloud.xyz[:, 2].min()  # (n, 3) float32 [m]
+                low = recorded.cloud.xyz[:, 2].min()  # (n, 3) [m]
                 print(f"{frame.time:7.3f} s  {frame.steps} steps, lowest point {low:.3f} m, digest {frame.digest}")
         if session.missing:
             print(f"missing: {session.missing}")

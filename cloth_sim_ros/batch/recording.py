@@ -83,7 +83,7 @@ class RunRecording:
         if clouds:
             rows, columns = scene.shape
             self._cloud = messages.CloudBytes(
-                frame_id=self._frame_id, height=rows, width=columns, velocity=self._velocity
+                frame_id=self._frame_id, height=rows, width=columns, velocity=self._velocity, double=scene.points.double
             )
 
     @property

@@ -203,7 +203,8 @@ class Stream:
         check_fit(cloud, len(self._survey.opening.positions))
         xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float32)
         normals, strain = np.empty_like(xyz), np.empty(len(xyz), np.float32)
-        self._survey.measures.measure(xyz, normals, strain)
+        # Far from the origin single precision is too coarse for strain.
+        self._survey.measures.measure(xyz if cloud.xyz.itemsize == 4 else cloud.xyz, normals, strain)
         # A cloud whose frame's record was lost is shown at the last simulated time that is known.
         moment = self._moment._replace(ros_time=message.log_time)
         self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))

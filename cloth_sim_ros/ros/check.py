@@ -21,6 +21,7 @@ from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
 from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.unknown import unknown
 from cloth_sim_ros.scene.without_effect import without_effect
@@ -78,6 +79,7 @@ def check(path: str, *, node: str) -> int:
         print(f"warning: '{path}' sets nothing for the node /{node.strip('/')}: all has its default")
     notes, doubts = mesh_notes(scene)
     ignored = unknown([name for name in values if name not in known], known)
+    doubts += implausible_sizes(scene, simulation.state.x, simulation.model.masses)
     for sentence in [*ignored, *without_effect(scene, own), *doubts]:
         print(f"warning: {sentence}")
     for sentence in notes:
@@ -112,6 +114,7 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     count, anchored = simulation.state.particle_count, len(simulation.model.anchors)
     forces = ", ".join(force.name for force in simulation.model.forces)
     print(f"{what}: {count} particles, {anchored} anchored; forces: {forces}")
+    print(cloth_size(scene, simulation.state.x, simulation.model.masses))
     held = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
     print(f"{scene.rate:g} frames a second; {held}; grippers: {', '.join(scene.gripper_names) or 'none'}")
     if simulation.obstacles is not None:

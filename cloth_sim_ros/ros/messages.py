@@ -32,16 +32,18 @@ class CloudMessage:
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
         velocity: whether each point has its velocity too: fields vx, vy, vz [m/s].
+        double: true for fields in double precision.
     """
 
-    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False) -> None:
+    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False, double: bool = False) -> None:
         names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
-        size = 4 * len(names)
+        length, datatype = (8, PointField.FLOAT64) if double else (4, PointField.FLOAT32)
+        size = length * len(names)
         message = PointCloud2(
             height=height,
             width=width,
             fields=[
-                PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+                PointField(name=name, offset=length * index, datatype=datatype, count=1)
                 for index, name in enumerate(names)
             ],
             is_bigendian=False,
@@ -50,7 +52,7 @@ class CloudMessage:
             is_dense=True,
         )
         message.header.frame_id = frame_id
-        self._points = np.empty((height * width, len(names)), dtype="<f4")
+        self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
         # Behind the row step come the number of bytes, the bytes, and is_dense; before it all stays but the stamp.
         start = bytes(serialize_message(message))[len(CDR) + 8 : -5]
         self._middle = start + struct.pack("<I", self._points.nbytes)

@@ -36,7 +36,7 @@ from cloth_sim_ros.ros.recording import (
     tell_end,
 )
 from cloth_sim_ros.ros.relief import Relief
-from cloth_sim_ros.ros.report import Latest, Report, introduction
+from cloth_sim_ros.ros.report import Latest, Report, log_start
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.shut_down import unless_shut_down
 from cloth_sim_ros.ros.sim_time import SIM_TIME, ClockSilence
@@ -224,7 +224,7 @@ class ClothNode:
         # Last: who hears it may rely on all else.
         self._states.start(now)
         self._pacer.start()
-        self.node.get_logger().info(introduction(self._simulation, follows_clock=self._follows_clock))
+        log_start(self.node.get_logger(), self._simulation, follows_clock=self._follows_clock)
 
     def stop(self) -> bool:
         """Let no more frames be due; return whether none is under way."""
@@ -295,8 +295,9 @@ class ClothNode:
                 self._extras |= {"energy": energy.total, "energy balance": energy.residual}
             self._recording.add_frame(frame, due.stamp, self._extras)
             self._extras = {}
-            state, told = self._simulation.state, self._simulation.scene.points.velocity
-            self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=state.v if told else None)
+            state, points = self._simulation.state, self._simulation.scene.points
+            velocities = state.v if points.velocity else None
+            self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=velocities, double=points.double)
             self._states.show(frame, due.stamp)
             self._services.show(frame)
             self._commands.show(frame)

@@ -118,8 +118,8 @@ class Outputs:
         sheet = scene.sheet
         triangles = sheet.triangles()
         self._frame_id = scene.frame_id
-        # With velocities or without, made when first asked for.
-        self._clouds: dict[bool, CloudMessage] = {}
+        # With velocities or without, in double precision or not, made when first asked for.
+        self._clouds: dict[tuple[bool, bool], CloudMessage] = {}
         self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
         self._points = Output(node, PointCloud2, "~/points", tape, droppable=True)
         self._mesh = Output(node, Marker, "~/mesh", tape, droppable=True)
@@ -138,7 +138,9 @@ class Outputs:
         """Record what was said once, at the beginning of a recording."""
         self._topology.record(self._topology_bytes, stamp)
 
-    def send(self, x: Array, wrenches: Array, stamp: int, *, velocities: Array | None = None) -> None:
+    def send(
+        self, x: Array, wrenches: Array, stamp: int, *, velocities: Array | None = None, double: bool = False
+    ) -> None:
         """Publish and record one frame.
 
         Args:
@@ -146,9 +148,10 @@ class Outputs:
             wrenches: force [N] and torque [N m] on each gripper, shape (gripper_count, 6).
             stamp: ROS time at which the frame was due [ns].
             velocities: [m/s], shape (3, n), where the cloud is to tell them.
+            double: true for a cloud in double precision.
         """
         if self._points.wanted:
-            cloud = self._cloud(velocity=velocities is not None)
+            cloud = self._cloud(velocity=velocities is not None, double=double)
             self._points.send(cloud.serialized(x, stamp, velocities), stamp)
             self.published += 1
         # Not recorded: it is large, and points and topology hold the same.
@@ -158,13 +161,14 @@ class Outputs:
             if output.wanted:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)
 
-    def _cloud(self, *, velocity: bool) -> CloudMessage:
-        if velocity not in self._clouds:
+    def _cloud(self, *, velocity: bool, double: bool) -> CloudMessage:
+        key = velocity, double
+        if key not in self._clouds:
             height, width = self._shape
-            self._clouds[velocity] = CloudMessage(
-                frame_id=self._frame_id, height=height, width=width, velocity=velocity
+            self._clouds[key] = CloudMessage(
+                frame_id=self._frame_id, height=height, width=width, velocity=velocity, double=double
             )
-        return self._clouds[velocity]
+        return self._clouds[key]
 
     def flush(self) -> None:
         """Wait shortly until the last points have arrived."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import attrs
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
 from cloth_sim_ros.physics.integrators.base import Advance
@@ -16,6 +17,7 @@ from cloth_sim_ros.ros.diagnostics import Tally
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.ros.strain import StrainGauge
+from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -30,9 +32,18 @@ def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
     if scene.obstacle_names:
         names += f"; obstacles: {', '.join(scene.obstacle_names)}"
     ratio = scene.poisson_ratio
-    return f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, {names}" + (
-        "" if ratio is None else f"; Poisson's ratio comes out as {ratio:.3f}"
+    size = cloth_size(scene, simulation.state.x, simulation.model.masses)
+    return (
+        f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, {names}; {size}"
+        + ("" if ratio is None else f"; Poisson's ratio comes out as {ratio:.3f}")
     )
+
+
+def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: bool) -> None:
+    """Log the node's first line, and a warning on each implausible size."""
+    logger.info(introduction(simulation, follows_clock=follows_clock))
+    for sentence in implausible_sizes(simulation.scene, simulation.state.x, simulation.model.masses):
+        logger.warning(sentence)
 
 
 @attrs.define

@@ -308,6 +308,14 @@ class Points:
     velocity: bool = parameter(
         "bool", False, "Fields vx, vy, vz [m/s] behind x, y, z; the cloud is twice as large", live=True, observes=True
     )
+    double: bool = parameter(
+        "bool",
+        False,
+        "Fields in double precision, for a cloth far from the frame's origin; the cloud is twice as large, and RViz "
+        "does not show it",
+        live=True,
+        observes=True,
+    )
 
 
 @attrs.frozen(kw_only=True)

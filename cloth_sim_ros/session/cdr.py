@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LITTLE = b"\x00\x01\x00\x00"
-_FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+#: Bytes of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
+_LENGTHS = {7: 4, 8: 8}
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 
 
@@ -36,9 +37,10 @@ class Cloud:
     frame_id: str
     height: int
     width: int
-    xyz: NDArray[np.float32]
-    """Positions [m], shape (height * width, 3), read-only; other fields may lie between, then it is not contiguous."""
-    velocity: NDArray[np.float32] | None = None
+    xyz: NDArray[np.floating]
+    """Positions [m], shape (height * width, 3), float32 or float64 as the fields are, read-only; other fields may lie
+    between, then it is not contiguous."""
+    velocity: NDArray[np.floating] | None = None
     """Velocities [m/s] likewise, where the cloud has fields vx, vy, vz."""
 
 
@@ -88,38 +90,40 @@ def decode_string(data: bytes | memoryview) -> str:
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
-    """A PointCloud2 with its positions, and velocities if it has them, as views of `data`; x, y, z must be float32.
+    """A PointCloud2 with its positions, and velocities if it has them, as views of `data`.
 
-    Raises SessionError otherwise.
+    Raises SessionError unless x, y, z are float32 or float64.
     """
     reader = _Reader(data, "sensor_msgs/msg/PointCloud2")
     seconds, nanoseconds = reader.numbers("iI")
     frame_id = reader.string()
     height, width, field_count = reader.numbers("III")
-    offsets: dict[str, int] = {}
+    fields: dict[str, tuple[int, int]] = {}
     for _ in range(field_count):
         name = reader.string()
         (offset,) = reader.numbers("I")
         (datatype,) = reader.numbers("B")
         (count,) = reader.numbers("I")
-        if datatype == _FLOAT32 and count == 1:
-            offsets[name] = offset
+        if datatype in _LENGTHS and count == 1:
+            fields[name] = offset, _LENGTHS[datatype]
     (big_endian,) = reader.numbers("B")
     point_step, row_step = reader.numbers("II")
     (size,) = reader.numbers("I")
     start = reader.skip(size)
-    if not _evenly_spaced(offsets, _POSITION):
-        raise SessionError("a cloud has no evenly spaced float32 fields x, y, z")
-    if height * row_step > size or width * point_step > row_step or max(offsets.values()) + 4 > point_step:
+    if not _evenly_spaced(fields, _POSITION):
+        raise SessionError("a cloud has no evenly spaced fields x, y, z of one type, float32 or float64")
+    end = max(offset + length for offset, length in fields.values())
+    if height * row_step > size or width * point_step > row_step or end > point_step:
         raise SessionError(f"a cloud of {height} x {width} points of {point_step} bytes does not fit its {size} bytes")
 
-    def view(names: tuple[str, str, str]) -> NDArray[np.float32]:
+    def view(names: tuple[str, str, str]) -> NDArray[np.floating]:
+        offset, length = fields[names[0]]
         points = np.ndarray(
             (height, width, 3),
-            dtype=">f4" if big_endian else "<f4",
+            dtype=f"{'>' if big_endian else '<'}f{length}",
             buffer=data,
-            offset=start + offsets[names[0]],
-            strides=(row_step, point_step, offsets[names[1]] - offsets[names[0]]),
+            offset=start + offset,
+            strides=(row_step, point_step, fields[names[1]][0] - offset),
         )
         points.flags.writeable = False
         return points.reshape(height * width, 3)
@@ -130,15 +134,16 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
         height=height,
         width=width,
         xyz=view(_POSITION),
-        velocity=view(_VELOCITY) if _evenly_spaced(offsets, _VELOCITY) else None,
+        velocity=view(_VELOCITY) if _evenly_spaced(fields, _VELOCITY) else None,
     )
 
 
-def _evenly_spaced(offsets: Mapping[str, int], names: tuple[str, str, str]) -> bool:
-    if not offsets.keys() >= set(names):
+def _evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str, str]) -> bool:
+    """Tell whether fields, by name their offset and length in bytes, are three of one length at equal distances."""
+    if not fields.keys() >= set(names):
         return False
-    first, second, third = (offsets[name] for name in names)
-    return second - first == third - second
+    (first, one), (second, two), (third, three) = (fields[name] for name in names)
+    return second - first == third - second and one == two == three
 
 
 def decode_surface(data: bytes | memoryview) -> Surface:

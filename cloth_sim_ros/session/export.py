@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,7 +28,7 @@ class _Frame(NamedTuple):
     number: int
     time: float
     log_time: int
-    xyz: NDArray[np.float32]
+    xyz: NDArray[np.floating]
 
 
 def export(
@@ -50,9 +51,9 @@ def export(
         progress: called for each cloud read; an .npz needs two passes, the first to count.
 
     ``.npz`` holds ``frame`` (m,), ``time`` (m,) [s], ``log_time`` (m,) [ns since the epoch], ``positions`` (m, n, 3)
-    float32
-    [m] and, where the session has them, ``triangles`` (k, 3) and ``rest_positions`` (n, 3) [m]. Parquet has one row for
-    each particle of each frame: ``frame``, ``time``, ``particle``, ``x``, ``y``, ``z``.
+    [m], float32 or, if the clouds are, float64, and, where the session has them, ``triangles`` (k, 3) and
+    ``rest_positions`` (n, 3) [m]. Parquet has one row for each particle of each frame: ``frame``, ``time``,
+    ``particle``, ``x``, ``y``, ``z``.
 
     Raises SessionError for a target of another kind, or a session without clouds in that span.
     """
@@ -85,6 +86,7 @@ def _frames(
 ) -> Iterator[_Frame]:
     taken = 0
     points: int | None = None
+    kind: np.dtype[Any] | None = None
     for recorded in reader.clouds():
         progress()
         if not _within(recorded, start, end):
@@ -96,7 +98,9 @@ def _frames(
         xyz = recorded.cloud.xyz
         if points is not None and len(xyz) != points:
             raise SessionError(f"a cloud has {len(xyz)} points, those before {points}; export the spans apart")
-        points = len(xyz)
+        if kind is not None and xyz.dtype != kind:
+            raise SessionError(f"a cloud is {xyz.dtype.name}, those before {kind.name}; export the spans apart")
+        points, kind = len(xyz), xyz.dtype
         number, time = (-1, float("nan")) if frame is None else (frame.frame, frame.time)
         yield _Frame(number, time, recorded.log_time, xyz)
 
@@ -112,10 +116,10 @@ def _within(recorded: RecordedCloud, start: float | None, end: float | None) -> 
 
 def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: SessionReader) -> int:
     # The array's shape precedes its data, so the frames are counted first.
-    table = [(frame.number, frame.time, frame.log_time, len(frame.xyz)) for frame in frames()]
+    table = [(frame.number, frame.time, frame.log_time, frame.xyz.shape, frame.xyz.itemsize) for frame in frames()]
     if not table:
         raise SessionError("the session has no clouds in that span")
-    shape = (len(table), table[0][3], 3)
+    shape, kind = (len(table), *table[0][3]), f"<f{table[0][4]}"
     surface = reader.topology()
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         columns: dict[str, NDArray[Any]] = {
@@ -130,11 +134,11 @@ def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: Sessi
             np.lib.format.write_array(buffer, column, allow_pickle=False)
             archive.writestr(f"{name}.npy", buffer.getvalue())
         with archive.open("positions.npy", "w", force_zip64=True) as entry:
-            header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+            header = {"descr": kind, "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_1_0(entry, header)
             written = 0
             for frame in frames():
-                entry.write(np.ascontiguousarray(frame.xyz, "<f4").tobytes())
+                entry.write(np.ascontiguousarray(frame.xyz, kind).tobytes())
                 written += 1
     if written != len(table):
         raise SessionError(f"the session changed while it was read: {len(table)} clouds, then {written}")
@@ -147,16 +151,13 @@ def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], _: Sessio
         import pyarrow.parquet as pq  # type: ignore[import-untyped]
     except ImportError:
         raise SessionError("Parquet needs the Python package pyarrow; install it, or export to .npz") from None
-    schema = pa.schema(
-        [
-            ("frame", pa.int64()),
-            ("time", pa.float64()),
-            ("particle", pa.int32()),
-            ("x", pa.float32()),
-            ("y", pa.float32()),
-            ("z", pa.float32()),
-        ]
-    )
+    span = frames()
+    first = next(span, None)
+    if first is None:
+        raise SessionError("the session has no clouds in that span")
+    kind = np.dtype(f"f{first.xyz.itemsize}")
+    leading = [("frame", pa.int64()), ("time", pa.float64()), ("particle", pa.int32())]
+    schema = pa.schema([*leading, *((axis, pa.from_numpy_dtype(kind)) for axis in "xyz")])
     count = 0
     waiting: list[_Frame] = []
     with pq.ParquetWriter(path, schema) as writer:
@@ -168,18 +169,16 @@ def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], _: Sessio
                 np.repeat(np.array([frame.number for frame in waiting], np.int64), points),
                 np.repeat(np.array([frame.time for frame in waiting], np.float64), points),
                 np.tile(np.arange(points, dtype=np.int32), len(waiting)),
-                *(np.ascontiguousarray(xyz[:, axis], np.float32) for axis in range(3)),
+                *(np.ascontiguousarray(xyz[:, axis], kind) for axis in range(3)),
             ]
             writer.write_table(pa.table(columns, schema=schema))
             waiting.clear()
 
-        for frame in frames():
+        for frame in itertools.chain([first], span):
             waiting.append(frame)
             count += 1
             if sum(len(other.xyz) for other in waiting) >= _ROW_GROUP:
                 write()
         if waiting:
             write()
-    if not count:
-        raise SessionError("the session has no clouds in that span")
     return count

@@ -26,7 +26,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 _LITTLE = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
-_FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
+_FLOAT32, _FLOAT64 = 7, 8  # of sensor_msgs/PointField
 #: Packers of a time, and of 3, 6 and 7 numbers.
 _TIME = struct.Struct("<iI").pack
 _DOUBLES = {count: struct.Struct(f"<{count}d").pack for count in (3, 6, 7)}
@@ -40,17 +40,19 @@ class CloudBytes:
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
         velocity: whether each point has its velocity too: fields vx, vy, vz [m/s].
+        double: true for fields in double precision.
     """
 
-    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False) -> None:
+    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False, double: bool = False) -> None:
         names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
-        size = 4 * len(names)
-        self._points = np.empty((height * width, len(names)), dtype="<f4")
+        length, datatype = (8, _FLOAT64) if double else (4, _FLOAT32)
+        size = length * len(names)
+        self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
         body = bytearray(8) + _text(frame_id)
         body = _aligned(body, 4) + struct.pack("<III", height, width, len(names))
         for index, name in enumerate(names):
             body = _aligned(body, 4) + _text(name)
-            body = _aligned(body, 4) + struct.pack("<IB", 4 * index, _FLOAT32)
+            body = _aligned(body, 4) + struct.pack("<IB", length * index, datatype)
             body = _aligned(body, 4) + struct.pack("<I", 1)
         body = _aligned(body + b"\x00", 4) + struct.pack("<III", size, size * width, self._points.nbytes)
         self._middle = bytes(body[8:])

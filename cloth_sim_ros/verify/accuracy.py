@@ -79,7 +79,7 @@ class _Accuracy:
         self._watch, self._equations = FrameWatch(), Equations()
         self._frame: RunFrame | None = None
         self._again = False
-        self._recorded: NDArray[np.float32] | None = None
+        self._recorded: NDArray[np.floating] | None = None
         self._altered = False
         self._last = -1
         self._window: Window | None = None
@@ -99,7 +99,7 @@ class _Accuracy:
         self._again = record.digest == simulation.state.digest()
         self._recorded, self._altered = None, False
 
-    def cloud(self, recorded: NDArray[np.float32], same: bool) -> None:
+    def cloud(self, recorded: NDArray[np.floating], same: bool) -> None:
         """Take its recorded positions (n, 3) [m], and whether they are those that it came to."""
         self._recorded = recorded
         self._altered = not same and self._again
@@ -151,7 +151,7 @@ class _Accuracy:
         told = self._of_window.frame(self._equations, frame)
         self._growth = max(self._growth, told.growth)
         session = self._go_on(frame)
-        floor = told.floor + (0.0 if exact else _FLOAT32 * float(np.abs(told.x).max()))
+        floor = told.floor + (0.0 if exact else self._rounding() * float(np.abs(told.x).max()))
         error_of_frame = _away(recorded, true)
         found = FrameAccuracy(
             frame=frame.index,
@@ -182,6 +182,10 @@ class _Accuracy:
     def _in_file(self) -> Array | None:
         """The recorded positions, shape (3, n) [m]; None where there are none."""
         return None if self._recorded is None else self._recorded.T.astype(np.float64)
+
+    def _rounding(self) -> float:
+        """Relative rounding of the recorded positions."""
+        return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
     def _begin_session(self, frame: RunFrame, start: State) -> None:
         self._of_session, self._session_start = Truth(start, seed=frame.index), frame.t

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.sections import Points
 from cloth_sim_ros.session import messages
 from cloth_sim_ros.session.cdr import Cloud, decode, decode_cloud, decode_surface
 from cloth_sim_ros.session.errors import SessionError
@@ -46,15 +47,15 @@ class CloudCheck:
 
     def __init__(self, scene: Scene, findings: Findings) -> None:
         self._frame_id, self._shape, self._findings = scene.frame_id, scene.shape, findings
-        #: Whether velocities are in it: as the scene in force says (a node), or as the first one said (a study).
-        self._first = scene.points.velocity
-        self._bytes: dict[bool, messages.CloudBytes] = {}
+        #: Its fields: as the scene in force says (a node), or as the first one said (a study).
+        self._first = scene.points
+        self._bytes: dict[Points, messages.CloudBytes] = {}
 
     def compare(self, message: Message, simulation: Simulation, stamp: int) -> bool:
         """Compare a cloud of the frame that was just run, at a ROS time [ns]; whether its positions are the same."""
-        state, velocity = simulation.state, simulation.scene.points.velocity
-        for told in dict.fromkeys((velocity, self._first)):
-            if same_bytes(message.data, self._again(told).at(state.x, stamp, state.v if told else None)):
+        state, fields = simulation.state, simulation.scene.points
+        for points in dict.fromkeys((fields, self._first)):
+            if same_bytes(message.data, self._again(points).at(state.x, stamp, state.v if points.velocity else None)):
                 return True
         try:
             recorded = decode_cloud(message.data)
@@ -63,26 +64,24 @@ class CloudCheck:
             return False
         if not self._compare_header(recorded, stamp):
             return False
-        again = state.x.T.astype(np.float32)
-        if not np.array_equal(recorded.xyz.view(np.uint32), again.view(np.uint32)):
-            self._tell_positions(recorded.xyz, again)
+        if (wrong := _different(recorded.xyz, state.x)).size:
+            self._tell_positions(recorded.xyz, state.x.T.astype(recorded.xyz.dtype))
             return False
-        if recorded.velocity is not None and velocity:
-            again = state.v.T.astype(np.float32)
-            wrong = np.flatnonzero((recorded.velocity.view(np.uint32) != again.view(np.uint32)).any(axis=1))
+        if recorded.velocity is not None and fields.velocity:
+            wrong = _different(recorded.velocity, state.v)
             if wrong.size:
                 self._findings.difference("cloud", f"its cloud, by the velocity of particle {wrong[0]}", rounding=True)
                 return True
         self._findings.difference("cloud", "its cloud, by the layout of its points")
         return True
 
-    def _again(self, velocity: bool) -> messages.CloudBytes:
-        if velocity not in self._bytes:
+    def _again(self, points: Points) -> messages.CloudBytes:
+        if points not in self._bytes:
             height, width = self._shape
-            self._bytes[velocity] = messages.CloudBytes(
-                frame_id=self._frame_id, height=height, width=width, velocity=velocity
+            self._bytes[points] = messages.CloudBytes(
+                frame_id=self._frame_id, height=height, width=width, velocity=points.velocity, double=points.double
             )
-        return self._bytes[velocity]
+        return self._bytes[points]
 
     def _compare_header(self, cloud: Cloud, stamp: int) -> bool:
         height, width = self._shape
@@ -100,7 +99,7 @@ class CloudCheck:
                 return False
         return True
 
-    def _tell_positions(self, recorded: NDArray[np.float32], again: NDArray[np.float32]) -> None:
+    def _tell_positions(self, recorded: NDArray[np.floating], again: NDArray[np.floating]) -> None:
         away = np.linalg.norm(recorded.astype(np.float64) - again, axis=1)
         worst = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
         deviation = float(away[worst]) if math.isfinite(away[worst]) else math.inf
@@ -111,6 +110,12 @@ class CloudCheck:
             f"its cloud, by {deviation:.3g} m at particle {worst}",
             rounding=math.isfinite(deviation),
         )
+
+
+def _different(recorded: NDArray[np.floating], again: Array) -> NDArray[np.intp]:
+    """Return the particles whose recorded vectors (n, 3) are not the bits of the re-run's (3, n), rounded alike."""
+    bits = np.dtype(f"u{recorded.dtype.itemsize}")
+    return np.flatnonzero((recorded.view(bits) != again.T.astype(recorded.dtype).view(bits)).any(axis=1))
 
 
 def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int, findings: Findings) -> None:

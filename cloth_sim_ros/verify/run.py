@@ -49,7 +49,7 @@ class Watch(Protocol):
     def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
         """Take a frame that was just run, from scene and state before it."""
 
-    def cloud(self, recorded: NDArray[np.float32], same: bool) -> None:
+    def cloud(self, recorded: NDArray[np.floating], same: bool) -> None:
         """Take the positions (n, 3) [m] that were recorded of it, and whether they are those that it came to."""
 
     def close(self) -> None:

@@ -17,9 +17,10 @@ STAMP = 1_800_000_000_123_456_789
 
 @pytest.mark.parametrize("frame_id", ["", "world", "a_longer_frame"])
 @pytest.mark.parametrize("velocity", [False, True])
-def test_a_cloud_is_what_a_generic_writer_makes(frame_id: str, velocity: bool) -> None:
+@pytest.mark.parametrize("double", [False, True])
+def test_a_cloud_is_what_a_generic_writer_makes(frame_id: str, velocity: bool, double: bool) -> None:
     x, v = np.random.default_rng(0).normal(size=(2, 3, 6))
-    made = messages.CloudBytes(frame_id=frame_id, height=2, width=3, velocity=velocity)
+    made = messages.CloudBytes(frame_id=frame_id, height=2, width=3, velocity=velocity, double=double)
     made = made.at(x, STAMP, v if velocity else None)
     read = decode(made, messages.CLOUD)
     # Behind the last field bytes fill up to a multiple of four, as they travel.
@@ -28,9 +29,9 @@ def test_a_cloud_is_what_a_generic_writer_makes(frame_id: str, velocity: bool) -
     assert len(made) % 4 == 0
     assert read.header.stamp.sec * 10**9 + read.header.stamp.nanosec == STAMP
     assert read.header.frame_id == frame_id
-    values = read.data.view("<f4").reshape(6, -1)
-    assert np.array_equal(values[:, :3], x.T.astype(np.float32))
-    assert not velocity or np.array_equal(values[:, 3:], v.T.astype(np.float32))
+    values = read.data.view("<f8" if double else "<f4").reshape(6, -1)
+    assert np.array_equal(values[:, :3], x.T.astype(values.dtype))
+    assert not velocity or np.array_equal(values[:, 3:], v.T.astype(values.dtype))
 
 
 @pytest.mark.parametrize("frame_id", ["", "world", "map"])

@@ -49,6 +49,17 @@ def test_cloud_with_velocities() -> None:
     np.testing.assert_array_equal(points, np.concatenate([X.T, X.T - 1.0], axis=1).astype(np.float32))
 
 
+def test_cloud_in_double_precision() -> None:
+    cloud = CloudMessage(frame_id="world", height=2, width=3, velocity=True, double=True)
+    message = deserialize_message(cloud.serialized(X, STAMP, X - 1.0), PointCloud2)
+    assert (message.point_step, message.row_step) == (48, 144)
+    assert [(field.name, field.offset, field.datatype) for field in message.fields] == [
+        ("x", 0, 8), ("y", 8, 8), ("z", 16, 8), ("vx", 24, 8), ("vy", 32, 8), ("vz", 40, 8),
+    ]  # fmt: skip
+    points = np.frombuffer(bytes(message.data), "<f8").reshape(-1, 6)
+    np.testing.assert_array_equal(points, np.concatenate([X.T, X.T - 1.0], axis=1))
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
 def test_topology(count: int) -> None:
     message = deserialize_message(mesh_bytes(TRIANGLES[:count], X.T), Mesh)

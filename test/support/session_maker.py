@@ -48,8 +48,16 @@ def _header(log_time: int, frame_id: str = "world") -> Any:
     return message_class("std_msgs/msg/Header")(stamp=_time(log_time), frame_id=frame_id)
 
 
-def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int], velocity: np.ndarray | None = None) -> bytes:
-    """CDR bytes of a cloud: positions (n, 3) [m] as float32, rows x columns; velocities [m/s] where given."""
+def cloud_bytes(
+    xyz: np.ndarray,
+    log_time: int,
+    resolution: Sequence[int],
+    velocity: np.ndarray | None = None,
+    *,
+    double: bool = False,
+) -> bytes:
+    """CDR bytes of a cloud: positions (n, 3) [m], rows x columns; velocities [m/s] where given; float64 if `double`."""
+    length, datatype = (8, 8) if double else (4, 7)
     names = ("x", "y", "z") if velocity is None else ("x", "y", "z", "vx", "vy", "vz")
     values = xyz if velocity is None else np.concatenate([xyz, velocity], axis=1)
     rows, columns = resolution
@@ -59,11 +67,11 @@ def cloud_bytes(xyz: np.ndarray, log_time: int, resolution: Sequence[int], veloc
             header=_header(log_time),
             height=rows,
             width=columns,
-            fields=[field(name=name, offset=4 * k, datatype=7, count=1) for k, name in enumerate(names)],
+            fields=[field(name=name, offset=length * k, datatype=datatype, count=1) for k, name in enumerate(names)],
             is_bigendian=False,
-            point_step=4 * len(names),
-            row_step=4 * len(names) * columns,
-            data=np.frombuffer(np.ascontiguousarray(values, dtype="<f4").tobytes(), np.uint8),
+            point_step=length * len(names),
+            row_step=length * len(names) * columns,
+            data=np.frombuffer(np.ascontiguousarray(values, dtype=f"<f{length}").tobytes(), np.uint8),
             is_dense=True,
         ),
         _CLOUD,
@@ -202,7 +210,7 @@ class SessionMaker:
         self._write(f"{NODE}/frame", _STRING, change, encode_string(record.to_json()))
         scene = self.simulation.scene
         velocity = self.simulation.velocities if scene.points.velocity else None
-        cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity)
+        cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity, double=scene.points.double)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
         # The node's markers are made of ROS messages; who has none leaves them out.
         surrounded = self.simulation.obstacles is not None or self.simulation.pinching is not None
