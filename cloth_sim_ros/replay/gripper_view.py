@@ -93,7 +93,8 @@ class GripperView:
 
     def held(self, xyz: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
         """Positions (k, 3) of what each gripper holds, of those of all particles (n, 3)."""
-        return {name: xyz[track.held] for name, track in self._tracks.tracks.items()}
+        tracks = self._tracks.tracks.items()
+        return {name: xyz[:0] if track.held is None else xyz[track.held] for name, track in tracks}
 
     def show_held(self, moment: Moment, held: dict[str, Any]) -> None:
         """Show held particles."""

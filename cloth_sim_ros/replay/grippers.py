@@ -39,8 +39,8 @@ class GripperTrack:
         self.pose = None if pose is None else pose.copy()
         self.target = target.copy()
         self.closed = closed
-        #: Numbers of the particles that it holds.
-        self.held = held.astype(np.intp)
+        #: Numbers of the particles that it holds; None if no cloud shows what it took.
+        self.held: NDArray[np.intp] | None = held.astype(np.intp)
 
     def aim(self, position: Floats, orientation: Floats | None) -> None:
         """Take note of a target; the first one places the gripper."""
@@ -50,19 +50,22 @@ class GripperTrack:
         if self.pose is None:
             self.pose = self.target.copy()
 
-    def close(self, xyz: NDArray[np.floating], free: NDArray[np.bool_], radius: float) -> None:
-        """Close on the particles at xyz (n, 3) [m]."""
+    def close(self, xyz: NDArray[np.floating] | None, free: NDArray[np.bool_], radius: float) -> None:
+        """Close on the particles at xyz (n, 3) [m]; None if their places are not known."""
         if self.closed:
             return
         self.closed = True
-        if self.pose is not None and not self.pinches:
+        if self.pose is None or self.pinches:
+            return
+        self.held = None
+        if xyz is not None:
             near = np.linalg.norm(xyz - self.pose[:3], axis=1) <= radius
             self.held = np.flatnonzero(near & free)
 
     def open(self) -> None:
         """Let go."""
         self.closed = False
-        self.held = self.held[:0]
+        self.held = np.zeros(0, dtype=np.intp)
 
 
 class GripperTracks:
@@ -90,8 +93,20 @@ class GripperTracks:
         self._free[:] = True
         self._free[particles] = False
 
-    def advance(self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating]]) -> None:
-        """Take a frame's events over; `positions_before` gives the particles (n, 3) as they were before it."""
+    def advance(
+        self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating] | None]
+    ) -> list[int | None]:
+        """Take a frame's events over.
+
+        Args:
+            record: of the frame.
+            positions_before: gives the particles (n, 3) [m] as they were before it; None if no cloud shows them.
+
+        Returns:
+            For each event the number of particles that its gripper holds right after it; None if that is not known, or
+            no gripper is concerned.
+        """
+        counts: list[int | None] = []
         for event in record.events:
             kind = event.get("kind")
             track = self.tracks.get(str(event.get("gripper", "")))
@@ -107,11 +122,13 @@ class GripperTracks:
                 self.radius = float(event["values"].get("gripper.radius", self.radius))
             elif kind == "reset":
                 self._reset()
+            counts.append(None if track is None or track.held is None else len(track.held))
         # Of a cloth that sleeps no step is taken, and yet time passes.
         if record.steps or not record.paused:
             for track in self.tracks.values():
                 if track.pose is not None:
                     track.pose = track.target.copy()
+        return counts
 
     def _reset(self) -> None:
         nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])

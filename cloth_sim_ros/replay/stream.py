@@ -33,7 +33,7 @@ _BATCH = 2 << 20
 _MOST_ROWS = 4096
 #: Bytes that may be on their way to the disk or the viewer.
 _IN_FLIGHT = 64 << 20
-_WRENCH = "geometry_msgs/msg/WrenchStamped"
+_WRENCH, _STATUS = "geometry_msgs/msg/WrenchStamped", "diagnostic_msgs/msg/DiagnosticStatus"
 
 CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
 
@@ -79,12 +79,18 @@ class Stream:
         self._points, self._frame, self._obstacles = f"{node}/points", f"{node}/frame", f"{node}/obstacles"
         felt = [*(start.name for start in survey.opening.grippers), *survey.opening.obstacles]
         self._wrenches = {f"{node}/{name}/wrench": name for name in felt}
+        self._states = {f"{node}/{start.name}/state": start.name for start in survey.opening.grippers}
         self._every, self._only = every, only
         self._anchored = survey.opening.anchored(survey.rows, survey.columns)
         self._grippers = GripperTracks(survey.opening, self._anchored)
         #: Whether anything was anchored so far.
         self._pinned = len(self._anchored) > 0
         self._before: Message | None = None
+        #: Numbers of the frames that the newest record and the newest cloud show; None before the first.
+        self._recorded: int | None = None
+        self._clouded: int | None = None
+        #: Events of the newest frame, told once the node has said what grippers hold: moment, event, count by a cloud.
+        self._events: list[tuple[Moment, Any, int | None]] = []
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
         self._view = GripperView(self._grippers, self._table)
@@ -100,7 +106,9 @@ class Stream:
     @property
     def topics(self) -> frozenset[str]:
         """The topics that are shown."""
-        return frozenset({self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches})
+        return frozenset(
+            {self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches, *self._states}
+        )
 
     @property
     def time(self) -> float:
@@ -122,6 +130,8 @@ class Stream:
             self._solids.show(self._moment._replace(ros_time=message.log_time), message.data)
         elif topic in self._wrenches:
             self._add_wrench(message)
+        elif topic in self._states:
+            self._add_gripper_state(message)
         elif topic == DIAGNOSTICS_TOPIC:
             moment = self._moment._replace(ros_time=message.log_time)
             for path, value in diagnostic_numbers(message.data):
@@ -146,6 +156,7 @@ class Stream:
 
     def finish(self) -> None:
         """Show what was held back, and send what waits."""
+        self._tell_events()
         if self._kept is not None:
             self._show(self._kept)
             self._kept = None
@@ -170,7 +181,9 @@ class Stream:
     def _add_frame(self, message: Message) -> None:
         record = read_frame(message)
         moment = self._moment = Moment(record.time, message.log_time, record.frame)
-        self._grippers.advance(record, self._positions_before)
+        self._tell_events()
+        counts = self._grippers.advance(record, lambda: self._positions_before(record))
+        self._recorded = record.frame
         self._anchor(record)
         self._scalar("plots/steps/steps", moment, float(record.steps))
         for path, value in extra_numbers(record.extras):
@@ -178,11 +191,27 @@ class Stream:
         if self._accuracy is not None:
             for path, value in self._accuracy.curves(record.frame):
                 self._scalar(path, moment, value)
-        for event in record.events:
-            told = _story(event, self._grippers)
+        self._events = [(moment, event, count) for event, count in zip(record.events, counts, strict=True)]
+        self._view.show(moment)
+
+    def _add_gripper_state(self, message: Message) -> None:
+        """Correct the newest grasp's count by what the node says of its gripper, which it does after the frame."""
+        name = self._states[message.topic]
+        said = {entry.key: entry.value for entry in decode(message.data, _STATUS).values}
+        if said.get("closed") != "true" or not said.get("held", "").isdecimal():
+            return  # A reset of the same frame has opened it again.
+        for k, (moment, event, _) in reversed(list(enumerate(self._events))):
+            if event.get("kind") == "grasp" and event["gripper"] == name:
+                self._events[k] = moment, event, int(said["held"])
+                return
+
+    def _tell_events(self) -> None:
+        for moment, event, count in self._events:
+            track = self._grippers.tracks.get(str(event.get("gripper", "")))
+            told = _story(event, count, pinches=track is not None and track.pinches)
             if told:
                 self._say(moment, told, "INFO")
-        self._view.show(moment)
+        self._events = []
 
     def _anchor(self, record: FrameRecord) -> None:
         """Take over anchors that a frame has changed, after its grasps."""
@@ -195,7 +224,7 @@ class Stream:
                 self._pinned = self._pinned or len(self._anchored) > 0
 
     def _add_cloud(self, message: Message) -> None:
-        self._before = message
+        self._before, self._clouded = message, self._recorded
         self.clouds_seen += 1
         if (self.clouds_seen - 1) % self._every:
             return
@@ -241,9 +270,12 @@ class Stream:
         size = float(np.linalg.norm([force.x, force.y, force.z]))
         self._scalar(f"plots/force/{name}", self._moment._replace(ros_time=message.log_time), size)
 
-    def _positions_before(self) -> NDArray[np.floating]:
-        if self._before is None:
+    def _positions_before(self, record: FrameRecord) -> NDArray[np.floating] | None:
+        """The particles before a frame [m], by the state or the cloud there; None if neither shows them."""
+        if self._recorded is None:
             return self._survey.opening.positions
+        if self._before is None or self._clouded != self._recorded or record.frame > self._recorded + 1:
+            return None
         return decode_cloud(self._before.data).xyz
 
     def _scalar(self, path: str, moment: Moment, value: float) -> None:
@@ -269,17 +301,22 @@ class Stream:
 _LEVELS = {30: "WARN", 40: "ERROR", 50: "CRITICAL"}
 
 
-def _story(event: Any, grippers: GripperTracks) -> str:
-    """An event in words; empty for targets, which are seen."""
+def _story(event: Any, count: int | None, *, pinches: bool) -> str:
+    """An event in words; empty for targets, which are seen.
+
+    Args:
+        event: the recorded event.
+        count: particles that its gripper holds right after it; None if that is not known.
+        pinches: whether its gripper closes pads.
+    """
     kind = event.get("kind")
     if kind == "grasp":
         name = event["gripper"]
-        track = grippers.tracks.get(name)
         if not event["closed"]:
             return f"{name} opens"
-        if track is not None and track.pinches:
+        if pinches:
             return f"{name} closes its pads"
-        return f"{name} closes, holds {0 if track is None else len(track.held)} particles"
+        return f"{name} closes" if count is None else f"{name} closes, holds {count} particles"
     if kind == "set_parameters":
         return ", ".join(f"{name} = {value}" for name, value in event["values"].items())
     if kind == "relax":

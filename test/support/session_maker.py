@@ -30,6 +30,7 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 _MESH = "shape_msgs/msg/Mesh"
 _STRING = "std_msgs/msg/String"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _BOOL = "std_msgs/msg/Bool"
@@ -101,6 +102,13 @@ def diagnostics_bytes(log_time: int, values: Mapping[str, str]) -> bytes:
         values=[pair(key=key, value=value) for key, value in values.items()],
     )
     return encode(message_class(_DIAGNOSTICS)(header=_header(log_time), status=[status]), _DIAGNOSTICS)
+
+
+def status_bytes(name: str, values: Mapping[str, str]) -> bytes:
+    """CDR bytes of what the node says of a gripper."""
+    pair = message_class("diagnostic_msgs/msg/KeyValue")
+    pairs = [pair(key=key, value=value) for key, value in values.items()]
+    return encode(message_class(_STATUS)(level=0, name=name, message="", hardware_id="none", values=pairs), _STATUS)
 
 
 def target_bytes(event: Target | Move, log_time: int) -> bytes:
@@ -177,8 +185,12 @@ class SessionMaker:
         extras: Mapping[str, Any] | None = None,
         diagnostics: Mapping[str, str] | None = None,
         change: Change = lambda _topic, data: data,
+        states: bool = False,
     ) -> None:
-        """Advance one frame and write it; `change` may spoil a message's bytes, or leave it out by None."""
+        """Advance one frame and write it; `change` may spoil a message's bytes, or leave it out by None.
+
+        `states`: write what the node says of each gripper that was commanded to close or open.
+        """
         self._clock += 1
         now = self.log_time
         for event in events:
@@ -220,6 +232,11 @@ class SessionMaker:
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))
         for name, load in zip(self.simulation.scene.obstacle_names, frame.loads, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(load, now))
+        for grasp in frame.grasps if states else ():
+            index = scene.gripper_names.index(grasp.gripper)
+            closed, held = self.simulation.grippers.is_closed(index), self.simulation.held(index)
+            said = status_bytes(grasp.gripper, {"closed": str(closed).lower(), "held": str(held)})
+            self._write(f"{NODE}/{grasp.gripper}/state", _STATUS, change, said)
         if diagnostics is not None:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
 
