@@ -20,7 +20,7 @@ from cloth_sim_ros.scene import input_file, parameter_file, ros_yaml
 from cloth_sim_ros.scene.locations import config_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
+from cloth_sim_ros.scene.unknown import is_of_ros, suggestion
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 #: Entries of a study, and what each is.
@@ -73,9 +73,7 @@ def from_dict(content: Any, *, folder: Path) -> Study:
         raise StudyError(f"'scene' is missing: {ENTRIES['scene']}")
     scene_path = _find(str(content["scene"]), "scene", folder)
     parameters = {
-        name: value
-        for name, value in parameter_file.read(scene_path).items()
-        if name not in FOREIGN and not name.startswith(PROFILES)
+        name: value for name, value in parameter_file.read(scene_path, strict=True).items() if not is_of_ros(name)
     }
     parameters.update(_flat(content.get("parameters", {}), "parameters"))
     factors = tuple(factor_kinds.read(str(name), entry) for name, entry in _vary(content).items())

@@ -17,13 +17,13 @@ from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.step_setters import in_words, step_setters
+from cloth_sim_ros.ros.unknown_overrides import unknown_sentences
 from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown import unknown
 from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -62,7 +62,8 @@ def check(path: str, *, node: str) -> int:
     """
     values: dict[str, Any] = {}
     try:
-        values = parameter_file.read(path, node=node)
+        text = parameter_file.text_of(path)
+        values = parameter_file.parse(text, node=node, source=path)
         node_refusals.refuse_values(values)
         known = {entry.name for entry in Scene.declared_for(values)}
         own = {name: value for name, value in values.items() if name in known}
@@ -72,15 +73,17 @@ def check(path: str, *, node: str) -> int:
         simulation = Simulation(scene)
         refuse_endless_frames(scene, simulation)
         cost = try_frames(scene)
-    except (ParameterError, ValueError) as error:
-        print(f"cloth_sim: {error}{node_refusals.hint_at_folder(error, values, path)}", file=sys.stderr)
+    except ValueError as error:
+        for sentence in error.sentences if isinstance(error, ParameterError) else [str(error)]:
+            print(f"cloth_sim: {sentence}{node_refusals.hint_at_folder(sentence, values, path)}", file=sys.stderr)
         return 1
+    full = f"/{node.strip('/')}"
     if not values:
-        print(f"warning: '{path}' sets nothing for the node /{node.strip('/')}: all has its default")
+        others = parameter_file.other_nodes(text, node=node, source=path)
+        print(f"warning: '{path}' sets nothing for the node {full}: all has its default{others and f'; {others}'}")
     notes, doubts = mesh_notes(scene)
-    ignored = unknown([name for name in values if name not in known], known)
     doubts += implausible_sizes(scene, simulation.state.x, simulation.model.masses)
-    for sentence in [*ignored, *without_effect(scene, own), *doubts]:
+    for sentence in [*unknown_sentences(values, known, scene, node=full), *without_effect(scene, own), *doubts]:
         print(f"warning: {sentence}")
     for sentence in notes:
         print(sentence)
@@ -117,6 +120,8 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     print(cloth_size(scene, simulation.state.x, simulation.model.masses))
     held = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
     print(f"{scene.rate:g} frames a second; {held}; grippers: {', '.join(scene.gripper_names) or 'none'}")
+    if (ratio := scene.poisson_ratio) is not None:
+        print(f"Poisson's ratio, which follows from the moduli: {ratio:.3f}")
     if simulation.obstacles is not None:
         _print_obstacles(scene, simulation.obstacles)
 

@@ -13,15 +13,17 @@ import attrs
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Tape
+from cloth_sim_ros.ros.qos_overrides import OPTIONS, own_profile
+from cloth_sim_ros.ros.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.event_checks import EventError
@@ -72,6 +74,8 @@ class Commands:
         self._grippers = grippers
         self._gates = {name: StampGate() for name in grippers}
         self._obstacles: dict[str, Subscription] = {}
+        #: Commands older than the newest, by gripper or obstacle.
+        self._dropped: dict[str, int] = {}
         self._heard: dict[str, int] = {}
         #: Messages that had arrived at the last call of `settled`, and the number of turns in a row that brought some.
         self._seen = 0
@@ -105,21 +109,26 @@ class Commands:
         self, name: str, leaf: str, kind: Any, qos: QoSProfile, handle: Callable[[str, Any, int], None]
     ) -> Subscription:
         topic = f"~/{name}/{leaf}"
+        own = own_profile(self._node, topic, qos, side=SUBSCRIPTION)
         take = functools.partial(
-            self._take, name, leaf, kind, qos, self._node.resolve_topic_name(topic, only_expand=True), handle
+            self._take, name, leaf, kind, own, self._node.resolve_topic_name(topic, only_expand=True), handle
         )
         # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-        # Best effort meets every publisher: nothing is to be told, and each event costs time every turn.
-        reliable = qos.reliability == ReliabilityPolicy.RELIABLE
-        misfit = functools.partial(self._tell_misfit, self._node.resolve_topic_name(topic)) if reliable else None
+        # A volatile subscription by best effort meets every publisher: nothing is to be told, and each event costs time
+        # every turn.
+        choosy = own.reliability != ReliabilityPolicy.BEST_EFFORT or own.durability != DurabilityPolicy.VOLATILE
+        misfit = functools.partial(self._tell_misfit, self._node.resolve_topic_name(topic)) if choosy else None
         events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
-        return self._node.create_subscription(kind, topic, self._single(take), qos, raw=True, event_callbacks=events)
-
-    def _tell_misfit(self, topic: str, _event: Any) -> None:
-        self._log.warn(
-            f"misfit {topic}",
-            f"a publisher of {topic} offers best effort, and nothing that it sends is heard: make it reliable",
+        return self._node.create_subscription(
+            kind, topic, self._single(take), own, raw=True, event_callbacks=events, qos_overriding_options=OPTIONS
         )
+
+    def _tell_misfit(self, topic: str, event: Any) -> None:
+        if event.last_policy_kind == QoSPolicyKind.DURABILITY:
+            what = "is volatile, and nothing that it sends is heard: make it transient local"
+        else:
+            what = "offers best effort, and nothing that it sends is heard: make it reliable"
+        self._log.warn(f"misfit {topic}", f"a publisher of {topic} {what}")
 
     def heard(self, gripper: str) -> int | None:
         """When the newest target of a gripper or obstacle came, ROS time [ns]; None if none has."""
@@ -170,18 +179,32 @@ class Commands:
         try:
             message = deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError) as error:
-            self._refuse(name, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}: {_first_line(error)}")
+            self._log.debug(functools.partial("{} of '{}': {}".format, leaf, name, error))
+            self._refuse(
+                name, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}; look at its publisher's type"
+            )
             return
         try:
             handle(name, message, now)
         except OldStampError as error:
             self.outdated += 1
-            self._log.warn(f"{leaf} {name} old", f"{leaf} of '{name}' is dropped: {error}")
+            self._dropped[name] = self._dropped.get(name, 0) + 1
+            self._log.warn(
+                f"{leaf} {name} old",
+                f"{leaf} of '{name}' is dropped: {error}; {self._dropped[name]} of '{name}' so far: send in order of "
+                "stamps, or with stamp 0, which means now",
+            )
         except (StampError, FrameError, EventError, QueueFullError, ValueError) as error:
             self._refuse(name, leaf, type(error).__name__, str(error))
 
     def _refuse(self, name: str, leaf: str, kind: str, reason: str) -> None:
         self.refused += 1
+        # Said of the target already, where an event's own check refuses it.
+        own = f"target of '{name}'"
+        if reason.startswith(f"{own}: "):
+            reason = reason.removeprefix(f"{own}: ")
+        elif reason.startswith(own):
+            reason = f"it{reason.removeprefix(own)}"
         self._log.warn(f"{leaf} {name} {kind}", f"{leaf} of '{name}' is refused: {reason}")
 
     def _target(self, gripper: str, message: PoseStamped, now: int) -> None:
@@ -204,13 +227,22 @@ class Commands:
         event = attrs.evolve(event, position=position, orientation=orientation)
         self._check(event)
         name = event.gripper if isinstance(event, Target) else event.obstacle
+        displaced = self._queue.displaced
         self._queue.put(event, stamp=self._gates[name].accept(stamp, now))
         self._heard[name] = now
+        if self._queue.displaced > displaced:
+            self._log.warn(
+                "displaced",
+                f"{MOST_WAITING} commands wait for a frame, and the oldest target gave way to one of '{name}'; "
+                f"{self._queue.displaced} so far: does /clock stand still, or does a sender flood?",
+            )
+        self._log.debug(functools.partial(_in_words, event, stamp))
 
     def _grasp(self, gripper: str, message: Bool, _now: int) -> None:
         event = Grasp(gripper, bool(message.data))
         self._check(event)
         self._queue.put(event, answer=self._tell)
+        self._log.debug(functools.partial(_in_words, event, 0))
 
     def _tell(self, outcome: Outcome) -> None:
         """Say what a grasp did: it has no other answer."""
@@ -238,5 +270,7 @@ class Commands:
         )
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).split("\n", 1)[0].split(",", 1)[0]
+def _in_words(event: Event, stamp: int) -> str:
+    """Return a command as DEBUG lines have it."""
+    when = f"stamped {stamp / 1e9:.3f} s" if stamp else "for now"
+    return f"command received, {when}: {event}"

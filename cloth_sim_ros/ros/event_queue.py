@@ -52,6 +52,8 @@ class EventQueue:
 
     def __init__(self) -> None:
         self._entries: list[Entry] = []
+        #: Targets that gave way to newer commands so far.
+        self.displaced = 0
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -67,6 +69,7 @@ class EventQueue:
         for index, entry in enumerate(self._entries):
             if isinstance(entry.event, Target | Move):
                 del self._entries[index]
+                self.displaced += 1
                 return
         raise QueueFullError(
             f"{MOST_WAITING} commands wait for a frame already, and {type(event).__name__.lower()} is one more; "

@@ -12,6 +12,7 @@ from rclpy.time import Time
 
 from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_matrix
 from cloth_sim_ros.ros.messages import read_stamp
+from cloth_sim_ros.scene.frame_ids import fault
 
 #: A command stamped with now comes before the transform of now. By how much the newest one may be older [ns].
 _BEHIND = 100_000_000
@@ -52,10 +53,12 @@ class FrameTransformer:
                 yet, the newest one is taken if it is at most 0.1 s older.
 
         Raises:
-            FrameError: if there is no way from one frame to the other.
+            FrameError: if tf2 takes no such name, or there is no way from one frame to the other.
         """
         if frame_id in ("", self._frame_id):
             return position, orientation
+        if words := fault(frame_id):
+            raise FrameError(f"its frame_id is {frame_id!r}; {words}")
         try:
             translation, turn = self._lookup(frame_id, stamp)
         except FrameError:

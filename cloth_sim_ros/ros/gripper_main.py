@@ -12,7 +12,7 @@ import attrs
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
-from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start
+from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.gripper_hand import Hold
 from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
 from cloth_sim_ros.ros.sim_time import SimTimeNode
@@ -56,7 +56,10 @@ def _play(options: argparse.Namespace) -> int:
             return _refuse(f"{names.count(name)} scripts are for the gripper '{name}'; a gripper plays one")
     signals = StopSignals()
     signals.install()
-    node = SimTimeNode("cloth_gripper")
+    try:
+        node = SimTimeNode("cloth_gripper")
+    except (ValueError, RuntimeError) as error:
+        return _refuse(readable(error))
     player = GripperPlayer(node, scripts, target=options.node, proceed=lambda: signals.requested is None)
     log = node.get_logger()
     named = f"gripper{'s' if names[1:] else ''} {', '.join(map(repr, names))} of {options.node}"

@@ -8,8 +8,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.logging import LoggingSeverity
+
 #: Kinds of message that are told apart; names of grippers are part of a kind, so this is far above what is needed.
 _MOST_KINDS = 1000
+_INFO, _WARN, _ERROR = "info", "warn", "error"
 
 
 class ThrottledLog:
@@ -26,34 +29,63 @@ class ThrottledLog:
         self._seconds = seconds
         self._clock = clock
         self._last: dict[str, float] = {}
-        self._left_out: dict[str, int] = {}
+        #: Whether DEBUG lines are logged, as `settle` found it last: to ask costs microseconds.
+        self.debugging = False
+        #: Of each kind how many were left out, the newest of them, and its severity.
+        self._left_out: dict[str, tuple[int, str, str]] = {}
+
+    def debug(self, message: Callable[[], str]) -> None:
+        """Log a line for who looks for a fault; it is made only while the level is DEBUG, and then not throttled."""
+        if self.debugging:
+            self._logger.debug(message())
 
     def info(self, kind: str, message: str) -> None:
         """Log what is worth knowing."""
-        text = self._pass(kind, message)
-        if text is not None:
-            self._logger.info(text)
+        self._log(kind, message, _INFO)
 
     def warn(self, kind: str, message: str) -> None:
         """Log what someone should look at."""
-        text = self._pass(kind, message)
-        if text is not None:
-            self._logger.warning(text)
+        self._log(kind, message, _WARN)
 
     def error(self, kind: str, message: str) -> None:
         """Log what went wrong."""
-        text = self._pass(kind, message)
-        if text is not None:
-            self._logger.error(text)
+        self._log(kind, message, _ERROR)
 
-    def _pass(self, kind: str, message: str) -> str | None:
+    def settle(self) -> None:
+        """Look at the level, and log the newest message of each kind of which some were left out a while ago.
+
+        Call it now and then.
+        """
+        self.debugging = bool(self._logger.is_enabled_for(LoggingSeverity.DEBUG))
+        now = self._clock()
+        for kind in [kind for kind in self._left_out if now - self._last.get(kind, now) >= self._seconds]:
+            count, message, severity = self._left_out.pop(kind)
+            self._last[kind] = now
+            self._write(f"{message}{_more(count - 1)}", severity)
+
+    def _log(self, kind: str, message: str, severity: str) -> None:
         now = self._clock()
         last = self._last.get(kind)
         if last is not None and now - last < self._seconds:
-            self._left_out[kind] = self._left_out.get(kind, 0) + 1
-            return None
+            count = self._left_out[kind][0] if kind in self._left_out else 0
+            self._left_out[kind] = (count + 1, message, severity)
+            return
         if last is None and len(self._last) >= _MOST_KINDS:
             self._last.clear()
+            self._left_out.clear()
         self._last[kind] = now
-        left_out = self._left_out.pop(kind, 0)
-        return f"{message} ({left_out} more of this kind since the last message)" if left_out else message
+        count = self._left_out.pop(kind)[0] if kind in self._left_out else 0
+        self._write(f"{message}{_more(count)}", severity)
+
+    def _write(self, text: str, severity: str) -> None:
+        # A line each: rclpy takes one severity a line of code.
+        if severity == _INFO:
+            self._logger.info(text)
+        elif severity == _WARN:
+            self._logger.warning(text)
+        else:
+            self._logger.error(text)
+
+
+def _more(count: int) -> str:
+    return f" ({count} more of this kind since the last message)" if count else ""

@@ -10,6 +10,7 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.logging_service import LoggingService
 from rclpy.parameter_service import ParameterService
 
 from cloth_sim_ros.ros import diagnostics, parameters
@@ -21,6 +22,7 @@ from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
+from cloth_sim_ros.ros.frame_log import FrameLog
 from cloth_sim_ros.ros.frames import FrameTransformer
 from cloth_sim_ros.ros.gripper_speed import GripperSpeedMonitor
 from cloth_sim_ros.ros.initial_state import begins_anew
@@ -85,10 +87,12 @@ class ClothNode:
         **options: Any,
     ) -> None:
         self._serves_parameters = options.pop("start_parameter_services", True)
+        self._serves_levels = options.pop("enable_logger_service", True)
         self.node = parameters.SceneNode(name, start_parameter_services=False, **options)
         scene = parameters.declare(self.node)
         self._aside = aside
         self._log = ThrottledLog(self.node.get_logger())
+        self._log.settle()
         self._simulation = Simulation(scene)
         refuse_endless_frames(scene, self._simulation)
         if self._simulation.state.left_out:
@@ -143,6 +147,7 @@ class ClothNode:
         self._accuracy = Accuracy(self._simulation, self._log)
         self._changed = self._follows_clock = False
         self._lateness = Lateness(period=scene.period, log=self._log)
+        self._frame_log = FrameLog(self._log)
         self._latest = Latest()
         further = (self._relief, self._forecaster, self._accuracy, self._obstacles)
         self._report = Report(
@@ -201,6 +206,8 @@ class ClothNode:
         self._services.serve()
         if self._serves_parameters:
             ParameterService(self.node)
+        if self._serves_levels:
+            LoggingService(self.node)
         self._follows_clock = bool(self.node.get_parameter(SIM_TIME).value)
         self._relief.live = not self._follows_clock
         if self._follows_clock:
@@ -225,6 +232,7 @@ class ClothNode:
         self._states.start(now)
         self._pacer.start()
         log_start(self.node.get_logger(), self._simulation, follows_clock=self._follows_clock)
+        self._log.debug(lambda: f"Poisson's ratio, which follows from the moduli: {scene.poisson_ratio}")
 
     def stop(self) -> bool:
         """Let no more frames be due; return whether none is under way."""
@@ -303,6 +311,7 @@ class ClothNode:
             self._commands.show(frame)
             self._obstacles.send(frame, due.stamp)
             self._broadcaster.send(due.stamp)
+        self._frame_log.show(frame)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
@@ -353,6 +362,7 @@ class ClothNode:
         self.node.get_logger().info(f"recording into {path}")
 
     def _record(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
+        self._log.debug(lambda: f"~/record: {'begins' if begin else 'ends'} a recording")
         try:
             if begin:
                 now = self.node.get_clock().now().nanoseconds
@@ -387,6 +397,7 @@ class ClothNode:
                 self._report.look_for_namesakes()
                 self._diagnostics.send()
             self._services.give_up_waiting()
+            self._log.settle()
             self._overheard.listen()
             trouble = self._recording.poll()
             self._accuracy.follow()

@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.scene import files
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros import qos_rules
+from cloth_sim_ros.scene import files, frame_ids
+from cloth_sim_ros.scene.parameters import Faults, ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 _SIM_TIME = "use_sim_time"
@@ -21,18 +23,25 @@ _LEAF = "/wrench"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
-    """Refuse values that have no type in ROS, or a wrong one for what rclpy declares by itself.
+    """Refuse values that the node refuses whatever the others are; all faults are named together.
 
     Raises:
         ParameterError: naming each.
     """
-    kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {_SIM_TIME: "bool"}
+    entries = Scene.declared_for(values)
+    kinds = {entry.name: entry.kind for entry in entries} | {_SIM_TIME: "bool"}
     empty = [name for name, value in values.items() if value == [] and isinstance(value, list)]
-    if empty:
-        raise ParameterError("; ".join(f"{name} is an empty list, [], {_remedy(name, kinds)}" for name in empty))
+    refused = Faults()
+    refused.add(f"{name} is an empty list, [], {_remedy(name, kinds)}" for name in empty)
     follows = values.get(_SIM_TIME, False)
-    if not isinstance(follows, bool):
-        raise ParameterError(f"{_SIM_TIME} is {follows!r}; it must be true or false, without quotes")
+    if not isinstance(follows, bool) and _SIM_TIME not in empty:
+        refused.add([f"{_SIM_TIME} is {follows!r}; it must be true or false, without quotes"])
+    for entry in entries:
+        if entry.name in values and entry.name not in empty:
+            refused.attempt(partial(entry.check, values[entry.name]))
+    refused.add(frame_ids.faults(values))
+    refused.add(qos_rules.faults(values))
+    refused.refuse()
 
 
 def _remedy(name: str, kinds: Mapping[str, str]) -> str:
@@ -72,11 +81,11 @@ def _refuse_folder(folder: Path) -> None:
         raise ParameterError(f"cannot write into {there}: permission denied; set record.folder")
 
 
-def hint_at_folder(error: Exception, values: Mapping[str, Any], path: str | Path) -> str:
+def hint_at_folder(error: str, values: Mapping[str, Any], path: str | Path) -> str:
     """Say, of an error that names a relative file that is not there, where such names start; of others nothing."""
     for parameter, value in values.items():
         named = (parameter in files.NAMES or parameter.endswith(".mesh")) and isinstance(value, str) and value
-        if not named or os.path.isabs(value) or f"'{value}'" not in str(error):
+        if not named or os.path.isabs(value) or f"'{value}'" not in error:
             continue
         name = value.rpartition("@")[0] if ".mcap@" in value else value
         if os.path.exists(name):

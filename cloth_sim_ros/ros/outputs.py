@@ -11,14 +11,13 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
-from cloth_sim_ros.ros.qos_overrides import check_overrides
+from cloth_sim_ros.ros.qos_overrides import OPTIONS, own_profile
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
@@ -54,15 +53,13 @@ class Output:
         self._kind, self._node = kind, node
         self._tape = tape
         self._droppable = droppable
-        check_overrides(node, topic)
-        # A profile of its own: rclpy writes the overrides of a topic into the very object that it is given.
-        own = QoSProfile(depth=qos.depth, reliability=qos.reliability, durability=qos.durability)
+        own = own_profile(node, topic, qos)
         try:
             self._publisher = node.create_publisher(
                 kind,
                 topic,
                 own,
-                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+                qos_overriding_options=OPTIONS,
                 # A subscriber that asks for what is not offered is told so by its own side; each event that this side
                 # waits for costs the executor time in every turn.
                 event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -14,14 +15,16 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from cloth_sim_ros.ros import qos_rules
 from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.ros.qos_overrides import override_names
+from cloth_sim_ros.ros.qos_rules import Override, overridable
 from cloth_sim_ros.ros.sim_time import SIM_TIME, SimTimeNode, check_sim_time
-from cloth_sim_ros.scene import gripper_parameters, obstacles
+from cloth_sim_ros.ros.unknown_overrides import unknown_sentences
+from cloth_sim_ros.scene import frame_ids, gripper_parameters, obstacles
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
-from cloth_sim_ros.scene.parameters import Parameter, ParameterError, read_only
+from cloth_sim_ros.scene.parameters import Faults, Parameter, ParameterError, read_only
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown import FOREIGN, suggestion
+from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
 from cloth_sim_ros.scene.without_effect import without_effect
 
 _TYPES = {
@@ -60,23 +63,30 @@ class SceneNode(SimTimeNode):
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         #: Whether parameters are only being declared, so that what listens to changes lets them pass.
         self.declaring = False
+        #: What is known of the parameters of a scene that are declared.
+        self.entries: dict[str, Parameter] = {}
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
         """As rclpy's, which declares the overrides by it before it looks at any of them: the place to refuse them."""
         listed = list(parameters)
         given = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
-        if empty := [name for name, value in given.items() if value is None]:
-            raise ParameterError(_empty_lists(empty, given))
-        if SIM_TIME in given:
-            check_sim_time(given[SIM_TIME])
+        refused = Faults()
+        refused.add(_empty_lists(given))
+        if SIM_TIME in given and given[SIM_TIME] is not None:
+            refused.attempt(lambda: check_sim_time(given[SIM_TIME]))
+        if refused:
+            # What `declare` would refuse of the others, so that the next start tells nothing new.
+            _check_values({name: value for name, value in given.items() if value is not None}, refused)
+        refused.refuse()
         return super().declare_parameters(namespace, listed, *arguments, **options)
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together or not at all, as rclpy's method does.
 
-        It differs in two ways. Parameters that do not exist are named in the error; rclpy's names none. Setting
+        It differs in three ways. Parameters that do not exist are named in the error; rclpy's names none. Setting
         `<name>.shape` of a new obstacle first declares all parameters of that obstacle, and setting a parameter of a
-        single gripper that gripper's.
+        single gripper that gripper's. A value at the end of a range that excludes it is refused with that end; rclpy
+        would name the next number.
 
         Raises:
             UnknownParametersError: names each unknown parameter and the known one that is spelt most like it.
@@ -96,6 +106,10 @@ class SceneNode(SimTimeNode):
         unknown = [name for name in names if name not in known and not self.has_parameter(name)]
         if unknown:
             raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
+        for given in parameter_list:
+            bounds = self.entries.get(given.name)
+            if bounds is not None and bounds.kind == "double" and bounds.open_least and given.value == bounds.least:
+                return SetParametersResult(successful=False, reason=_reason(bounds, given.value))
         self.declaring = True
         try:
             for entry in new:
@@ -109,8 +123,16 @@ class SceneNode(SimTimeNode):
         return result
 
 
-def _empty_lists(names: list[str], given: Iterable[str]) -> str:
+def _reason(entry: Parameter, value: Any) -> str:
+    refused = Faults()
+    refused.attempt(partial(entry.check, value))
+    return "; ".join(refused.sentences)
+
+
+def _empty_lists(given: Mapping[str, Any]) -> list[str]:
     """Say which of the given parameters are [], and what to write instead."""
+    if not (empty := [name for name, value in given.items() if value is None]):
+        return []
     kinds = {entry.name: entry.kind for entry in Scene.declared_for(given)} | {SIM_TIME: "bool"}
 
     def remedy(name: str) -> str:
@@ -118,7 +140,18 @@ def _empty_lists(names: list[str], given: Iterable[str]) -> str:
             return "leave it out"
         return "for none write ['']" if kinds[name] == "string[]" else f"it must be {kinds[name]}"
 
-    return "; ".join(f"{name} is an empty list, [], whose type ROS can't know; {remedy(name)}" for name in names)
+    return [f"{name} is an empty list, [], whose type ROS can't know; {remedy(name)}" for name in empty]
+
+
+def _check_values(given: Mapping[str, Any], refused: Faults) -> dict[str, Any]:
+    """Return the values of a scene's parameters among the given ones, and add the faults of all given ones."""
+    values: dict[str, Any] = {}
+    for entry in Scene.declared_for(given):
+        if entry.name in given:
+            values[entry.name] = refused.attempt(partial(entry.check, _plain(given[entry.name])))
+    refused.add(frame_ids.faults(given))
+    refused.add(qos_rules.faults(given))
+    return values
 
 
 def declare(node: Node) -> Scene:
@@ -127,18 +160,19 @@ def declare(node: Node) -> Scene:
     Raises:
         ParameterError: for a value that makes no scene; the message says which and why.
     """
-    values = {}
-    known = Scene.declared_for(node.list_parameters([], 0).names)
-    for entry in known:
-        if node.has_parameter(entry.name):
-            # Declared by the override, of whatever type that has: checked here, where the message says what to do.
-            values[entry.name] = entry.check(_plain(node.get_parameter(entry.name).value))
-            node.undeclare_parameter(entry.name)
+    given = {name: node.get_parameter(name).value for name in node.list_parameters([], 0).names}
+    refused = Faults()
+    # Declared by the override, of whatever type that has: checked here, where the message says what to do.
+    values = _check_values(given, refused)
+    refused.refuse()
+    for name in values:
+        node.undeclare_parameter(name)
     silence_reader()
     scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
+    known = Scene.declared_for(given)
     for entry in known:
         declare_one(node, entry, values.get(entry.name, entry.default))
-    _warn_of_unknown(node, [*(entry.name for entry in known), *FOREIGN, *_profiles(node, scene)])
+    _warn_of_unknown(node, scene, [entry.name for entry in known])
     notes, warnings = mesh_notes(scene)
     for sentence in notes:
         node.get_logger().info(sentence)
@@ -150,6 +184,8 @@ def declare(node: Node) -> Scene:
 def declare_one(node: Node, entry: Parameter, value: Any) -> None:
     """Declare a parameter of a scene on a node, with a value, whatever override there is."""
     typed = RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value
+    if isinstance(node, SceneNode):
+        node.entries[entry.name] = entry
     node.declare_parameter(entry.name, typed, describe(entry), True)
 
 
@@ -172,9 +208,12 @@ def describe(entry: Parameter) -> ParameterDescriptor:
         descriptor.integer_range = [IntegerRange(**_limits(entry, 2**63 - 1, int))]
     elif limited:
         each = "each " if entry.is_array else ""
-        constraints.append(f"{each}from {entry.least} to {entry.most}")
-    if entry.open_least:
+        low = f"above {entry.least} and at most" if entry.open_least else f"from {entry.least} to"
+        constraints.append(f"{each}{low} {entry.most}")
+    if entry.open_least and not entry.is_array:
         constraints.append(f"above {entry.least}")
+    if entry.constraint:
+        constraints.append(entry.constraint)
     constraints.append(
         "may change while the cloth runs, from the next frame on" if entry.live else "set at start, not changed later"
     )
@@ -242,16 +281,26 @@ class LiveParameters:
 
     def _judge(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for change in changes:
-            if change.name == SIM_TIME and change.value != self._node.get_parameter(SIM_TIME).value:
-                reason = f"{SIM_TIME} can't change while the cloth runs; set it at start"
+            fixed = change.name == SIM_TIME or change.name.startswith(PROFILES)
+            if (
+                fixed
+                and self._node.has_parameter(change.name)
+                and change.value != self._node.get_parameter(change.name).value
+            ):
+                reason = f"{change.name} can't change while the cloth runs; set it at start"
                 return SetParametersResult(successful=False, reason=reason)
         values = self._values(changes)
         if not values or self._passes:
             return SetParametersResult(successful=True)
         with self._turn:
             try:
+                refused = Faults()
+                refused.add(frame_ids.faults(values))
+                refused.refuse()
                 wanted = self._accepted.changed(values)
                 self._check(values, wanted)
+            except ParameterError as error:
+                return SetParametersResult(successful=False, reason="; ".join(error.sentences))
             except (ValueError, RuntimeError) as error:
                 return SetParametersResult(successful=False, reason=str(error))
             self._judged = (values, wanted)
@@ -282,29 +331,21 @@ class LiveParameters:
         return {change.name: _plain(change.value) for change in changes if change.name in known}
 
 
-def _profiles(node: Node, scene: Scene) -> list[str]:
-    """Return the names of the overrides that the node's publishers look at; those of the topics after remapping."""
-    topics = ["~/points", "~/topology", "~/mesh", "~/state", "/diagnostics", "/tf"]
-    topics += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
-    if scene.described or scene.pinching:
-        topics += ["~/obstacles", *(f"~/{name}/wrench" for name in scene.described)]
-    return [name for topic in topics for name in override_names(node, topic)]
-
-
-def _warn_of_unknown(node: Node, known: Sequence[str]) -> None:
+def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
     """Warn of overrides that nothing looks at: a typing error in a parameter file is easily overlooked."""
-    for name in node.list_parameters([], 0).names:
-        if name in known:
-            continue
-        node.undeclare_parameter(name)
-        node.get_logger().warning(
-            f"there is no parameter '{name}', what sets it has no effect{suggestion(name, known)}"
-        )
+    there = node.list_parameters([], 0).names
+    full, resolve = node.get_fully_qualified_name(), node.resolve_topic_name
+    looked_at = {Override(resolve(topic), side, policy).name for side, topic, policy in overridable(scene)}
+    for sentence in unknown_sentences(there, known, scene, node=full, resolve=resolve):
+        node.get_logger().warning(sentence)
+    for name in there:
+        if name not in looked_at and name not in known and name not in FOREIGN:
+            node.undeclare_parameter(name)
 
 
 def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> dict[str, Any]:
     return {
-        "from_value": kind(-largest if entry.least is None else entry.least),
+        "from_value": kind(-largest if entry.min_accepted is None else entry.min_accepted),
         "to_value": kind(largest if entry.most is None else entry.most),
     }
 

@@ -24,6 +24,8 @@ from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
+from cloth_sim_ros.ros.unused_files import unused_files
+from cloth_sim_ros.scene.parameters import ParameterError
 
 _BAD_NAMES = (
     InvalidNamespaceException,
@@ -52,7 +54,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
         return _refuse(str(error))
     aside = Aside(signals.name)
     try:
-        status = _run(signals, aside)
+        status = _run(argv, signals, aside)
     finally:
         signals.ignore()
         rclpy.try_shutdown()
@@ -61,7 +63,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
     return status
 
 
-def _run(signals: StopSignals, aside: Aside) -> int:
+def _run(argv: Sequence[str], signals: StopSignals, aside: Aside) -> int:
     try:
         # Aside, so that a signal interrupts nothing but our waiting: an exception amid rclpy's callbacks would be lost.
         cloth = aside.run(lambda: ClothNode(aside=aside.run, stopped=signals.name))
@@ -70,6 +72,8 @@ def _run(signals: StopSignals, aside: Aside) -> int:
         if aside.left:
             aside.end_process(0)
         return 0
+    except ParameterError as error:
+        return _refuse(*error.sentences)
     except (ValueError, RuntimeError, *_BAD_NAMES) as error:
         return _refuse(readable(error))
     started = False
@@ -81,9 +85,16 @@ def _run(signals: StopSignals, aside: Aside) -> int:
         gc.freeze()
         cloth.start()
         started = True
+        # After the first frame began: to read a file a second time takes a while.
+        for sentence in unused_files(argv, node=cloth.node.get_fully_qualified_name()):
+            cloth.node.get_logger().warning(sentence)
         _spin(cloth, signals)
     except StopRequestedError:
         signals.tell_early_end()
+    except ParameterError as error:
+        if started:
+            raise
+        return _refuse(*error.sentences)
     except (RecordingUnavailableError, ValueError, *_BAD_NAMES) as error:
         if started:
             raise
@@ -117,6 +128,7 @@ def _spin(cloth: ClothNode, signals: StopSignals) -> None:
     cloth.node.get_logger().info(f"{signals.name()}: stopping")
 
 
-def _refuse(reason: str) -> int:
-    print(f"cloth_sim: {reason}", file=sys.stderr)
+def _refuse(*reasons: str) -> int:
+    for reason in reasons:
+        print(f"cloth_sim: {reason}", file=sys.stderr)
     return 1

@@ -1,51 +1,55 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that override the quality of service of a topic that the node publishes."""
+"""Overrides of the quality of service of a topic that the node publishes or subscribes to."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros.qos_rules import POLICIES, PUBLISHER, Override, faults
+from cloth_sim_ros.scene.parameters import Faults
 
-_NAME = "qos_overrides.{topic}.publisher.{policy}"
-_WORDS = {
-    "reliability": [policy.name.lower() for policy in ReliabilityPolicy if policy.name != "UNKNOWN"],
-    "history": [policy.name.lower() for policy in HistoryPolicy if policy.name != "UNKNOWN"],
+#: What rclpy declares as parameters of each topic.
+OPTIONS = QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLICIES])
+
+_ENUMS: dict[str, Any] = {
+    "reliability": ReliabilityPolicy,
+    "history": HistoryPolicy,
+    "durability": DurabilityPolicy,
 }
-#: What of a profile may be overridden.
-_POLICIES = (*_WORDS, "depth")
-#: Deepest queue that a middleware takes: the length has 32 bits there.
-_DEEPEST = 2**31 - 1
 
 
-def override_names(node: Node, topic: str) -> list[str]:
-    """Return the names of the overrides that a publisher of a topic looks at, after remapping."""
-    return [_NAME.format(topic=node.resolve_topic_name(topic), policy=policy) for policy in _POLICIES]
+def override_names(node: Node, topic: str, *, side: str = PUBLISHER) -> list[str]:
+    """Return the names of the overrides that a publisher or subscription of a topic looks at, after remapping."""
+    return [Override(node.resolve_topic_name(topic), side, policy).name for policy in POLICIES]
 
 
-def check_overrides(node: Node, topic: str) -> None:
-    """Check the overrides of a topic before rclpy takes them, whose errors name none.
+def own_profile(node: Node, topic: str, qos: QoSProfile, *, side: str = PUBLISHER) -> QoSProfile:
+    """Return a profile of a topic's own, with its overrides: rclpy writes them into the very object that it is given.
+
+    They are judged here, because rclpy's errors about them name no parameter.
+
+    Args:
+        node: whose topic.
+        topic: before remapping.
+        qos: the defaults; stays as it is.
+        side: one of `qos_rules.SIDES`.
 
     Raises:
-        ParameterError: names the parameter, its value and what is allowed.
+        ParameterError: names each parameter, its value and what is allowed.
     """
-    for policy, name in zip(_POLICIES, override_names(node, topic), strict=True):
-        if not node.has_parameter(name):
-            continue
-        value = node.get_parameter(name).value
-        if reason := _wrong(policy, value):
-            raise ParameterError(f"{name} is {value!r}; it must be {reason}")
-
-
-def _wrong(policy: str, value: Any) -> str:
-    """Say what a policy's value must be, where it is not."""
-    if policy == "depth":
-        right = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _DEEPEST
-        return "" if right else f"a whole number from 0 to {_DEEPEST}, how many messages wait for slow subscribers"
-    words = _WORDS[policy]
-    right = isinstance(value, str) and value.lower() in words
-    return "" if right else f"{', '.join(words[:-1])} or {words[-1]}"
+    found = zip(POLICIES, override_names(node, topic, side=side), strict=True)
+    given = {policy: (name, node.get_parameter(name).value) for policy, name in found if node.has_parameter(name)}
+    defaults = {"reliability": qos.reliability.name.lower(), "durability": qos.durability.name.lower()}
+    refused = Faults()
+    refused.add(faults(dict(given.values()), defaults))
+    refused.refuse()
+    values = {
+        policy: value if policy == "depth" else _ENUMS[policy][value.upper()] for policy, (_, value) in given.items()
+    }
+    own = {policy: getattr(qos, policy) for policy in POLICIES} | values
+    return QoSProfile(**own)

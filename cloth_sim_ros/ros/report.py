@@ -31,12 +31,8 @@ def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
     names = f"grippers: {', '.join(scene.gripper_names) or 'none'}"
     if scene.obstacle_names:
         names += f"; obstacles: {', '.join(scene.obstacle_names)}"
-    ratio = scene.poisson_ratio
     size = cloth_size(scene, simulation.state.x, simulation.model.masses)
-    return (
-        f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, {names}; {size}"
-        + ("" if ratio is None else f"; Poisson's ratio comes out as {ratio:.3f}")
-    )
+    return f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, {names}; {size}"
 
 
 def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: bool) -> None:

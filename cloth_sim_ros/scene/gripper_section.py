@@ -7,6 +7,7 @@ from __future__ import annotations
 import attrs
 
 from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE
+from cloth_sim_ros.scene.limits import FRAME, FRICTION
 from cloth_sim_ros.scene.parameters import parameter
 
 #: Default limit of a gripper's speed, that of obstacles [m/s]: robots move at 2 to 3 m/s, fast parallel ones at 10.
@@ -69,6 +70,7 @@ class Gripper:
         "",
         "TF frame that a gripper follows, {gripper} standing for its name; empty for none. Needs tf2_ros. "
         "<gripper>.frame says so of one gripper",
+        constraint=FRAME,
     )
     max_speed: float = parameter(
         "double",
@@ -128,5 +130,6 @@ class Gripper:
         "Of a gripper that pinches: coefficients of friction between its pads and the cloth, as those of an obstacle",
         least=0.0,
         most=1e3,
+        constraint=FRICTION,
         live=True,
     )

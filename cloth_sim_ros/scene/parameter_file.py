@@ -14,7 +14,7 @@ from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters import ParameterError
 
 
-def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
+def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> dict[str, Any]:
     """Return the parameters that a file sets for a node, by full name, as ROS reads it.
 
     Sections count that have the node's name, namespace included, or a wildcard for it. Those of one name are one, from
@@ -23,10 +23,20 @@ def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
     Args:
         path: of the file.
         node: name of the node with its namespace, e.g. ``/left/towel``.
+        strict: refuse a file that sets nothing for this node, but something for others.
 
     Raises:
         ParameterError: for a file that can't be read, is no YAML, no parameter file, or one that sets nothing for this
             node, but something for its namesakes in other namespaces.
+    """
+    return parse(text_of(path), node=node, source=str(path), strict=strict)
+
+
+def text_of(path: str | Path) -> str:
+    """Return the text of a parameter file, which is read once: it may be a pipe.
+
+    Raises:
+        ParameterError: for a file that can't be read, or is too large.
     """
     try:
         text = input_file.read_text(path)
@@ -34,22 +44,52 @@ def read(path: str | Path, *, node: str = "cloth_sim") -> dict[str, Any]:
         raise ParameterError(f"parameter file {error}") from error
     except (OSError, ValueError) as error:
         raise ParameterError(f"cannot read parameter file '{path}': {error}") from error
-    return parse(text, node=node, source=str(path))
+    return text
 
 
-def parse(text: str, *, node: str = "cloth_sim", source: str = "text") -> dict[str, Any]:
+def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: bool = False) -> dict[str, Any]:
     """Return the parameters that a text sets for a node; as `read`."""
-    import yaml
-
-    try:
-        sections = ros_sections.read(text, source=source)
-    except yaml.YAMLError as error:
-        raise ParameterError(f"'{source}' is not YAML: {error}") from error
+    sections = _sections(text, source)
     full = f"/{node.strip('/') or 'cloth_sim'}"
     found = [content for name, content in sections.items() if ros_sections.matches(name, full)]
     if sections and not found:
         _refuse_namesakes(list(sections), full, source)
+    if strict and not found and (words := other_nodes(text, node=full, source=source)):
+        raise ParameterError(f"'{source}' sets nothing for the node {full}; {words}")
     return {name: value for content in found for name, value in content.items()}
+
+
+def other_nodes(text: str, *, node: str, source: str) -> str:
+    """Return the nodes for which a text sets something, and a remedy, if it sets nothing for a node; else nothing.
+
+    Args:
+        text: of a parameter file.
+        node: full name of the node.
+        source: name of the file.
+
+    Raises:
+        ParameterError: as `parse`.
+    """
+    sections = _sections(text, source)
+    full = f"/{node.strip('/')}"
+    others = [name for name, values in sections.items() if values]
+    if not others or any(ros_sections.matches(name, full) for name in sections):
+        return ""
+    first = f"/{others[0].removeprefix('/')}"
+    named = "" if "*" in first else f", or give the name, --node {first} or node='{first}'"
+    return (
+        f"it sets parameters of {', '.join(others)}: write '/**:', which means every node, or '{full}:' for "
+        f"'{others[0]}:' in the file{named}"
+    )
+
+
+def _sections(text: str, source: str) -> dict[str, dict[str, Any]]:
+    import yaml
+
+    try:
+        return ros_sections.read(text, source=source)
+    except yaml.YAMLError as error:
+        raise ParameterError(f"'{source}' is not YAML: {error}") from error
 
 
 def _refuse_namesakes(sections: list[str], node: str, source: str) -> None:

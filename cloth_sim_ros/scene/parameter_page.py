@@ -98,6 +98,8 @@ def _range(entry: Parameter) -> str:
     if entry.least is not None and entry.most is not None:
         bound = "above " if entry.open_least else ""
         said.append(f"{bound}{_bare(entry.least)} to {_bare(entry.most)}")
+    if entry.constraint:
+        said.append(entry.constraint)
     return "; ".join(said)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import attrs
@@ -32,6 +32,62 @@ class ParameterError(ValueError):
     why.
     """
 
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence for each fault."""
+        return [str(self)]
+
+
+class ParameterErrors(ParameterError):
+    """Several faults of parameters, a line each."""
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        super().__init__("\n".join(sentences))
+        self._sentences = list(sentences)
+
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence for each fault."""
+        return list(self._sentences)
+
+
+class Faults:
+    """Collects the faults of parameters, so that one error names all of them."""
+
+    def __init__(self) -> None:
+        self._sentences: list[str] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._sentences)
+
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence for each fault."""
+        return list(self._sentences)
+
+    def add(self, sentences: Iterable[str]) -> None:
+        """Add faults; one that is known already is not added again."""
+        self._sentences += [sentence for sentence in sentences if sentence not in self._sentences]
+
+    def attempt(self, check: Callable[[], Any]) -> Any:
+        """Return the result of a check, or None after adding the faults that it raises as ParameterError."""
+        try:
+            return check()
+        except ParameterError as error:
+            self.add(error.sentences)
+            return None
+
+    def refuse(self) -> None:
+        """Raise an error that names every fault, if there are any.
+
+        Raises:
+            ParameterError: a single fault as it is, several a line each.
+        """
+        if len(self._sentences) == 1:
+            raise ParameterError(self._sentences[0])
+        if self._sentences:
+            raise ParameterErrors(self._sentences)
+
 
 @attrs.frozen(kw_only=True)
 class Parameter:
@@ -51,6 +107,8 @@ class Parameter:
     #: Number of entries of an array, where it is fixed.
     length: int | None = None
     choices: tuple[str, ...] = ()
+    #: A limit that the fields above can't say, in words.
+    constraint: str = ""
     #: May change while the cloth runs; takes effect at the next frame.
     live: bool = False
     #: A change does not alter the motion by a single bit: the parameter only decides what is shown or reported, or how
@@ -61,6 +119,13 @@ class Parameter:
     def element(self) -> str:
         """The kind of one entry."""
         return self.kind.removesuffix("[]")
+
+    @property
+    def min_accepted(self) -> float | None:
+        """The smallest value that the range takes; None without a range."""
+        if self.least is None or not self.open_least:
+            return self.least
+        return math.nextafter(self.least, math.inf)
 
     @property
     def is_array(self) -> bool:
@@ -172,13 +237,18 @@ def check(
         hint: returns more words on a name that is not known.
 
     Raises:
-        ParameterError: for an unknown name or a bad value.
+        ParameterError: for unknown names and bad values; it names all of them.
     """
     known = {entry.name: entry for entry in entries}
-    for name in values:
-        if name not in known:
-            raise ParameterError(f"unknown parameter '{name}'{_suggestion(name, known)}{hint(name)}")
-    return {name: known[name].check(value) for name, value in values.items()}
+    faults = Faults()
+    faults.add(
+        f"unknown parameter '{name}'{_suggestion(name, known)}{hint(name)}" for name in values if name not in known
+    )
+    checked = {
+        name: faults.attempt(partial(known[name].check, value)) for name, value in values.items() if name in known
+    }
+    faults.refuse()
+    return checked
 
 
 def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **further: Any) -> Any:

@@ -24,7 +24,7 @@ from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import files as scene_files
-from cloth_sim_ros.scene import gripper_parameters, parameter_file, parameters, relaxation, sections
+from cloth_sim_ros.scene import gripper_parameters, limits, parameter_file, parameters, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene import pinch as scene_pinch
 from cloth_sim_ros.scene.build import (
@@ -53,13 +53,12 @@ from cloth_sim_ros.scene.sections import (
     Wind,
 )
 from cloth_sim_ros.scene.sheet_checks import check_sheet
+from cloth_sim_ros.scene.unknown import is_of_ros
+from cloth_sim_ros.scene.value_checks import check_values
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
 
-MOST_PARTICLES = 4_000_000
-#: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
-LEAST_TOLERANCE = 1e-12
 #: Parameters that rclpy declares by itself, and the groups of its own.
 _OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
@@ -75,7 +74,9 @@ class Scene:
     rate: float = parameter(
         "double", 60.0, "Published frames in a second of simulated time", unit="Hz", least=0.1, most=10000.0
     )
-    frame_id: str = parameter("string", "world", "Coordinate frame of the cloth and of commands")
+    frame_id: str = parameter(
+        "string", "world", "Coordinate frame of the cloth and of commands", constraint=f"not empty, {limits.FRAME}"
+    )
     initial_state: str = parameter(
         "string", "", "State to start from: a file of ~/save_state, or session.mcap@frame; empty for the flat sheet"
     )
@@ -94,12 +95,15 @@ class Scene:
     )
     air: Air = section(Air)
     wind: Wind = section(Wind)
-    grippers: tuple[str, ...] = parameter("string[]", ("gripper",), "Names of the grippers; none by ['']")
+    grippers: tuple[str, ...] = parameter(
+        "string[]", ("gripper",), "Names of the grippers; none by ['']", constraint=limits.NAMES
+    )
     gripper: Gripper = section(Gripper)
     obstacles: tuple[str, ...] = parameter(
         "string[]",
         ("",),
         "Names of the obstacles that are there, each described by <name>.shape and so on; none by ['']",
+        constraint=limits.NAMES,
         live=True,
     )
     contact: Contact = section(Contact)
@@ -120,6 +124,7 @@ class Scene:
         unit="m",
         least=0.0,
         most=1.0,
+        constraint=f"0.0, or at least {limits.LEAST_TOLERANCE}",
         live=True,
     )
     step: float = parameter(
@@ -162,28 +167,12 @@ class Scene:
 
     def __attrs_post_init__(self) -> None:
         """Check what no single parameter shows."""
-        rows, columns = self.cloth.resolution
-        if rows * columns > MOST_PARTICLES:
-            raise ParameterError(
-                f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES}"
-            )
-        if 0.0 < self.tolerance < LEAST_TOLERANCE:
-            raise ParameterError(
-                f"tolerance is {self.tolerance} m, finer than rounding; take {LEAST_TOLERANCE} m or more, or 0.0"
-            )
-        if not self.frame_id:
-            raise ParameterError("frame_id is empty; name the coordinate frame, e.g. 'world'")
-        scene_obstacles.check_distinct("gripper", self.gripper_names)
-        if self.tf.publish and "cloth" in self.gripper_names:
-            raise ParameterError("a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it")
-        try:
-            normalised(self.cloth.orientation)
-        except ValueError as error:
-            raise ParameterError(f"cloth.orientation: {error}") from error
+        check_values(self)
         check_sheet(self)
         if self.initial_state:
             self._loaded_state()
-        self._check_obstacles()
+        if scene_pinch.pads_of(self, 1.0) or (self.obstacle_names and self.solids) or self.contact.self_:
+            scene_obstacles.check_cloth(self.sheet, self.contact.thickness)
 
     @classmethod
     def declared(
@@ -239,10 +228,14 @@ class Scene:
     def from_file(cls, path: str | Path, *, node: str = "cloth_sim") -> Scene:
         """Read a scene from a ROS parameter file; file names in it start at its own folder.
 
+        What a parameter dump holds of ROS's own (`use_sim_time`, `qos_overrides`) is passed over.
+
         Raises:
-            ParameterError: as `from_parameters`, or if the file can't be read.
+            ParameterError: as `from_parameters`, or if the file can't be read, or holds other nodes' parameters alone.
         """
-        return cls.from_parameters(parameter_file.read(path, node=node), folder=Path(path).parent)
+        values = parameter_file.read(path, node=node, strict=True)
+        own = {name: value for name, value in values.items() if not is_of_ros(name)}
+        return cls.from_parameters(own, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
         """Every parameter's value by full name."""
@@ -398,11 +391,3 @@ class Scene:
         state.memory.pop("paused", None)
         relaxation.set_factor(state, 1.0)
         return state
-
-    def _check_obstacles(self) -> None:
-        names = self.obstacle_names
-        gripper_parameters.check_grippers(self.individual, self.gripper_names)
-        scene_obstacles.check_names(names, self.described, self.gripper_names, self.groups())
-        if scene_pinch.pads_of(self, 1.0) or (names and self.solids) or self.contact.self_:
-            scene_obstacles.check_cloth(self.sheet, self.contact.thickness)
-        scene_obstacles.check_friction("contact.friction", self.contact.friction)

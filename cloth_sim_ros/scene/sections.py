@@ -9,6 +9,7 @@ import attrs
 from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
 from cloth_sim_ros.physics.sheets.surface import LAYOUTS
 from cloth_sim_ros.scene.gripper_section import Gripper as Gripper
+from cloth_sim_ros.scene.limits import FRAME, FRICTION, MOST_PARTICLES, QUATERNION
 from cloth_sim_ros.scene.parameters import parameter
 
 
@@ -26,7 +27,13 @@ class Cloth:
         most=100.0,
     )
     resolution: tuple[int, ...] = parameter(
-        "int[]", (30, 30), "Particles along height and width: rows, columns", length=2, least=2, most=4096
+        "int[]",
+        (30, 30),
+        "Particles along height and width: rows, columns",
+        length=2,
+        least=2,
+        most=4096,
+        constraint=f"at most {MOST_PARTICLES} particles",
     )
     mesh: str = parameter("string", "", "Triangle mesh file (OBJ, PLY, STL) instead of size and resolution")
     merge: bool = parameter(
@@ -52,6 +59,7 @@ class Cloth:
         (0.7071067811865476, 0.0, 0.0, 0.7071067811865476),
         "Quaternion x, y, z, w that turns the sheet from the x-y plane, top edge towards +y; the default hangs it",
         length=4,
+        constraint=QUATERNION,
     )
     anchors: tuple[str, ...] = parameter(
         "string[]",
@@ -210,6 +218,7 @@ class Contact:
         "in motion (above 0.02 m/s), the latter no larger; one number counts for both; 0: layers slide off freely",
         least=0.0,
         most=1e3,
+        constraint=FRICTION,
         live=True,
     )
     damping: float = parameter(
@@ -281,6 +290,7 @@ class Obstacle:
         (0.0, 0.0, 0.0, 1.0),
         "Quaternion x, y, z, w with which it starts; changes only while it is not in obstacles",
         length=4,
+        constraint=QUATERNION,
         live=True,
     )
     friction: tuple[float, ...] = parameter(
@@ -290,12 +300,14 @@ class Obstacle:
         "0.02 m/s), the latter no larger; one number counts for both; 0: the cloth slides off freely",
         least=0.0,
         most=1e3,
+        constraint=FRICTION,
         live=True,
     )
     frame: str = parameter(
         "string",
         "",
         "TF frame that it follows; empty for none. Needs tf2_ros",
+        constraint=FRAME,
         live=True,
         observes=True,
     )

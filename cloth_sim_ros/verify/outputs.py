@@ -64,7 +64,7 @@ class CloudCheck:
             return False
         if not self._compare_header(recorded, stamp):
             return False
-        if (wrong := _different(recorded.xyz, state.x)).size:
+        if _different(recorded.xyz, state.x).size:
             self._tell_positions(recorded.xyz, state.x.T.astype(recorded.xyz.dtype))
             return False
         if recorded.velocity is not None and fields.velocity:

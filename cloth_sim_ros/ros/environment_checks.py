@@ -1,0 +1,84 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the environment that rclpy tells obscurely: the log's folder and security."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+_SECURE = "ROS_SECURITY_ENABLE"
+_UNSET = f"or unset {_SECURE}"
+
+
+class EnvironmentFaultError(ValueError):
+    """An environment in which no node can start; the message says why."""
+
+
+def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
+    """Refuse an environment in which rclpy can't start.
+
+    With security, rclpy's RuntimeWarning beside an error that `explain` knows is switched off.
+
+    Args:
+        environment: variables by name.
+        arguments: the command line, ROS arguments included.
+
+    Raises:
+        EnvironmentFaultError: names the variable and the remedy.
+    """
+    if "--disable-external-lib-logs" not in arguments:
+        _check_log_folder(environment)
+    if environment.get(_SECURE) != "true":
+        return
+    warnings.filterwarnings("ignore", "Failed to fini rosout publisher", RuntimeWarning)
+    if environment.get("ROS_SECURITY_STRATEGY") == "Enforce":
+        _check_keystore(environment, arguments)
+
+
+def explain(message: str) -> str:
+    """Return one sentence for an error of rclpy that comes of the environment; empty for others."""
+    if "security libraries" in message:
+        return (
+            f"{_SECURE} is true, and the Fast DDS of this environment was built without security, as ROS's wheels on "
+            f"PyPI are: use the distribution's packages, {_UNSET}"
+        )
+    if "failed to initialize logging" in message:
+        return f"{message}: set ROS_LOG_DIR to a folder that can be written"
+    return ""
+
+
+def _check_log_folder(environment: Mapping[str, str]) -> None:
+    """Refuse a log's folder that can't be made or written, as rcl names and makes it."""
+    remedy = "set ROS_LOG_DIR to a folder that can be written"
+    given = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
+    if given.startswith("~") and not environment.get("HOME"):
+        raise EnvironmentFaultError(f"HOME is not set, so the log has no folder {given}: {remedy}")
+    folder = Path(environment["HOME"] + given.removeprefix("~")) if given.startswith("~") else Path(given)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EnvironmentFaultError(f"the log's folder {folder} can't be made, {error.strerror}: {remedy}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise EnvironmentFaultError(f"the log's folder {folder} can't be written: {remedy}")
+
+
+def _check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
+    """Refuse a keystore that lacks the node's enclave, where only secured nodes may start."""
+    keystore = environment.get("ROS_SECURITY_KEYSTORE", "")
+    if not keystore:
+        raise EnvironmentFaultError(
+            f"{_SECURE} is true and ROS_SECURITY_STRATEGY is Enforce, but ROS_SECURITY_KEYSTORE is not set: set it to "
+            f"the folder that 'ros2 security create_keystore' made, {_UNSET}"
+        )
+    given = dict(itertools.pairwise(arguments)).get("--enclave", "/")
+    enclave = environment.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or given
+    folder = Path(keystore) / "enclaves" / enclave.strip("/")
+    if not folder.is_dir():
+        raise EnvironmentFaultError(
+            f"ROS_SECURITY_STRATEGY is Enforce, and there is no enclave '{enclave}', which would be in {folder}: make "
+            f"it by 'ros2 security create_enclave {keystore} {enclave}', name another by --enclave, {_UNSET}"
+        )

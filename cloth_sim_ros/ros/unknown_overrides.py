@@ -1,0 +1,65 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sentences on parameters that nothing looks at, a few for however many there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.ros.qos_rules import Override, foreign_owners, overridable
+from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.scene.scene import Scene
+
+#: So many have a sentence each; more have one together.
+_SINGLE = 3
+
+
+def unknown_sentences(
+    names: Iterable[str], known: Iterable[str], scene: Scene, *, node: str, resolve: Callable[[str], str] | None = None
+) -> list[str]:
+    """Return what to say of parameters, if a node does not look at them.
+
+    Overrides of another node's topics, as a parameter dump of that node has them, share one sentence.
+
+    Args:
+        names: of what sets something, those that are known included.
+        known: names of the parameters that there are, overrides of quality of service aside.
+        scene: of the node.
+        node: its full name.
+        resolve: returns a topic's full name after remapping; where left out topics may be remapped to any name, and an
+            override of any is taken for one that the node looks at.
+    """
+    full = resolve or (lambda topic: topic.replace("~", node, 1))
+    topics = {full(topic) for _, topic, _ in overridable(scene)}
+    profiles = [Override(full(topic), side, policy).name for side, topic, policy in overridable(scene)]
+    there = [*known, *FOREIGN, *profiles]
+    unknown = [name for name in names if name not in set(there)]
+    owners = foreign_owners(unknown, topics, node)
+    dumps = {owner: found for owner, found in owners.items() if len(found) > _SINGLE}
+    grouped = {name for found in dumps.values() for name in found}
+    single = [name for name in unknown if name not in grouped]
+    if resolve is None:
+        single = [name for name in single if not name.startswith(PROFILES)]
+    return [*(_of_dump(owner, len(found), node) for owner, found in dumps.items()), *_of_names(single, there)]
+
+
+def _of_dump(owner: str, count: int, node: str) -> str:
+    return (
+        f"{count} parameters qos_overrides.{owner}/... are of topics of {owner}, as in a parameter dump of that node, "
+        f"and have no effect in {node}: write {node}/ for {owner}/ in their names, or leave them out"
+    )
+
+
+def _of_names(names: list[str], known: Collection[str]) -> list[str]:
+    if len(names) <= _SINGLE:
+        return [
+            f"there is no parameter '{name}', what sets it has no effect{suggestion(name, known)}" for name in names
+        ]
+    listed = ", ".join(f"'{name}'" for name in names[:_SINGLE])
+    return [
+        f"there are no parameters {listed} and {len(names) - _SINGLE} more, what sets them has no effect; is the file "
+        "another node's?"
+    ]

@@ -1,0 +1,34 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Warning of parameter files that set nothing for the node that they are given to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import ParameterError
+
+_OPTIONS = ("--params-file",)
+
+
+def unused_files(arguments: Sequence[str], *, node: str) -> Iterator[str]:
+    """Yield a sentence for each parameter file that holds other nodes' parameters alone, as a dump of another node.
+
+    Args:
+        arguments: the command line.
+        node: full name of the node, after remapping.
+    """
+    for option, path in pairwise(arguments):
+        # A pipe has been read by ROS, and holds nothing any more.
+        if option not in _OPTIONS or not Path(path).is_file():
+            continue
+        try:
+            others = parameter_file.other_nodes(parameter_file.text_of(path), node=node, source=path)
+        except ParameterError:
+            # ROS has taken it all the same: the two readers differ in what they refuse.
+            continue
+        if others:
+            yield f"'{path}' sets nothing for the node {node}: {others.partition(', or give the name')[0]}"

@@ -1,0 +1,48 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of a scene's values that no single parameter's range shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.scene import gripper_parameters, obstacles
+from cloth_sim_ros.scene.limits import LEAST_TOLERANCE, MOST_PARTICLES
+from cloth_sim_ros.scene.parameters import Faults
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.scene.scene import Scene
+
+
+def check_values(scene: Scene) -> None:
+    """Refuse values whose faults depend on no other check; all of them are named together.
+
+    Raises:
+        ParameterError: naming each parameter.
+    """
+    faults = Faults()
+    faults.add(_faults(scene))
+    grippers, names = scene.gripper_names, scene.obstacle_names
+    faults.attempt(lambda: obstacles.check_distinct("gripper", grippers))
+    faults.attempt(lambda: gripper_parameters.check_grippers(scene.individual, grippers))
+    faults.attempt(lambda: obstacles.check_names(names, scene.described, grippers, scene.groups()))
+    faults.attempt(lambda: obstacles.check_friction("contact.friction", scene.contact.friction))
+    faults.refuse()
+
+
+def _faults(scene: Scene) -> Iterator[str]:
+    rows, columns = scene.cloth.resolution
+    if rows * columns > MOST_PARTICLES:
+        yield f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES}"
+    if 0.0 < scene.tolerance < LEAST_TOLERANCE:
+        yield f"tolerance is {scene.tolerance} m, finer than rounding; take {LEAST_TOLERANCE} m or more, or 0.0"
+    if not scene.frame_id:
+        yield "frame_id is empty; name the coordinate frame, e.g. 'world'"
+    if scene.tf.publish and "cloth" in scene.gripper_names:
+        yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
+    try:
+        normalised(scene.cloth.orientation)
+    except ValueError as error:
+        yield f"cloth.orientation: {error}"
