@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.session.words import counted
@@ -300,4 +300,5 @@ def _session_qos(qos: QoSProfile) -> Any:
         reliability="best_effort" if qos.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
         durability="transient_local" if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
         depth=qos.depth,
+        history="keep_all" if qos.history == HistoryPolicy.KEEP_ALL else "keep_last",
     )

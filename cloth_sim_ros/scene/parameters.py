@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from typing import Any
@@ -122,10 +123,13 @@ class Parameter:
 
     @property
     def min_accepted(self) -> float | None:
-        """The smallest value that the range takes; None without a range."""
+        """The smallest value that the range takes; None without a range.
+
+        Above 0 it is a normal number: divisions by a smaller one overflow.
+        """
         if self.least is None or not self.open_least:
             return self.least
-        return math.nextafter(self.least, math.inf)
+        return math.nextafter(self.least, math.inf) if self.least else sys.float_info.min
 
     @property
     def is_array(self) -> bool:
@@ -168,7 +172,7 @@ class Parameter:
         unit = f" {self.unit}" if self.unit else ""
         if not math.isfinite(value):
             raise ParameterError(f"{self.name} is {value}; it must be finite")
-        if self.least is not None and (value < self.least or (self.open_least and value == self.least)):
+        if self.min_accepted is not None and value < self.min_accepted:
             bound = "above" if self.open_least else "at least"
             raise ParameterError(f"{self.name} is {value}{unit}; it must be {bound} {self.least}{unit}")
         if self.most is not None and value > self.most:

@@ -39,12 +39,13 @@ class Qos:
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
     depth: int = 10
+    history: Literal["keep_last", "keep_all"] = "keep_last"
 
     def to_yaml(self) -> str:
         """The text rosbag2 (metadata version 9, Jazzy) keeps in a channel's ``offered_qos_profiles``."""
         infinite = "    sec: 9223372036\n    nsec: 854775807\n"
         return (
-            f"- history: keep_last\n  depth: {self.depth}\n  reliability: {self.reliability}\n"
+            f"- history: {self.history}\n  depth: {self.depth}\n  reliability: {self.reliability}\n"
             f"  durability: {self.durability}\n  deadline:\n{infinite}  lifespan:\n{infinite}  liveliness: automatic\n"
             f"  liveliness_lease_duration:\n{infinite}  avoid_ros_namespace_conventions: false"
         )

@@ -49,10 +49,11 @@ def test_descriptor(name: str) -> None:
     if entry.kind in ("double", "int"):
         # A number that has no limits is one that nobody thought about.
         (limits,) = descriptor.floating_point_range if entry.kind == "double" else descriptor.integer_range
-        assert (limits.from_value, limits.to_value) == (entry.least, entry.most)
+        assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.most)
         assert limits.step == 0
     elif entry.least is not None:
-        assert f"from {entry.least} to {entry.most}" in descriptor.additional_constraints
+        low = f"above {entry.least} and at most" if entry.open_least else f"from {entry.least} to"
+        assert f"{low} {entry.most}" in descriptor.additional_constraints
 
 
 def test_every_bad_value_is_refused_with_the_reason(client: Client) -> None:

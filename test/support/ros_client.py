@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -102,12 +102,18 @@ def pose(x: float, y: float, z: float, *, frame_id: str = "", stamp: int = 0, w:
     return message
 
 
-def start_cloth(start_process: Callable[..., Any], *parameters: str, wait: str = STARTED, **options: Any) -> Any:
-    """Start the node as a process and wait for its first frame; parameters as `name:=value`."""
-    arguments: list[str | Path] = ["-m", "cloth_sim_ros.ros.main", "--ros-args"]
+def start_cloth(
+    start_process: Callable[..., Any],
+    *parameters: str,
+    wait: str = STARTED,
+    arguments: Sequence[str] = (),
+    **options: Any,
+) -> Any:
+    """Start the node as a process and wait for its first frame; parameters as `name:=value`, and more ROS arguments."""
+    command: list[str | Path] = ["-m", "cloth_sim_ros.ros.main", "--ros-args", *arguments]
     for parameter in parameters:
-        arguments += ["-p", parameter]
-    process = start_process(arguments, **options)
+        command += ["-p", parameter]
+    process = start_process(command, **options)
     if wait:
         process.wait_for_output(wait)
     return process

@@ -1,0 +1,117 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ranges of parameter descriptors: both ends are accepted, what lies just outside is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+from support.ros_client import Client
+
+from cloth_sim_ros import Scene
+from cloth_sim_ros.ros.parameters import describe
+from cloth_sim_ros.scene.parameters import Parameter, ParameterError
+
+DECLARED = {entry.name: entry for entry in Scene.declared(["table"])}
+RANGED = [name for name, entry in DECLARED.items() if entry.kind in ("double", "int")]
+ARRAYS = [name for name, entry in DECLARED.items() if entry.is_array and entry.element in ("double", "int")]
+NUMBERS = itertools.count()
+#: Other parameters by which a parameter has the whole of its range.
+BESIDE: dict[str, dict[str, Any]] = {
+    "material.bending_modulus": {"bending.model": "crossed"},
+    "material.stretch_modulus": {"material.shear_modulus": 0.0, "bending.stiffness": 0.0},
+    "bending.stiffness": {"material.stretch_modulus": 1e9},
+    "table.size": {"table.shape": "box"},
+}
+
+
+@pytest.fixture(scope="module")
+def node() -> Iterator[Node]:
+    with Client("descriptors") as client:
+        yield client.node
+
+
+def ends(entry: Parameter) -> tuple[Any, Any]:
+    """The ends of a descriptor's range."""
+    descriptor = describe(entry)
+    (limits,) = descriptor.floating_point_range if entry.kind == "double" else descriptor.integer_range
+    return limits.from_value, limits.to_value
+
+
+def is_accepted(entry: Parameter, value: Any) -> bool:
+    """Whether a cloth of some grid takes a value."""
+    for beside in ({}, BESIDE.get(entry.name, {})):
+        with contextlib.suppress(ParameterError):
+            Scene.from_parameters({"cloth.resolution": [5, 5], **beside, entry.name: value})
+            return True
+    return False
+
+
+def declare(node: Node, entry: Parameter, value: Any) -> Any:
+    """What a parameter of the descriptor of another is, once it is declared: rclpy looks at ranges as it declares."""
+    name = f"p{next(NUMBERS)}"
+    return node.declare_parameter(name, value, describe(entry)).value
+
+
+@pytest.mark.parametrize("name", [name for name in RANGED if not name.startswith("table.")])
+def test_ends_of_a_range_are_accepted(node: Node, name: str) -> None:
+    entry = DECLARED[name]
+    for value in ends(entry):
+        assert entry.check(value) == value
+        assert is_accepted(entry, value), value
+        assert declare(node, entry, value) == value
+
+
+@pytest.mark.parametrize("name", RANGED)
+def test_values_just_outside_a_range_are_refused(node: Node, name: str) -> None:
+    entry = DECLARED[name]
+    low, high = ends(entry)
+    if entry.kind == "double":
+        outside = [math.nextafter(low, -math.inf), math.nextafter(high, math.inf), low - 1.0, high * 1.01]
+    else:
+        outside = [low - 1, high + 1]
+    for value in outside:
+        with pytest.raises(ParameterError, match=name):
+            entry.check(value)
+    # What rclpy takes for equal to an end it leaves to the check above.
+    for value in (outside[-2], outside[-1]):
+        with pytest.raises(Exception, match="out of range"):
+            declare(node, entry, value)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_bounds_of_an_array_are_said_as_they_are_judged(name: str) -> None:
+    entry = DECLARED[name]
+    said = describe(entry).additional_constraints
+    if entry.least is None:
+        assert entry.constraint in said
+        return
+    low = f"each above {entry.least} and at most" if entry.open_least else f"each from {entry.least} to"
+    assert f"{low} {entry.most}" in said
+    count = entry.length or 1
+    kind = type(entry.default[0])
+    assert entry.check([kind(entry.most)] * count)
+    if entry.open_least:
+        with pytest.raises(ParameterError, match="above"):
+            entry.check([kind(entry.least)] * count)
+    else:
+        assert entry.check([kind(entry.least)] * count)
+
+
+def test_limits_that_no_range_can_say_are_said_in_words() -> None:
+    said = {name: describe(entry).additional_constraints for name, entry in DECLARED.items()}
+    assert "0.0, or at least 1e-12" in said["tolerance"]
+    assert "at most 4000000 particles" in said["cloth.resolution"]
+    assert "above 0.0" in said["material.stretch_modulus"]
+    for name in ("cloth.orientation", "table.orientation"):
+        assert "not all 0" in said[name]
+    for name in ("contact.friction", "gripper.friction", "table.friction"):
+        assert "the second no larger" in said[name]
+    for name in ("frame_id", "gripper.frame", "table.frame"):
+        assert "no / as its first character" in said[name]

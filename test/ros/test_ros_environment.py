@@ -1,0 +1,96 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An environment in which no node can start: one sentence with the remedy, for the node and for the gripper client."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cloth_sim_ros.ros.environment_checks import EnvironmentFaultError, check_environment, explain
+
+COMMANDS = {"cloth_sim": "cloth_sim_ros.ros.main", "cloth_gripper": "cloth_sim_ros.ros.gripper_main"}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_place_for_the_log_is_one_sentence(start_process: Callable[..., Any], tmp_path: Path, command: str) -> None:
+    (tmp_path / "file").write_text("")
+    below = str(tmp_path / "file" / "below")
+    for variables, words in (
+        ({"HOME": "", "ROS_LOG_DIR": "", "ROS_HOME": ""}, "HOME is not set, so the log has no folder ~/.ros/log"),
+        ({"HOME": below, "ROS_LOG_DIR": "", "ROS_HOME": ""}, f"the log's folder {below}/.ros/log can't be made"),
+        ({"ROS_LOG_DIR": below}, f"the log's folder {below} can't be made, Not a directory"),
+        ({"ROS_LOG_DIR": str(tmp_path / "file")}, f"the log's folder {tmp_path / 'file'} can't be made, File exists"),
+        ({"ROS_LOG_DIR": "", "ROS_HOME": below}, f"the log's folder {below}/log can't be made"),
+    ):
+        process = start_process(["-m", COMMANDS[command]], env=variables)
+        assert process.wait() == 1
+        (line,) = process.output.strip().splitlines()
+        assert line.startswith(f"{command}: {words}")
+        assert line.endswith("set ROS_LOG_DIR to a folder that can be written")
+
+
+def test_folder_that_is_to_be_made_is_made(tmp_path: Path) -> None:
+    check_environment({"ROS_LOG_DIR": "~/log", "HOME": str(tmp_path)}, [])
+    assert (tmp_path / "log").is_dir()
+    # Without a file of a log there is no folder to look at.
+    check_environment({}, ["cloth_sim", "--ros-args", "--disable-external-lib-logs"])
+
+
+def test_security_without_a_keystore_is_one_sentence(tmp_path: Path) -> None:
+    log = {"ROS_LOG_DIR": str(tmp_path)}
+    secure = {**log, "ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    with pytest.raises(EnvironmentFaultError, match="ROS_SECURITY_KEYSTORE is not set"):
+        check_environment(secure, [])
+    keys = tmp_path / "keys"
+    kept = {**secure, "ROS_SECURITY_KEYSTORE": str(keys)}
+    with pytest.raises(EnvironmentFaultError, match="there is no enclave '/towel', which would be in "):
+        check_environment(kept, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
+    (keys / "enclaves" / "towel").mkdir(parents=True)
+    check_environment(kept, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
+    check_environment({**kept, "ROS_SECURITY_ENCLAVE_OVERRIDE": "/towel"}, ["cloth_sim"])
+    # rcl itself goes on without security, or does not look at any of it.
+    for variables in ({"ROS_SECURITY_STRATEGY": "Permissive"}, {"ROS_SECURITY_ENABLE": "false"}):
+        check_environment({**secure, **variables}, [])
+
+
+def test_middleware_without_security_is_explained() -> None:
+    told = explain("error creating node: This Fast DDS version doesn't have the security libraries, Please compile")
+    assert "ROS_SECURITY_ENABLE is true, and the Fast DDS of this environment was built without security" in told
+    assert "unset ROS_SECURITY_ENABLE" in told
+    assert explain("failed to parse arguments") == ""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_secured_environment_gives_no_traceback(
+    start_process: Callable[..., Any], tmp_path: Path, command: str
+) -> None:
+    variables = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    process = start_process(["-m", COMMANDS[command]], env=variables)
+    assert process.wait() == 1
+    (line,) = process.output.strip().splitlines()
+    assert line.startswith(f"{command}: ROS_SECURITY_ENABLE is true and ROS_SECURITY_STRATEGY is Enforce, but ")
+    # Of no keys: a middleware with security refuses them, one without says what it lacks.
+    (tmp_path / "enclaves").mkdir()
+    process = start_process(["-m", COMMANDS[command]], env={**variables, "ROS_SECURITY_KEYSTORE": str(tmp_path)})
+    assert process.wait() == 1
+    own = [line for line in process.output.strip().splitlines() if line.startswith(f"{command}: ")]
+    assert len(own) == 1
+    assert "Traceback" not in process.output
+    assert "RuntimeWarning" not in process.output
+
+
+def test_make_hides_security_and_says_so() -> None:
+    script = 'print-secure:\n\t@echo "[$${ROS_SECURITY_ENABLE}$${ROS_SECURITY_KEYSTORE}]"\n'
+    done = subprocess.run(
+        ["make", "--no-print-directory", "-f", "Makefile", "-f", "-", "print-secure"],
+        cwd=ROOT, input=script, text=True, capture_output=True, check=True,
+        env={"PATH": "/usr/bin:/bin", "ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_KEYSTORE": "/keys"},
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "without security" in done.stderr
