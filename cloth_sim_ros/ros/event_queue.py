@@ -95,9 +95,18 @@ class EventQueue:
         # The newest target of a gripper is the one with the newest stamp; all else is stamped 0 and keeps its order.
         return sorted(ready, key=lambda entry: entry.stamp)
 
+    def holds(self, kind: type[Event]) -> bool:
+        """Whether an event of a kind waits."""
+        return any(isinstance(entry.event, kind) for entry in self._entries)
+
     def clear(self, reason: str) -> None:
         """Forget everything that waits, telling why."""
-        entries, self._entries = self._entries, []
+        self.refuse(reason)
+
+    def refuse(self, reason: str, *, keep: tuple[type[Event], ...] = ()) -> None:
+        """Answer what waits, but for events of some kinds, with the reason why it takes no effect."""
+        entries = [entry for entry in self._entries if not isinstance(entry.event, keep)]
+        self._entries = [entry for entry in self._entries if isinstance(entry.event, keep)]
         for entry in entries:
             if entry.answer is not None:
                 entry.answer(Outcome(frame=None, reason=reason))

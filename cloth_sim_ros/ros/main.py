@@ -18,7 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node, or say what it would run.
 
     Returns:
-        Exit status: 0 when stopped by a signal, 1 if it could not start or its recording could not be closed.
+        Exit status: 0 when stopped by a signal, 1 if it could not start, its recording could not be closed, or a
+        frame failed and `on_failure` is `exit`.
     """
     argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
     if any(argument == "--check" or argument.startswith("--check=") for argument in argv):

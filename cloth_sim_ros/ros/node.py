@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.logging_service import LoggingService
@@ -21,6 +21,7 @@ from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
+from cloth_sim_ros.ros.failure import FailureGuard
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frame_log import FrameLog
 from cloth_sim_ros.ros.frames import FrameTransformer
@@ -31,12 +32,8 @@ from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.obstacles import ObstacleTopics
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.overheard import Overheard
-from cloth_sim_ros.ros.recording import (
-    RecordingNotInstalledError,
-    RecordingUnavailableError,
-    SessionRecording,
-    tell_end,
-)
+from cloth_sim_ros.ros.recording import SessionRecording
+from cloth_sim_ros.ros.recording_control import RecordingControl
 from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report, log_start
 from cloth_sim_ros.ros.services import Services
@@ -50,9 +47,6 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.session.recorder import RecorderStatus
 
 #: How often the node looks after itself [s]; also the longest that a signal waits to be seen.
 _HOUSEKEEPING = 0.25
@@ -103,6 +97,7 @@ class ClothNode:
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, aside=aside)
+        self._failure = FailureGuard(self.node, self._simulation, self._queue, self._stepper, lock=self._turn)
         self._recording = SessionRecording(
             node_name=self.node.get_fully_qualified_name(),
             simulation=self._simulation,
@@ -119,7 +114,7 @@ class ClothNode:
             frames=self._frames,
             tape=self._recording,
             log=self._log,
-            turn=self._turn,
+            turn=self._failure.turn,
         )
         self._gripper_speed = GripperSpeedMonitor(self._simulation, self._log)
         self._companions = Companions(self._simulation, self._frames, self._commands.heard, self._log)
@@ -129,10 +124,11 @@ class ClothNode:
             grippers=scene.gripper_names,
             queue=self._queue,
             paused=lambda: self._simulation.paused,
-            record=self._record,
+            record=lambda begin, answer: self._record(begin, answer),
             save_state=self._recording.save_state,
             seconds=time.monotonic,
             turn=self._turn,
+            refusal=lambda: self._failure.answer,
         )
         self._parameters = parameters.LiveParameters(
             self.node,
@@ -161,7 +157,27 @@ class ClothNode:
             further=lambda: {name: value for one in further for name, value in one.describe().items()},
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
-        self._overheard = Overheard(self.node, self._recording, self._turn)
+        self._overheard = Overheard(self.node, self._recording, self._failure.turn)
+        self._recording_control = RecordingControl(
+            self.node,
+            self._recording,
+            self._overheard,
+            latched=(self._outputs.record_topology, self._obstacles.record, self._states.record),
+            refusal=lambda: self._failure.answer,
+        )
+        self._record = self._recording_control.switch
+        self._failure.report_by(
+            {
+                "recording": lambda *_: self._recording.discard(),
+                "parameters": lambda *_: self._parameters.return_to(self._simulation.scene),
+                "diagnostics.accuracy": lambda *_: self._accuracy.close(),
+                "~/state": self._states.fail,
+                "services": self._services.fail,
+                "/diagnostics": lambda reason, _: self._report_failure(reason),
+                "the session": self._recording_control.fail,
+            },
+            recover=self._latest.clear_exception,
+        )
         self._pacer: Pacer | None = None
         self._report_due = time.monotonic()
         self._silence = ClockSilence(self.node.get_logger())
@@ -199,7 +215,7 @@ class ClothNode:
         scene = self._simulation.scene
         now = self.node.get_clock().now().nanoseconds
         if scene.record.enabled:
-            self._record_from_the_start(now)
+            self._recording_control.begin_with_node(now)
         self._outputs.start(now)
         self._obstacles.start(now)
         self._commands.listen()
@@ -251,6 +267,7 @@ class ClothNode:
 
     def _close(self, timeout: float) -> bool:
         self._accuracy.close()
+        self._recording.discard()
         self._queue.clear("the node stops")
         # If a signal cut a frame off, there is no whole state to report.
         if self._pacer is not None and not self.cut_off and self.node.context.ok():
@@ -259,26 +276,22 @@ class ClothNode:
                 self._diagnostics.send()
                 self._outputs.flush()
                 self._diagnostics.flush()
-        status = self._recording.end(reason="node stopped", timeout=timeout)
-        if status is not None:
-            tell_end(self.node.get_logger(), status)
-        return status is None or status.state == "closed"
+        return self._recording_control.end(timeout=timeout)
 
     # Frames
 
     def _on_due(self, due: Due) -> None:
         with self._turn, unless_shut_down(self.node):
-            self._frame(due)
+            # A frame that was left to itself is still at work on the cloth.
+            if not self.cut_off:
+                self._failure.run(lambda: self._frame(due), due.stamp)
 
     def _frame(self, due: Due) -> None:
-        if self.cut_off:
-            # The frame that was left to itself is still at work on the cloth.
-            return
         begun = time.monotonic()
         self._recording.before_frame(due.stamp)
         self._accuracy.before_frame()
         try:
-            frame = self._stepper.step(
+            frame = self._stepper.advance(
                 max(due.stamp, due.now), [*self._companions.events(due.stamp), *self._relief.events()]
             )
         except StopRequestedError:
@@ -307,10 +320,13 @@ class ClothNode:
             velocities = state.v if points.velocity else None
             self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=velocities, double=points.double)
             self._states.show(frame, due.stamp)
-            self._services.show(frame)
-            self._commands.show(frame)
             self._obstacles.send(frame, due.stamp)
             self._broadcaster.send(due.stamp)
+        self._recording.commit()
+        # Last: what is answered is not taken back.
+        self._stepper.answer()
+        self._services.show(frame)
+        self._commands.show(frame)
         self._frame_log.show(frame)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
@@ -343,48 +359,14 @@ class ClothNode:
         with self._turn:
             self._extras = {"skipped": skipped}
 
+    def _report_failure(self, reason: str) -> None:
+        self._latest.exception = reason
+        self._diagnostics.send()
+
     def _check_parameters(self, values: dict[str, Any], wanted: Scene) -> None:
         refuse_endless_frames(wanted, self._simulation)
         self._simulation.check_scene(wanted)
         self._queue.make_room(SetParameters(values))
-
-    # Recording and state
-
-    def _record_from_the_start(self, now: int) -> None:
-        try:
-            self._recording.begin(now)
-        except RecordingNotInstalledError as error:
-            # A robot that lacks the libraries has its cloth all the same.
-            self.node.get_logger().error(f"nothing is recorded: {error}")
-            return
-        self._overheard.listen()
-        path = self._recording.wait_until_open()
-        self.node.get_logger().info(f"recording into {path}")
-
-    def _record(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
-        self._log.debug(lambda: f"~/record: {'begins' if begin else 'ends'} a recording")
-        try:
-            if begin:
-                now = self.node.get_clock().now().nanoseconds
-                self._recording.begin(now)
-                self._outputs.record_topology(now)
-                self._obstacles.record(now)
-                self._states.record(now)
-            else:
-                self._recording.end_soon(reason="~/record")
-        except RecordingUnavailableError as error:
-            answer(False, str(error))
-            return
-
-        def told(status: RecorderStatus) -> None:
-            if status.state == "recording":
-                self.node.get_logger().info(f"recording into {status.path}")
-            elif status.state == "closed":
-                tell_end(self.node.get_logger(), status)
-            # Why it failed, the housekeeping logs, whether or not somebody waits for an answer.
-            answer(status.state == ("recording" if begin else "closed"), status.error or str(status.path))
-
-        self._recording.tell(told)
 
     # Once in a while
 
@@ -395,16 +377,18 @@ class ClothNode:
             if now >= self._report_due:
                 self._report_due = max(self._report_due, now - _HOUSEKEEPING) + diagnostics.PERIOD
                 self._report.look_for_namesakes()
-                self._diagnostics.send()
+                self._failure.attempt("diagnostics are not published", self._diagnostics.send)
             self._services.give_up_waiting()
             self._log.settle()
             self._overheard.listen()
             trouble = self._recording.poll()
+            self._recording_control.follow()
             self._accuracy.follow()
             if self._changed:
                 self._changed = False
                 self._forecaster.tell()
         if trouble:
             self.node.get_logger().error(trouble)
+        self._failure.check_exit()
         if isinstance(self._pacer, ClockPacer) and not self._pacer.has_clock:
             self._silence.look()

@@ -19,6 +19,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.aside import Aside
+from cloth_sim_ros.ros.failure import NodeFailedError
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.options import parser
@@ -46,7 +47,8 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
         signals: installed.
 
     Returns:
-        Exit status: 0 when stopped by a signal, 1 if it could not start or its recording could not be closed.
+        Exit status: 0 when stopped by a signal, 1 if it could not start, its recording could not be closed, or a frame
+        failed and `on_failure` is `exit`.
     """
     try:
         read_and_start(parser(), argv)
@@ -76,7 +78,7 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside) -> int:
         return _refuse(*error.sentences)
     except (ValueError, RuntimeError, *_BAD_NAMES) as error:
         return _refuse(readable(error))
-    started = False
+    started = failed = False
     try:
         cloth.warm_up()
         # What the compiler and other libraries keep for good need not be gone through again: a garbage collection would
@@ -95,6 +97,9 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside) -> int:
         if started:
             raise
         return _refuse(*error.sentences)
+    except NodeFailedError as error:
+        failed = True
+        cloth.node.get_logger().error(str(error))
     except (RecordingUnavailableError, ValueError, *_BAD_NAMES) as error:
         if started:
             raise
@@ -104,7 +109,7 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside) -> int:
         if cloth.cut_off:
             aside.leave()
         cloth.node.destroy_node()
-    return 0 if saved else 1
+    return 0 if saved and not failed else 1
 
 
 def _spin(cloth: ClothNode, signals: StopSignals) -> None:

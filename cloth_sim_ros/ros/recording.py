@@ -56,6 +56,8 @@ class SessionRecording:
         self._closing: Recorder | None = None
         self._last: RecorderStatus | None = None
         self._told: list[Callable[[RecorderStatus], None]] = []
+        #: What a frame under way records; None between frames.
+        self._held: list[Callable[[Recorder], object]] | None = None
         #: Why nothing can be recorded at all, once that was tried; else empty.
         self.missing = ""
 
@@ -63,6 +65,11 @@ class SessionRecording:
     def running(self) -> bool:
         """Whether messages are recorded."""
         return self._recorder is not None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a recording runs, or the one before is still being closed."""
+        return self._recorder is not None or self._closing is not None
 
     def prepare(self) -> None:
         """Load what recording needs, so that no frame is late because of it; nothing where it is not installed."""
@@ -182,13 +189,23 @@ class SessionRecording:
         """Go on in a new file where the present one has reached its limit."""
         if self._recorder is not None and self._recorder.wants_split:
             self._recorder.split(self._snapshot(), log_time=stamp)
+        self._held = []
+
+    def commit(self) -> None:
+        """Record what a frame had to record: it succeeded."""
+        held, self._held = self._held, None
+        if self._recorder is not None:
+            for record in held or ():
+                record(self._recorder)
+
+    def discard(self) -> None:
+        """Forget what a frame had to record: it failed."""
+        self._held = None
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
         """Record a message's bytes at a ROS time [ns]."""
         if self._recorder is not None:
-            self._recorder.record(
-                topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos)
-            )
+            self._put(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
     def add_frame(self, frame: Frame, stamp: int, extras: dict[str, Any]) -> None:
         """Record what a frame did, before the messages that show it."""
@@ -208,9 +225,17 @@ class SessionRecording:
             paused=self._simulation.paused,
             extras=extras,
         )
-        self._recorder.record(
+        self._put(
             f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False
         )
+
+    def _put(self, *message: Any, **options: Any) -> None:
+        if self._recorder is None:
+            return
+        if self._held is None:
+            self._recorder.record(*message, **options)
+        else:
+            self._held.append(lambda recorder: recorder.record(*message, **options))
 
     def save_state(self) -> Path:
         """Write the cloth's state into the folder for recordings, and return the file.

@@ -48,8 +48,14 @@ class Latest:
 
     #: Why time is stopped; empty while it goes on.
     failure: str = ""
+    #: Exception of a frame that failed; empty unless the node is in the state `failed`.
+    exception: str = ""
     #: What the integrator did in the newest frame in which time passed; None before the first.
     advance: Advance | None = None
+
+    def clear_exception(self) -> None:
+        """Forget the exception: the node has recovered."""
+        self.exception = ""
 
 
 class Report:
@@ -114,6 +120,8 @@ class Report:
         if status is not None:
             values["recording_file"] = str(status.path)
             values["recording_dropped"] = str(status.dropped)
+        if self._latest.exception:
+            return DiagnosticStatus.ERROR, f"failed: {self._latest.exception}", values
         if self._latest.failure:
             return DiagnosticStatus.ERROR, f"stopped: {self._latest.failure}", values
         if status is not None and status.state == "failed":

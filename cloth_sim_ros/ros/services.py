@@ -40,6 +40,7 @@ class Services:
         save_state: writes the state and returns its file, or raises RecordingUnavailableError.
         seconds: a clock that never stops nor goes back [s].
         turn: held by whoever works on the cloth: an executor of several threads runs services beside frames.
+        refusal: returns why nothing but a reset can be done, empty while all can.
     """
 
     def __init__(
@@ -53,8 +54,10 @@ class Services:
         save_state: Callable[[], Path],
         seconds: Callable[[], float],
         turn: AbstractContextManager[Any],
+        refusal: Callable[[], str] = str,
     ) -> None:
         self._node = node
+        self._refusal = refusal
         self._grippers = grippers
         self._queue = queue
         self._paused = paused
@@ -118,6 +121,12 @@ class Services:
                 future.set_result(done[gripper])
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
+    def fail(self, reason: str, _stamp: int) -> None:
+        """Answer those who wait for pads to come to rest: a frame failed."""
+        closing, self._closing = self._closing, []
+        for gripper, _, future in closing:
+            future.set_result(GraspResult(gripper, True, 0, f"failed: {reason}"))
+
     async def _ask(self, event: Event, *, rest: Future | None = None) -> Outcome:
         """Queue an event and wait for its frame; where it begins to close pads, `rest` is told what becomes of it."""
         future: Future = Future()
@@ -129,6 +138,9 @@ class Services:
                 future.set_result(outcome)
 
         with self._turn:
+            refusal = "" if isinstance(event, Reset) else self._refusal()
+            if refusal:
+                return Outcome(frame=None, reason=refusal)
             try:
                 self._queue.put(event, answer=answer)
             except QueueFullError as error:
@@ -146,9 +158,9 @@ class Services:
 
     async def _on_step(self, _request: Any, response: Any) -> Any:
         with self._turn:
-            paused = self._paused()
-        if not paused:
-            response.success, response.message = False, "the cloth is running; pause it first"
+            refusal = self._refusal() or ("" if self._paused() else "the cloth is running; pause it first")
+        if refusal:
+            response.success, response.message = False, refusal
             return response
         return _answered(response, await self._ask(Step()), "one frame passed")
 

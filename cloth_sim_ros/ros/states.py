@@ -65,6 +65,14 @@ class States:
         """Say that this was all."""
         self._send_state(State.PRIMARY_STATE_FINALIZED, stamp)
 
+    def fail(self, reason: str, stamp: int) -> None:
+        """Say that a frame failed, at a ROS time [ns].
+
+        Its id is that of managed nodes whose code has raised and that wait for their error to be handled.
+        """
+        self._said = State.TRANSITION_STATE_ERRORPROCESSING
+        self._send(self._state, State(id=self._said, label=f"failed: {reason}"), stamp)
+
     def _say_state(self, stamp: int) -> None:
         now = State.PRIMARY_STATE_INACTIVE if self._simulation.paused else State.PRIMARY_STATE_ACTIVE
         if now != self._said:

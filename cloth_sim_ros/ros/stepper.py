@@ -37,20 +37,31 @@ class Stepper:
         self.trouble = ""
         #: Why parameters that were accepted could not take effect, in the newest frame; empty if they did.
         self.refused_parameters = ""
+        #: Events of a frame that are not answered yet.
+        self._taken: list[Entry] = []
+        self._outcomes: list[tuple[Entry, Outcome]] = []
 
     def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
+        """Compute the frame that is due at a ROS time [ns] and answer its events, see `advance` and `answer`."""
+        frame = self.advance(due, own)
+        self.answer()
+        return frame
+
+    def advance(self, due: int, own: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame:
         """Compute the frame that is due at a ROS time [ns], with the events that wait for it.
 
         Args:
             due: ROS time [ns]; events stamped later go on waiting.
             own: events of the node itself, applied first.
+            last: events of the node itself, applied last.
 
         If the motion becomes unstable, the commands take effect but no time passes. `trouble` says why, and so does the
         answer to a service that asked for time to pass.
         """
-        entries = self._queue.take(due)
-        if own:
-            entries = [*(Entry(event=event) for event in own), *entries]
+        self._outcomes = []
+        self._taken = entries = self._queue.take(due)
+        if own or last:
+            entries = [*(Entry(event=event) for event in own), *entries, *(Entry(event=event) for event in last)]
         self.refused_parameters = ""
         refused: list[tuple[Entry, str]] = []
         stopped = False
@@ -81,11 +92,23 @@ class Stepper:
                     entries = [entry for entry in entries if all(entry is not one for one, _ in late)]
         if frame.moved:
             self.trouble = ""
-        _answer(entries, frame)
-        for entry, reason in refused:
+        self._outcomes = _outcomes(entries, frame)
+        self._outcomes += [(entry, Outcome(frame=None, reason=reason)) for entry, reason in refused]
+        return frame
+
+    def answer(self) -> None:
+        """Answer the events of the newest frame."""
+        outcomes, self._outcomes, self._taken = self._outcomes, [], []
+        for entry, outcome in outcomes:
+            if entry.answer is not None:
+                entry.answer(outcome)
+
+    def refuse(self, reason: str) -> None:
+        """Answer the events of a frame that failed."""
+        taken, self._taken, self._outcomes = self._taken, [], []
+        for entry in taken:
             if entry.answer is not None:
                 entry.answer(Outcome(frame=None, reason=reason))
-        return frame
 
     def _impossible(self, entries: list[Entry]) -> list[tuple[Entry, str]]:
         """Events that can't take effect any more, and why."""
@@ -107,10 +130,10 @@ def _lets_time_pass(entry: Entry) -> bool:
     return isinstance(entry.event, Step) or (isinstance(entry.event, Pause) and not entry.event.paused)
 
 
-def _answer(entries: list[Entry], frame: Frame) -> None:
+def _outcomes(entries: list[Entry], frame: Frame) -> list[tuple[Entry, Outcome]]:
     # Grasps keep their order through the frame, so that the k-th result is the k-th grasp's.
     results = iter(frame.grasps)
-    for entry in entries:
-        grasp = next(results) if isinstance(entry.event, Grasp) else None
-        if entry.answer is not None:
-            entry.answer(Outcome(frame=frame, grasp=grasp))
+    return [
+        (entry, Outcome(frame=frame, grasp=next(results) if isinstance(entry.event, Grasp) else None))
+        for entry in entries
+    ]

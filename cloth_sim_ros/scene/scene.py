@@ -154,6 +154,15 @@ class Scene:
         live=True,
         observes=True,
     )
+    on_failure: str = parameter(
+        "string",
+        "stop",
+        "What follows an exception in a frame: stop stops time at the last good frame until ~/reset; exit ends the "
+        "node with status 1, for a supervisor that starts it again",
+        choices=("stop", "exit"),
+        live=True,
+        observes=True,
+    )
     points: Points = section(Points)
     tf: Tf = section(Tf)
     record: Record = section(Record)

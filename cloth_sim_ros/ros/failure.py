@@ -1,0 +1,183 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""State `failed`: entered by an exception in a frame, left by a reset."""
+
+from __future__ import annotations
+
+import os
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from typing import Any
+
+from rclpy.node import Node
+
+from cloth_sim_ros.ros.event_queue import EventQueue
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.stepper import Stepper
+from cloth_sim_ros.ros.stopping import StopRequestedError
+from cloth_sim_ros.simulation.events import Reset, SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.snapshot import Snapshot
+
+#: Environment variable that lets exceptions of frames propagate. The tests set it, so that no bug hides in the state.
+RAISE = "CLOTH_SIM_ROS_RAISE"
+#: Longest reason: it is a label, a diagnostics message and an end record.
+_MAX_LENGTH = 300
+
+
+class NodeFailedError(RuntimeError):
+    """A frame failed, and `on_failure` is `exit`."""
+
+
+class FailureGuard:
+    """Runs frames. An exception takes the simulation back to the frame before and stops time until a reset.
+
+    MemoryError, StopRequestedError and what is no Exception propagate. A callback that holds `turn` and raises fails
+    the next frame.
+
+    Args:
+        node: the node.
+        simulation: the cloth.
+        queue: events that wait for a frame.
+        lock: held by whoever works on the cloth.
+        stepper: has the events of the frame that failed.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        simulation: Simulation,
+        queue: EventQueue,
+        stepper: Stepper,
+        *,
+        lock: AbstractContextManager[Any],
+    ) -> None:
+        self._node, self._simulation, self._queue, self._stepper = node, simulation, queue, stepper
+        self._reports: Mapping[str, Callable[[str, int], Any]] = {}
+        self._recover: Callable[[], None] = lambda: None
+        #: Held by callbacks instead of the lock alone.
+        self.turn = CallbackTurn(lock, self.defer)
+        self._pending: Exception | None = None
+        self._log = ThrottledLog(node.get_logger(), seconds=60.0)
+        self._must_exit = False
+        #: Exception of the frame that failed, in one line; empty while frames succeed.
+        self.reason = ""
+
+    def report_by(self, reports: Mapping[str, Callable[[str, int], Any]], *, recover: Callable[[], None]) -> None:
+        """Set how failure and recovery are reported.
+
+        Args:
+            reports: actions by what they report; each takes the reason and the ROS time of the frame [ns]. If one of
+                them fails, the others follow.
+            recover: called after the frame of a reset that succeeded.
+        """
+        self._reports, self._recover = reports, recover
+
+    @property
+    def answer(self) -> str:
+        """Answer to a request that is refused while failed; empty otherwise."""
+        return f"failed: {self.reason}; call ~/reset" if self.reason else ""
+
+    def run(self, frame: Callable[[], None], stamp: int) -> None:
+        """Run the frame due at a ROS time [ns]; while failed, refuse what waits for it unless a reset does."""
+        failed = self.reason
+        if failed:
+            is_reset = self._queue.holds(Reset)
+            self._queue.refuse(self.answer, keep=(SetParameters, Reset) if is_reset else (SetParameters,))
+            if not is_reset:
+                return
+        before = self._simulation.snapshot()
+        try:
+            self._raise_pending()
+            frame()
+        except Exception as error:
+            if self._propagates(error):
+                raise
+            self._enter(error, before, stamp)
+        else:
+            if failed:
+                self.reason = ""
+                self._recover()
+                self._node.get_logger().info(f"reset: time goes on from frame {self._simulation.frame}")
+
+    def defer(self, error: Exception) -> bool:
+        """Let the exception of a callback fail the next frame; return whether it is not to be raised."""
+        if self._propagates(error):
+            return False
+        if not self.reason:
+            self._pending = error
+        return True
+
+    def attempt(self, what: str, job: Callable[[], Any]) -> None:
+        """Run a job that must not end the node; an exception is logged, once a minute for each `what`."""
+        try:
+            job()
+        except Exception as error:
+            if self._propagates(error):
+                raise
+            # While failed, what else goes wrong most likely has the same cause, whose traceback is in the log.
+            trace = "" if self.reason else f"\n{traceback.format_exc().rstrip()}"
+            self._log.error(what, f"{what}: {sentence_of(error)}{trace}")
+
+    def check_exit(self) -> None:
+        """Let the executor end if that was asked for.
+
+        Raises:
+            NodeFailedError: if a frame failed, and `on_failure` is `exit`.
+        """
+        if self._must_exit and self.reason:
+            raise NodeFailedError(f"failed: {self.reason}; the node ends because on_failure is exit")
+
+    def _raise_pending(self) -> None:
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            raise pending
+
+    def _propagates(self, error: Exception) -> bool:
+        if isinstance(error, MemoryError | StopRequestedError) or os.environ.get(RAISE):
+            return True
+        # The middleware's errors after the context was shut down: nobody is left to be told.
+        return isinstance(error, RuntimeError) and not self._node.context.ok()
+
+    def _enter(self, error: Exception, before: Snapshot, stamp: int) -> None:
+        self.reason, self._pending = sentence_of(error), None
+        reason = self.reason
+        trace = "".join(traceback.format_exception(error)).rstrip()
+        self.attempt("cannot return to the last good frame", lambda: self._simulation.restore(before))
+        self._must_exit = self._simulation.scene.on_failure == "exit"
+        self._node.get_logger().error(
+            f"failed: {reason}; time is stopped at frame {self._simulation.frame}, and no clouds are published until "
+            f"~/reset is called\n{trace}"
+        )
+        self._stepper.refuse(self.answer)
+        self._queue.refuse(self.answer)
+        for what, report in self._reports.items():
+            self.attempt(f"cannot report the failure by {what}", lambda report=report: report(reason, stamp))  # type: ignore[misc]
+
+
+class CallbackTurn:
+    """A lock that takes the exception of the callback that holds it.
+
+    Args:
+        lock: held within.
+        defer: takes an exception; returns whether it is not to be raised.
+    """
+
+    def __init__(self, lock: AbstractContextManager[Any], defer: Callable[[Exception], bool]) -> None:
+        self._lock, self._defer = lock, defer
+
+    def __enter__(self) -> None:
+        """Take the lock."""
+        self._lock.__enter__()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
+        self._lock.__exit__(None, None, None)
+        return isinstance(error, Exception) and self._defer(error)
+
+
+def sentence_of(error: Exception) -> str:
+    """Return type and message of an exception in one line."""
+    words = " ".join(str(error).split())
+    line = f"{type(error).__name__}: {words}" if words else type(error).__name__
+    return line if len(line) <= _MAX_LENGTH else f"{line[:_MAX_LENGTH]}..."

@@ -1,0 +1,115 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Begin and end of recordings: at the node's start and end, by ~/record, around a failure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from rclpy.node import Node
+
+from cloth_sim_ros.ros.overheard import Overheard
+from cloth_sim_ros.ros.recording import (
+    RecordingNotInstalledError,
+    RecordingUnavailableError,
+    SessionRecording,
+    tell_end,
+)
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.recorder_options import RecorderStatus
+
+
+class RecordingControl:
+    """Begins and ends the recordings of one node.
+
+    Args:
+        node: the node.
+        recording: what records.
+        overheard: records /rosout and /parameter_events.
+        latched: record what was published once, at a ROS time [ns].
+        refusal: returns why no recording may begin, empty if one may.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        recording: SessionRecording,
+        overheard: Overheard,
+        *,
+        latched: Sequence[Callable[[int], None]],
+        refusal: Callable[[], str],
+    ) -> None:
+        self._node, self._recording, self._overheard = node, recording, overheard
+        self._latched, self._refusal = latched, refusal
+        self._resumes = False
+
+    def begin_with_node(self, now: int) -> None:
+        """Begin at the node's start, at a ROS time [ns], and wait for the file.
+
+        Raises:
+            RecordingUnavailableError: if the recording can't begin, though its libraries are there.
+        """
+        try:
+            self._recording.begin(now)
+        except RecordingNotInstalledError as error:
+            # A robot that lacks the libraries has its cloth all the same.
+            self._node.get_logger().error(f"nothing is recorded: {error}")
+            return
+        self._overheard.listen()
+        path = self._recording.wait_until_open()
+        self._node.get_logger().info(f"recording into {path}")
+
+    def switch(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
+        """Begin or end a recording, and answer whether that went well and what came of it."""
+        self._node.get_logger().debug(f"~/record: {'begins' if begin else 'ends'} a recording")
+        try:
+            if begin:
+                if refusal := self._refusal():
+                    raise RecordingUnavailableError(refusal)
+                now = self._node.get_clock().now().nanoseconds
+                self._recording.begin(now)
+                for record in self._latched:
+                    record(now)
+            else:
+                self._resumes = False
+                self._recording.end_soon(reason="~/record")
+        except RecordingUnavailableError as error:
+            answer(False, str(error))
+            return
+
+        def told(status: RecorderStatus) -> None:
+            if status.state == "recording":
+                self._node.get_logger().info(f"recording into {status.path}")
+            elif status.state == "closed":
+                tell_end(self._node.get_logger(), status)
+            # Why it failed, the housekeeping logs, whether or not somebody waits for an answer.
+            answer(status.state == ("recording" if begin else "closed"), status.error or str(status.path))
+
+        self._recording.tell(told)
+
+    def fail(self, reason: str, _stamp: int) -> None:
+        """End the recording, if there is one, with the reason of a failure; another one begins after the reset."""
+        self._recording.discard()
+        if self._recording.running:
+            self._resumes = True
+            self._recording.end_soon(reason=f"node failed: {reason}")
+            self._recording.tell(lambda status: tell_end(self._node.get_logger(), status))
+
+    def follow(self) -> None:
+        """Begin the recording that a failure ended, once the node has recovered; call it now and then."""
+        if self._resumes and not self._refusal() and not self._recording.busy:
+            self._resumes = False
+            self.switch(True, self._tell_resumed)
+
+    def _tell_resumed(self, success: bool, message: str) -> None:
+        if not success:
+            self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
+
+    def end(self, *, timeout: float) -> bool:
+        """End the recording with the node, within a time [s]; return whether all of it is in its file."""
+        status = self._recording.end(reason="node stopped", timeout=timeout)
+        if status is not None:
+            tell_end(self._node.get_logger(), status)
+        return status is None or status.state == "closed"
