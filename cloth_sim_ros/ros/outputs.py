@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any, Protocol
 
 from geometry_msgs.msg import WrenchStamped
@@ -16,6 +17,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
 from cloth_sim_ros.ros.qos_overrides import OPTIONS, own_profile
 from cloth_sim_ros.scene.parameters import ParameterError
@@ -23,10 +25,14 @@ from cloth_sim_ros.scene.scene import Scene
 
 #: Reliable, because RViz's displays ask for it; a subscriber that wants the newest alone takes best effort for itself.
 STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+#: For what is large: of clouds that a slow subscriber has not fetched, the newest alone is kept for it.
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 #: For what is said once: those who come later hear it too.
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: How long the node waits at its end for subscribers to receive the last messages.
 _FLUSH = Duration(seconds=0.2)
+#: A publication that takes longer is worth a warning, at most once in so long [s].
+_LONG_PUBLICATION, _BETWEEN_WARNINGS = 0.2, 60.0
 
 
 class Tape(Protocol):
@@ -53,6 +59,7 @@ class Output:
         self._kind, self._node = kind, node
         self._tape = tape
         self._droppable = droppable
+        self._log = ThrottledLog(node.get_logger(), seconds=_BETWEEN_WARNINGS)
         own = own_profile(node, topic, qos)
         try:
             self._publisher = node.create_publisher(
@@ -83,8 +90,15 @@ class Output:
         return self._tape.running or self.heard
 
     def publish(self, data: bytes) -> None:
-        """Publish bytes."""
+        """Publish bytes; a warning tells if the middleware kept the node waiting."""
+        begun = time.monotonic()
         self._publisher.publish(data)
+        if (taken := time.monotonic() - begun) > _LONG_PUBLICATION:
+            self._log.warn(
+                "slow",
+                f"{self.topic}: publishing took {taken:.2g} s, and the frame waited: a subscriber that is suspended or "
+                f"was killed holds the middleware's queue; resume it or end it",
+            )
 
     def send(self, data: bytes, stamp: int) -> None:
         """Publish bytes, and record the same."""
@@ -118,8 +132,8 @@ class Outputs:
         # With velocities or without, in double precision or not, made when first asked for.
         self._clouds: dict[tuple[bool, bool], CloudMessage] = {}
         self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
-        self._points = Output(node, PointCloud2, "~/points", tape, droppable=True)
-        self._mesh = Output(node, Marker, "~/mesh", tape, droppable=True)
+        self._points = Output(node, PointCloud2, "~/points", tape, qos=NEWEST, droppable=True)
+        self._mesh = Output(node, Marker, "~/mesh", tape, qos=NEWEST, droppable=True)
         self._topology = Output(node, Mesh, "~/topology", tape, qos=LATCHED)
         self._wrenches = [
             Output(node, WrenchStamped, f"~/{name}/wrench", tape, droppable=True) for name in scene.gripper_names

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import sys
 from collections.abc import Sequence
@@ -20,11 +21,13 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.aside import Aside
 from cloth_sim_ros.ros.failure import NodeFailedError
+from cloth_sim_ros.ros.given_parameters import given_parameters
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.options import parser
 from cloth_sim_ros.ros.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
+from cloth_sim_ros.ros.transports import cloud_transports
 from cloth_sim_ros.ros.unused_files import unused_files
 from cloth_sim_ros.scene.parameters import ParameterError
 
@@ -50,25 +53,29 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
         Exit status: 0 when stopped by a signal, 1 if it could not start, its recording could not be closed, or a frame
         failed and `on_failure` is `exit`.
     """
+    aside = Aside(signals.name)
+    # Until the node has joined the graph; whoever is started later finds the environment as it was.
+    joining = contextlib.ExitStack()
     try:
+        warning = joining.enter_context(cloud_transports(given_parameters(argv)))
         read_and_start(parser(), argv)
+        status = _run(argv, signals, aside, joining, warning)
     except ArgumentsError as error:
         return _refuse(str(error))
-    aside = Aside(signals.name)
-    try:
-        status = _run(argv, signals, aside)
     finally:
         signals.ignore()
+        joining.close()
         rclpy.try_shutdown()
     if aside.left:
         aside.end_process(status)
     return status
 
 
-def _run(argv: Sequence[str], signals: StopSignals, aside: Aside) -> int:
+def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: contextlib.ExitStack, warning: str) -> int:
     try:
         # Aside, so that a signal interrupts nothing but our waiting: an exception amid rclpy's callbacks would be lost.
         cloth = aside.run(lambda: ClothNode(aside=aside.run, stopped=signals.name))
+        joining.close()
     except StopRequestedError:
         signals.tell_early_end()
         if aside.left:
@@ -78,6 +85,8 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside) -> int:
         return _refuse(*error.sentences)
     except (ValueError, RuntimeError, *_BAD_NAMES) as error:
         return _refuse(readable(error))
+    if warning:
+        cloth.node.get_logger().warning(warning)
     started = failed = False
     try:
         cloth.warm_up()

@@ -1,0 +1,71 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters that a command line gives a node, known before the node exists."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from cloth_sim_ros.scene import parameter_file, ros_sections, ros_yaml
+from cloth_sim_ros.scene.parameters import ParameterError
+
+_ASSIGN = ":="
+
+
+def given_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> dict[str, Any]:
+    """Return the parameters of ROS arguments by full name, those of parameter files included; the last one counts.
+
+    A value or a file that cannot be read is left out: the node refuses it in its own words.
+
+    Args:
+        argv: a command line.
+        node: the node's name unless the command line renames it.
+    """
+    rules = list(_rules(argv))
+    name = _full_name([value for kind, value in rules if kind == "remap"], node)
+    settings = [(kind, value) for kind, value in rules if kind != "remap"]
+    if not settings:
+        return {}
+    import yaml
+
+    values: dict[str, Any] = {}
+    for kind, value in settings:
+        with contextlib.suppress(ParameterError, yaml.YAMLError, ValueError):
+            values |= parameter_file.read(value, node=name) if kind == "file" else _assignment(value, name)
+    return values
+
+
+def _rules(argv: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield each parameter, parameter file and remapping of ROS arguments, in order."""
+    kinds = {"-p": "parameter", "--param": "parameter", "--params-file": "file", "-r": "remap", "--remap": "remap"}
+    arguments = iter(argv)
+    ros = False
+    for argument in arguments:
+        if argument == "--ros-args":
+            ros = True
+        elif argument == "--":
+            ros = False
+        elif ros and argument in kinds:
+            yield kinds[argument], next(arguments, "")
+
+
+def _full_name(remappings: Sequence[str], node: str) -> str:
+    """Return a node's name with its namespace, after remapping; of several rules the first counts."""
+    found = {"__node": node, "__ns": "/"}
+    for rule in reversed(remappings):
+        name, assigned, value = rule.partition(_ASSIGN)
+        key = name.rpartition(":")[2].replace("__name", "__node")
+        if assigned and key in found:
+            found[key] = value
+    return "/".join(part for part in (found["__ns"].strip("/"), found["__node"]) if part)
+
+
+def _assignment(rule: str, node: str) -> dict[str, Any]:
+    """Return the parameter that a rule `[node:]name:=value` sets for a node."""
+    name, assigned, text = rule.partition(_ASSIGN)
+    section, _, name = name.rpartition(":")
+    if not assigned or (section and not ros_sections.matches(section, node)):
+        return {}
+    return {name: ros_yaml.load(text)}

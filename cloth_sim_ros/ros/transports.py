@@ -1,0 +1,182 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fast DDS transports of a node: a shared-memory segment that holds the clouds of suspended subscribers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from cloth_sim_ros.scene.locations import config_file
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+
+#: A subscriber that is suspended is given up by Fast DDS after so long [s].
+_GIVEN_UP_AFTER = 3.0
+#: Buffers that wait for one subscriber at most, and the size of the largest [bytes]: a longer message is cut into such.
+_QUEUE, _LARGEST_BUFFER = 512, 65_500
+#: Room for all that is small: wrenches, states, diagnostics, discovery [bytes].
+_SMALL = 1 << 20
+#: Smallest and largest segment [bytes].
+_MIN_SEGMENT, _MAX_SEGMENT = 1 << 20, 64 << 20
+#: Others need room too: their ports and segments.
+_SHARE_OF_ROOM = 0.5
+#: A segment of less than this share of what is wanted is filled too soon.
+_MIN_SHARE = 0.25
+#: Least size of what a particle takes in a file of a mesh or of springs [bytes].
+_FILE_BYTES_A_PARTICLE = 30
+_SHARED_MEMORY = Path("/dev/shm")
+_PROFILE, _PROFILE_SEGMENT = "fastdds_large_clouds.xml", str(16 << 20)
+_PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_BUILTIN = "FASTDDS_BUILTIN_TRANSPORTS"
+_RANGE, _ONLY_LOCAL, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"
+#: A user who sets one of these has transports of his own.
+_USERS_VARIABLES = (_PROFILES_FILE, "FASTDDS_DEFAULT_PROFILES_FILE", _BUILTIN, "RMW_FASTRTPS_USE_QOS_FROM_XML")
+#: Fast DDS reads these in the working directory, unless told otherwise by the variables.
+_USERS_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+_SKIP_FILES = ("SKIP_DEFAULT_XML_FILE", "SKIP_DEFAULT_XML")
+
+
+@contextlib.contextmanager
+def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
+    """Let the process's first ROS node, made meanwhile, join the graph with room for the clouds of some cloths.
+
+    rclpy must be initialized meanwhile too. Nothing is changed if the user chose transports, or another middleware.
+
+    Args:
+        cloths: parameters of each, by full name; what is left out has its default.
+
+    Yields:
+        A warning if the shared memory has no room and UDP is used instead, else an empty text.
+    """
+    with contextlib.ExitStack() as stack:
+        yield _enter(stack, sum(segment_bytes(values) for values in cloths)) if not _has_users_transports() else ""
+
+
+def segment_bytes(parameters: Mapping[str, Any]) -> int:
+    """Return the size of the shared-memory segment that a cloth's outputs need [bytes].
+
+    Args:
+        parameters: by full name; what is left out, or refused by the node, has its default.
+    """
+    cloud, mesh, rate = _output_bytes(parameters)
+    pinned = min(_GIVEN_UP_AFTER * rate * (cloud + mesh), _QUEUE * _LARGEST_BUFFER)
+    wanted = int(pinned) + 2 * (cloud + mesh) + _SMALL
+    return min(max(wanted, _MIN_SEGMENT), _MAX_SEGMENT)
+
+
+def _output_bytes(parameters: Mapping[str, Any]) -> tuple[int, int, float]:
+    """Return the bytes of a cloud and of a mesh marker, and the frames a second."""
+    entries = {entry.name: entry for entry in Scene.declared_for(())}
+
+    def value(name: str) -> Any:
+        with contextlib.suppress(ParameterError):
+            return entries[name].check(parameters.get(name, entries[name].default))
+        return entries[name].default
+
+    rows, columns = value("cloth.resolution")
+    particles, triangles = rows * columns, 2 * (rows - 1) * (columns - 1)
+    for name in (value("cloth.mesh"), value("cloth.springs")):
+        with contextlib.suppress(OSError, ValueError):
+            if name:
+                # A bound by the file's size: to read it twice would delay the first cloud.
+                particles = os.stat(name).st_size // _FILE_BYTES_A_PARTICLE
+                triangles = 2 * particles
+    point_bytes = (6 if value("points.velocity") else 3) * (8 if value("points.double") else 4)
+    return particles * point_bytes, triangles * 72, float(value("rate"))
+
+
+def _has_users_transports() -> bool:
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    if not get_rmw_implementation_identifier().startswith("rmw_fastrtps") or not _SHARED_MEMORY.is_dir():
+        return True
+    if any(os.environ.get(name) for name in _USERS_VARIABLES):
+        return True
+    skipped = any(os.environ.get(name, "").startswith("1") for name in _SKIP_FILES)
+    return not skipped and any(os.path.exists(name) for name in _USERS_FILES)
+
+
+def _enter(stack: contextlib.ExitStack, wanted: int) -> str:
+    """Set the environment for a segment, or for UDP where there is no room; return a warning or an empty text."""
+    wanted = min(wanted, _MAX_SEGMENT)
+    try:
+        status = os.statvfs(_SHARED_MEMORY)
+        free = status.f_bavail * status.f_frsize
+        size = min(wanted, int(free * _SHARE_OF_ROOM))
+        if size >= _MIN_SHARE * wanted:
+            text = config_file(_PROFILE).read_text().replace(_PROFILE_SEGMENT, str(size))
+            _set(stack, {_PROFILES_FILE: _write(stack, text)})
+            return ""
+        _set(stack, _udp(stack))
+    except OSError as error:
+        return (
+            f"no shared-memory segment for clouds: {error}; a suspended subscriber may silence the clouds of all "
+            f"others: give {_PROFILES_FILE} a profile"
+        )
+    return (
+        f"{_SHARED_MEMORY} has {free / 1e6:.3g} MB free, clouds need a segment of {wanted / 1e6:.3g} MB and as much "
+        f"for others: they go by UDP, which loses clouds above 200 kB; enlarge {_SHARED_MEMORY} (docker: --shm-size), "
+        f"or remove what ended processes left there (fastrtps_*)"
+    )
+
+
+def _udp(stack: contextlib.ExitStack) -> dict[str, str | None]:
+    """Return the environment that has UDP alone."""
+    local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
+    if not local:
+        return {_BUILTIN: "UDPv4"}
+    # rmw_fastrtps adds shared memory of its own to the range LOCALHOST, so the profile says what that range means.
+    peers = ["127.0.0.1", *filter(None, os.environ.get(_PEERS, "").split(";"))]
+    return {_PROFILES_FILE: _write(stack, _local_udp_profile(peers)), _RANGE: "SYSTEM_DEFAULT", _ONLY_LOCAL: None}
+
+
+def _write(stack: contextlib.ExitStack, text: str) -> str:
+    file = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cloth_sim_ros_"))) / "fastdds.xml"
+    file.write_text(text)
+    return str(file)
+
+
+def _set(stack: contextlib.ExitStack, variables: Mapping[str, str | None]) -> None:
+    """Set variables, or remove those without a value, until the stack is closed."""
+    for name, value in variables.items():
+        before = os.environ.get(name)
+        stack.callback(_put, name, before)
+        _put(name, value)
+
+
+def _put(name: str, value: str | None) -> None:
+    if value is None:
+        os.environ.pop(name, None)
+    else:
+        os.environ[name] = value
+
+
+def _local_udp_profile(peers: list[str]) -> str:
+    """Return a profile as the range LOCALHOST has it, without shared memory."""
+    locators = "".join(f"<locator><udpv4><address>{peer}</address></udpv4></locator>" for peer in peers)
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <profiles>
+    <transport_descriptors>
+      <transport_descriptor>
+        <transport_id>udp</transport_id><type>UDPv4</type><maxInitialPeersRange>32</maxInitialPeersRange>
+      </transport_descriptor>
+    </transport_descriptors>
+    <participant profile_name="local_udp" is_default_profile="true">
+      <rtps>
+        <userTransports><transport_id>udp</transport_id></userTransports>
+        <useBuiltinTransports>false</useBuiltinTransports>
+        <builtin>
+          <metatrafficUnicastLocatorList><locator><udpv4/></locator></metatrafficUnicastLocatorList>
+          <initialPeersList>{locators}</initialPeersList>
+        </builtin>
+      </rtps>
+    </participant>
+  </profiles>
+</dds>
+"""

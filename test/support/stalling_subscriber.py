@@ -1,0 +1,52 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A subscriber that a test suspends: `stalling_subscriber.py effort topic...`, effort r (reliable) or b (best effort).
+
+Prints `receives` after some clouds, and `resumed` when clouds come again after a second without one.
+"""
+
+import os
+import sys
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import Marker
+
+KINDS = {"points": PointCloud2, "mesh": Marker, "wrench": WrenchStamped, "diagnostics": DiagnosticArray}
+#: Clouds after which both sides surely have met.
+ENOUGH = 10
+
+
+def main() -> None:
+    effort, *topics = sys.argv[1:]
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(f"stalling_{os.getpid()}")
+    reliability = ReliabilityPolicy.RELIABLE if effort == "r" else ReliabilityPolicy.BEST_EFFORT
+    arrivals = []
+
+    def receive(_: bytes) -> None:
+        now = time.monotonic()
+        if arrivals and now - arrivals[-1] > 1.0:
+            print("resumed", flush=True)
+        arrivals.append(now)
+        if len(arrivals) == ENOUGH:
+            print("receives", flush=True)
+
+    for topic in topics:
+        kind = KINDS[topic.rpartition("/")[2]]
+        take = receive if kind is PointCloud2 else lambda _: None
+        node.create_subscription(kind, topic, take, QoSProfile(depth=10, reliability=reliability), raw=True)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while True:
+        executor.spin_once(timeout_sec=0.5)
+
+
+if __name__ == "__main__":
+    main()
