@@ -75,7 +75,7 @@ class Gripper:
     max_speed: float = parameter(
         "double",
         MAX_SPEED,
-        "Fastest that a gripper, and what it holds, follows its target, mean over a frame; 0 sets no limit, but pads "
+        "Fastest that a gripper moves what it holds to follow its target, mean over a frame; 0 sets no limit, but pads "
         f"keep to {MAX_SPEED:g} m/s. <gripper>.max_speed says so of one gripper",
         unit="m/s",
         least=0.0,

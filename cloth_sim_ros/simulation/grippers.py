@@ -60,10 +60,10 @@ class Grippers:
         self._laid: tuple[Any, ...] | None = None
         #: Of those that pinch, by index: how far their pads reach from their origin [m].
         self.reaches: dict[int, float] = {}
-        #: Of those that followed no faster than their limit in the newest frame, by name: the speed asked for [m/s].
+        #: Of those that their limit of speed held back in the newest frame, by name: the speed asked for [m/s].
         self.limited: dict[str, float] = {}
         #: Distance from each gripper's origin to the furthest particle that it holds [m], and the arrays that say so.
-        self._arms: tuple[Any, Any, list[float]] = (None, None, [])
+        self._arms: tuple[Any, Any, list[float | None]] = (None, None, [])
         #: Paths of all over the newest frame, shape (count, PATH_NUMBERS).
         self.paths = np.zeros((len(names), PATH_NUMBERS))
         count = len(names)
@@ -154,10 +154,9 @@ class Grippers:
             return GraspResult(name, True, int(particles.size))
         if near.any():
             return GraspResult(name, True, 0, f"all {int(near.sum())} particles within {radius} m are anchored")
-        reason = f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
-        if name in self.limited:
-            reason += "; it is still on its way to its target, at its limit of speed"
-        return GraspResult(name, True, 0, reason)
+        return GraspResult(
+            name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
+        )
 
     def pinch(self, name: str) -> GraspResult:
         """Let the pads of a gripper close."""
@@ -202,8 +201,7 @@ class Grippers:
             stiffness: stiffness of the spring that holds the heaviest particle [N/m]; others in proportion to their
             mass.
             damping: dimensionless damping k_d0 of it.
-            speeds: of each gripper, the fastest that it and what it holds may move, mean over the frame [m/s]; 0 for
-                no limit.
+            speeds: of each gripper, the fastest that what it holds may move, mean over the frame [m/s]; 0 for no limit.
         """
         closed, most = self._state.memory["gripper.closed"].tolist(), 0.0
         self.limited = {}
@@ -218,32 +216,30 @@ class Grippers:
     def _within(
         self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
     ) -> Sequence[float]:
-        """Where a gripper is at a frame's end: at its target, or as near to it as its speed lets. Pads never follow
-        faster than obstacles, lest they jump through the cloth.
+        """Where a gripper is at a frame's end: at its target, or, if it holds cloth, as near to it as its speed lets.
+        Pads never follow faster than obstacles, lest they jump through the cloth.
         """
         if pose == target:
             return target
         speed = self.max_speed(g, speeds[g])
-        if not speed:
+        reach = self.reaches[g] if g in self.reaches else self._arm(g)
+        if not speed or reach is None:
             return target
-        if g in self.reaches:
-            reach, most = self.reaches[g], speed * duration
-        else:
-            reach, most = self._arm(g), speed * duration * _ROUNDING
+        most = speed * duration * (1.0 if g in self.reaches else _ROUNDING)
         end = within(pose, target, reach, most)
         if end is not target:
             self.limited[self.names[g]] = travel(pose, target, reach) / duration
         return end
 
-    def _arm(self, g: int) -> float:
-        """Distance from a gripper's origin to the furthest particle that it holds [m]; 0 if it holds none."""
+    def _arm(self, g: int) -> float | None:
+        """Distance from a gripper's origin to the furthest particle that it holds [m]; None if it holds none."""
         starts, offsets = (self._state.memory[name] for name in ("grip.starts", "grip.offsets"))
         known = self._arms
         if known[0] is not starts or known[1] is not offsets:
             # By component, so that no library chooses the order of sums.
             x, y, z = offsets.T
             lengths = np.sqrt(x * x + y * y + z * z)
-            arms = [float(lengths[a:b].max(initial=0.0)) for a, b in itertools.pairwise(starts.tolist())]
+            arms = [float(lengths[a:b].max()) if a < b else None for a, b in itertools.pairwise(starts.tolist())]
             self._arms = known = (starts, offsets, arms)
         return known[2][g]
 

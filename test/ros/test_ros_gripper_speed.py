@@ -124,7 +124,8 @@ def test_one_grippers_limit_is_set_while_the_cloth_runs(client: Client) -> None:
             set_one(cloth, "ball.max_speed", 1.0)
         for name in ("left", "right"):
             cloth.target(name, CORNER)
-        cloth.tick()
+            cloth.grasp(name, True)
+        cloth.tick(2)
         for name in ("left", "right"):
             cloth.target(name, beside(0.1))
         cloth.tick()
