@@ -130,17 +130,20 @@ class WallPacer:
             if self._ended.acquire(timeout=max(0, wait) / _SECOND):
                 return
             self._rung = self._number()
-            if late or not self._beside or not self._settled():
+            beside = not late and self._beside and self._settled()
+            # While a frame is under way in the executor that one takes no commands, and this one will be late.
+            if not beside or not self._running.acquire(blocking=False):
                 self._guard.trigger()
                 continue
             try:
-                with self._running:
-                    self._run()
+                self._run()
             except BaseException as error:
                 # The executor's to raise, whatever it is.
                 self._trouble = error
                 self._guard.trigger()
                 return
+            finally:
+                self._running.release()
 
     def _serve(self) -> None:
         if self._trouble is not None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
@@ -18,7 +19,7 @@ from cloth_sim_ros.ros.messages import set_stamp
 from cloth_sim_ros.ros.outputs import LATCHED
 from cloth_sim_ros.simulation.gripper_script import GraspAt, GripperScript
 
-#: A node says what a grasp did after its frame: later than this it has gone, or no frame is due [s].
+#: A node says what a grasp did after its frame, of pads when they have come to rest. In the cloth's time [s].
 _ANSWER = 7.0
 #: How long the end waits for the last grasp to be received.
 _DELIVERY = Duration(seconds=0.5)
@@ -37,7 +38,7 @@ class Hold:
 class Hand:
     """A gripper of the node, and the script that is played to it.
 
-    Times are of one steady clock [s].
+    Times are those of the cloth [s].
 
     Args:
         node: a node of the caller's.
@@ -58,6 +59,8 @@ class Hand:
         self._status: dict[str, str] | None = None
         #: Until when an answer to the newest closing is waited for [s]; None where none is.
         self._open_question: float | None = None
+        #: Time of the script up to which the gripper stays where it was closed [s].
+        self._stay = math.inf
         #: Grasps that are still to come.
         self.waiting: list[GraspAt] = list(script.grasps)
         #: One for each time that the script has closed the gripper.
@@ -85,16 +88,24 @@ class Hand:
         """Whether the node has said, since it was asked, that the gripper is open."""
         return self._status_where(closed=False) is not None
 
+    def stay(self, elapsed: float, now: float) -> float:
+        """Return the time that the script may have reached, at most `elapsed`, both since its start [s].
+
+        While it is not known what the last closing holds, the gripper stays where it was closed.
+        """
+        return elapsed if self._is_answered(now) else min(elapsed, self._stay)
+
     def command(self, elapsed: float, now: float) -> None:
         """Send the target, and the grasps that are due, at so long after the script's start [s]."""
         self._send_target(min(elapsed, self.script.duration))
         # What the last grasp holds is asked before it may be opened again.
         while self.waiting and self.waiting[0].time <= elapsed and self._is_answered(now):
-            closed = self.waiting.pop(0).closed
+            grasp = self.waiting.pop(0)
             self._status = None
-            self._grasps.publish(Bool(data=closed))
-            if closed:
+            self._grasps.publish(Bool(data=grasp.closed))
+            if grasp.closed:
                 self._open_question = now + _ANSWER
+                self._stay = max(elapsed, self.script.rest_end(grasp.time))
 
     def has_played(self, elapsed: float, now: float) -> bool:
         """Whether the script has ended, with what it held known."""

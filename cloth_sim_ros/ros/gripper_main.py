@@ -13,6 +13,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.cloth_clock import ClothTime
 from cloth_sim_ros.ros.gripper_hand import Hold
 from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
 from cloth_sim_ros.ros.sim_time import SimTimeNode
@@ -60,15 +61,22 @@ def _play(options: argparse.Namespace) -> int:
         node = SimTimeNode("cloth_gripper")
     except (ValueError, RuntimeError) as error:
         return _refuse(readable(error))
-    player = GripperPlayer(node, scripts, target=options.node, proceed=lambda: signals.requested is None)
     log = node.get_logger()
+    player = GripperPlayer(
+        node,
+        scripts,
+        target=options.node,
+        proceed=lambda: signals.requested is None,
+        played=ClothTime(node, "/" + options.node.strip("/")),
+        on_standing=log.info,
+    )
     named = f"gripper{'s' if names[1:] else ''} {', '.join(map(repr, names))} of {options.node}"
     try:
         log.info(f"waiting for {named}")
         if not player.wait_for_grippers(options.wait):
             return 130
         log.info(f"playing {max(script.duration for script in scripts):g} s to {named}")
-        if not player.play():
+        if not player.play(standing=options.wait):
             return 130
         for hand in player.hands:
             what = f"{hand.targets_sent} targets sent; {describe_holds(hand.holds)}"
@@ -116,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
         type=float,
         default=30.0,
         metavar="SECONDS",
-        help="how long to wait for the node (default: %(default)s)",
+        help="how long to wait for the node, and while a cloth's time stands (default: %(default)s)",
     )
     return parser
 

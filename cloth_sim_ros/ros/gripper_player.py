@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -23,6 +24,44 @@ _OF_RCLPY = "/get_type_description"
 _HELD_UP = 0.1
 
 
+#: The time from one target to the next is up to so many times that of a frame, or of a target.
+_MORE = 1.5
+#: A time that has not moved for this long stands [s].
+_STANDING = 5.0
+#: How long it may stand by default [s].
+_LONGEST_STANDING = 30.0
+
+
+class PlayedTime(Protocol):
+    """The time in which scripts are played."""
+
+    #: How far it goes on from one frame of the cloth to the next [ns]; 0 where it has none.
+    period: int
+
+    def now(self) -> int | None:
+        """Return the time [ns]; None where it is not known yet."""
+
+    def describe(self) -> str:
+        """Return what is known of a cloth whose time stands, as the end of a sentence."""
+
+
+class NodeTime:
+    """The ROS time of a client's own node."""
+
+    period = 0
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+
+    def now(self) -> int:
+        """Return the time [ns]."""
+        return int(self._clock.now().nanoseconds)
+
+    def describe(self) -> str:
+        """Return why it stands, as the end of a sentence."""
+        return "is not heard: the clock of this node stands"
+
+
 class GripperError(RuntimeError):
     """The script can't be played; the message says why."""
 
@@ -35,6 +74,8 @@ class GripperPlayer:
         scripts: what to play.
         target: full name of the cloth's node, e.g. ``/cloth_sim``.
         proceed: asked again and again; False ends everything early.
+        played: the time in which scripts are played; that of the caller's node where left out.
+        on_standing: told, once each time, that the script waits because that time stands.
     """
 
     def __init__(
@@ -44,10 +85,18 @@ class GripperPlayer:
         *,
         target: str,
         proceed: Callable[[], bool] = lambda: True,
+        played: PlayedTime | None = None,
+        on_standing: Callable[[str], object] = lambda _: None,
     ) -> None:
         self._node = node
         self._target = "/" + target.strip("/")
         self._proceed = proceed
+        self._played = played or NodeTime(node)
+        self._on_standing = on_standing
+        #: Of the time in which scripts are played [ns]: the scripts' start, delays included, and the newest.
+        self._start = 0
+        self._newest: int | None = None
+        self._made_up_for: GraspAt | None = None
         #: The grippers, in the order of the scripts.
         self.hands = [Hand(node, script, self._target) for script in scripts]
         self._executor = SingleThreadedExecutor()
@@ -104,37 +153,91 @@ class GripperPlayer:
                 )
         return False
 
-    def play(self) -> bool:
-        """Play the scripts from beginning to end, in the time of the node's clock; False if told to end early.
+    def play(self, *, standing: float = _LONGEST_STANDING) -> bool:
+        """Play the scripts from beginning to end, in the time of the cloth; False if told to end early.
 
-        If this process was held up over a grasp, everything after it is delayed as well, for all grippers: otherwise a
-        gripper would close where the cloth no longer is.
+        A script does not leave the place of a closing before it is known what the gripper holds. If that is late, or
+        if this process was held up over a grasp, everything after it is delayed as well, for all grippers: otherwise a
+        gripper would close where the cloth no longer is. Nothing is sent while the time stands.
+
+        Args:
+            standing: how long the time may stand [s].
+
+        Raises:
+            GripperError: if it stands for longer, or goes back.
         """
-        clock = self._node.get_clock()
-        start = clock.now().nanoseconds
-        made_up_for: GraspAt | None = None
         period = 1.0 / max(hand.script.rate for hand in self.hands)
-        due = time.monotonic()
+        due = moved = time.monotonic()
+        waits = False
         while self._proceed():
-            elapsed = (clock.now().nanoseconds - start) * 1e-9
-            first = min((grasp for hand in self.hands for grasp in hand.waiting[:1]), key=_time_of, default=None)
-            if first is not None and elapsed > first.time + _HELD_UP and first is not made_up_for:
-                # Once for each: the steps of a simulated clock may be longer.
-                made_up_for = first
-                late = elapsed - max(first.time - _HELD_UP, 0.0)
-                start += int(late * 1e9)
-                elapsed -= late
-            for hand in self.hands:
-                hand.command(elapsed, time.monotonic())
-            if all(hand.has_played(elapsed, time.monotonic()) for hand in self.hands):
-                for hand in self.hands:
-                    hand.finish()
-                return True
+            now = self._played.now()
+            if now is not None and now != self._newest:
+                if self._go_on(now, time.monotonic() - moved, period):
+                    return True
+                moved, waits = time.monotonic(), False
+            elif (stood := time.monotonic() - moved) > standing:
+                raise GripperError(
+                    f"{self._target} {self._played.describe()} for {stood:.0f} s: the script ends (--wait gives it "
+                    "longer); is it paused or stopped? What does its log say?"
+                )
+            elif stood > _STANDING and not waits:
+                waits = True
+                self._on_standing(f"{self._target} {self._played.describe()}: the script waits")
             # By the steady clock, without drift; times that have passed are left out.
             due = max(due + period, time.monotonic() - period)
             while (left := due - time.monotonic()) > 0.0:
                 self._executor.spin_once(timeout_sec=left)
         return False
+
+    def _go_on(self, now: int, elapsed: float, period: float) -> bool:
+        """Send what is due at a time [ns]; return whether the scripts have ended.
+
+        Args:
+            now: the time in which the scripts are played [ns].
+            elapsed: the wall's time since targets were sent [s].
+            period: time between two targets [s].
+
+        Raises:
+            GripperError: if the time went back.
+        """
+        if self._newest is None:
+            self._start = self._newest = now
+        if now < self._newest:
+            raise GripperError(f"the time of {self._target} went back: it was started anew; play the script again")
+        played, seconds = (now - self._start) * 1e-9, now * 1e-9
+        late = self._held_up((now - self._newest) * 1e-9, elapsed, period)
+        late = max(late, played - min(hand.stay(played, seconds) for hand in self.hands))
+        first = min((grasp for hand in self.hands for grasp in hand.waiting[:1]), key=_time_of, default=None)
+        if first is not None and played - late > first.time + _HELD_UP and first is not self._made_up_for:
+            # Once for each: the steps of a simulated clock may be longer.
+            self._made_up_for = first
+            late = played - max(first.time - _HELD_UP, 0.0)
+        self._newest = now
+        self._start += int(late * 1e9)
+        played -= late
+        for hand in self.hands:
+            hand.command(played, seconds)
+        if not all(hand.has_played(played, seconds) for hand in self.hands):
+            return False
+        for hand in self.hands:
+            hand.finish()
+        return True
+
+    def _held_up(self, played: float, elapsed: float, period: float) -> float:
+        """Return by how much the scripts are to be delayed because frames have passed without a target [s].
+
+        A gripper that made up for them would be twice as fast for a frame. A cloth that is faster than real time has
+        several frames from one target to the next, and is followed as it is.
+
+        Args:
+            played: how far the time of the scripts went on since the last target [s].
+            elapsed: the wall's time since then [s].
+            period: time between two targets [s].
+        """
+        step = max(self._played.period * 1e-9, period)
+        if not self._played.period or played <= _MORE * step or elapsed < played / _MORE:
+            return 0.0
+        return played - step
 
     def _node_names(self) -> set[str]:
         return {f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces()}

@@ -18,6 +18,7 @@ from cloth_sim_ros.ros.accuracy import Accuracy
 from cloth_sim_ros.ros.aside import Turn, at_once
 from cloth_sim_ros.ros.broadcast import FrameBroadcaster
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
+from cloth_sim_ros.ros.cloth_clock import ClothClock
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
@@ -104,6 +105,7 @@ class ClothNode:
             settings=lambda: self._parameters.accepted.record,
         )
         self._outputs = Outputs(self.node, scene, self._recording)
+        self._cloth_clock = ClothClock(self.node, self._recording)
         self._states = States(self.node, self._simulation, self._recording)
         self._broadcaster = FrameBroadcaster(self.node, self._simulation, self._recording)
         self._commands = Commands(
@@ -320,6 +322,7 @@ class ClothNode:
             velocities = state.v if points.velocity else None
             self._outputs.send(state.x, frame.wrenches, due.stamp, velocities=velocities, double=points.double)
             self._states.show(frame, due.stamp)
+            self._cloth_clock.send(frame.time)
             self._obstacles.send(frame, due.stamp)
             self._broadcaster.send(due.stamp)
         self._recording.commit()

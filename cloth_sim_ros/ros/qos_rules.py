@@ -50,7 +50,7 @@ class Override:
 
 def topics_of(scene: Scene) -> dict[str, list[str]]:
     """Return the topics of a scene's node whose profiles may be overridden, by side."""
-    out = ["~/points", "~/topology", "~/mesh", "~/state", "/diagnostics", "/tf"]
+    out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
     out += [f"~/{name}/wrench" for name in scene.described]

@@ -113,6 +113,16 @@ class GripperScript:
         """Time of the last step [s]."""
         return max([self.waypoints[-1].time, *(grasp.time for grasp in self.grasps)])
 
+    def rest_end(self, time: float) -> float:
+        """Return until when [s] the gripper stays at its pose of a time [s]; the same time where it moves then."""
+        end = time
+        for first, second in itertools.pairwise(self.waypoints):
+            if first.time <= end < second.time:
+                if (first.position, first.orientation) != (second.position, second.orientation):
+                    return end
+                end = second.time
+        return end if end < self.waypoints[-1].time else math.inf
+
     def pose(self, time: float) -> tuple[Vector, Vector]:
         """Return position [m] and orientation at a time [s]: at rest in each waypoint, least jerk between them."""
         times = [waypoint.time for waypoint in self.waypoints]
