@@ -12,12 +12,15 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.batch.fit_held import SPAN, Held, check_distinct, find_held, given_held, rest_held
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.batch.fit_recording import Recording, visible
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.grippers import Grippers
 
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
 #: Fields of a cloud that may carry a particle's number, and numpy's kinds of PointField's whole-number types.
@@ -77,6 +80,7 @@ def read_bag(
     poses: Mapping[str, str] | None = None,
     settle: float = 4.0,
     matched: bool = True,
+    held: Mapping[str, str] | None = None,
 ) -> Recording:
     """Read clouds and gripper poses; the cloth is taken to hang at rest in its grippers at the first cloud.
 
@@ -87,10 +91,12 @@ def read_bag(
         poses: topics of PoseStamped by gripper; default: the one whose name ends in /GRIPPER/target or /GRIPPER/pose.
         settle: how long the simulated cloth may come to rest before the first cloud [s].
         matched: whether points are particles, in order or by their numbers; else they are bare points of the surface.
+        held: by gripper what it holds, such as ``12,13`` or ``top_left``; the clouds tell of the others.
 
     Raises:
         FitError: naming what is missing, and the remedy.
     """
+    given = given_held(scene, held or {})
     if not (np.isfinite(settle) and 0.0 <= settle <= LONGEST):
         raise FitError(f"--settle is {settle:g} s; it must be from 0 to {LONGEST:g}")
     heard = _heard(paths)
@@ -124,18 +130,33 @@ def read_bag(
             )
     lead = max(round(settle * scene.rate), 1)
     frames = lead + seconds * scene.rate
+    begin = int(stamps[0])
+    closed = _closed(scene, tracks, begin)
+    open_ones = [name for name in given if name not in closed]
+    if open_ones:
+        raise FitError(f"--held names '{open_ones[0]}', which is open at the first cloud")
+    state, found = _start(scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, begin, given)
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
-        state=_start(scene, clouds[0], matched, tracks, int(stamps[0])),
-        events=tuple(_events(scene, tracks, int(stamps[0]), lead, int(np.ceil(frames[-1] - 1e-9)))),
+        state=state,
+        events=tuple(
+            _events(scene, tracks, begin, lead, int(np.ceil(frames[-1] - 1e-9)), [one.gripper for one in found])
+        ),
         frames=frames,
         seconds=seconds,
         clouds=tuple(clouds),
         matched=matched,
         lead=lead,
         shifted=matched,
+        held=tuple(found),
     )
+
+
+def _closed(scene: Scene, tracks: Mapping[str, _Track], begin: int) -> list[str]:
+    """Grippers that hold particles at a stamp [ns]: by the last grasp before it, or because none is recorded."""
+    before = {name: [closed for time, closed in track.grasps if time <= begin] for name, track in tracks.items()}
+    return [name for name, said in before.items() if not scene.pinches(name) and (not said or said[-1])]
 
 
 def _heard(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
@@ -227,43 +248,77 @@ def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> t
     return cloud.stamp or time, whole
 
 
-def _start(scene: Scene, cloud: Array, matched: bool, tracks: Mapping[str, _Track], stamp: int) -> State | None:
-    """A start near the first cloud, from which the cloth comes to rest; None where the cloud tells nothing.
+def _start(
+    scene: Scene,
+    clouds: Sequence[Array],
+    seconds: NDArray[np.float64],
+    matched: bool,
+    tracks: Mapping[str, _Track],
+    begin: int,
+    given: Mapping[str, Sequence[int]],
+) -> tuple[State | None, list[Held]]:
+    """A start near the first cloud, from which the cloth comes to rest, and what closed grippers hold.
 
-    Of a matched cloud gaps are filled; bare points bend the scene's sheet across its plane. The particle nearest to
-    each gripper lies in its origin, anchors where the scene has them.
+    Of a matched cloud gaps are filled; bare points bend the scene's sheet across its plane. What a gripper holds lies
+    in its origin, anchors where the scene has them. There is no start if the cloud tells nothing.
     """
-    rest, seen = scene.initial_positions(), cloud[visible(cloud)]
+    rest, cloud = scene.initial_positions(), clouds[0]
+    seen = cloud[visible(cloud)]
     if not len(seen) or (matched and len(cloud) != len(rest)):
-        return None
-    positions = [np.array(track.at(stamp)[0]) for track in tracks.values()]
-    x = _filled(cloud, scene.sheet.triangles()) if matched else _bent(rest, seen, positions)
-    for position in positions:
-        x[_nearest(x, position)] = position
-    anchors = scene.anchored_particles()
-    x[anchors] = rest[anchors]
-    return State(x, cloth=scene.starting_state().cloth)
+        return None, []
+    poses = {name: track.at(begin) for name, track in tracks.items()}
+    found: list[Held] = []
+    if matched:
+        x = cloud.copy()
+        for name, track in tracks.items():
+            used = _held_clouds(clouds, seconds, track, begin)
+            at = [[number for part in track.at(begin + 1e9 * seconds[k]) for number in part] for k in used]
+            one, local = find_held(scene, name, [clouds[k] for k in used], at, given.get(name, ()))
+            position, turn = poses[name]
+            particles = list(one.particles)
+            x[particles] = np.array(position) + local[particles] @ np.array(rotation_matrix(np.array(turn))).T
+            found.append(one)
+        anchors = scene.anchored_particles()
+        x[anchors] = rest[anchors]
+        x = _filled(x, scene.sheet.triangles())
+    else:
+        found = [rest_held(scene, name, poses[name][0], given.get(name, ())) for name in tracks]
+        x = _bent(rest, seen, {one.particles[0]: np.array(poses[one.gripper][0]) for one in found})
+        anchors = scene.anchored_particles()
+        x[anchors] = rest[anchors]
+    state = State(x, cloth=scene.starting_state().cloth)
+    check_distinct(found)
+    grippers = Grippers(scene.gripper_names, state)
+    for one in found:
+        grippers.set_target(Target(one.gripper, *poses[one.gripper]))
+        grippers.take(one.gripper, np.setdiff1d(one.particles, anchors))
+    return state, found
 
 
-def _nearest(x: Array, position: Array) -> int:
-    return int(np.argmin(np.square(x - position).sum(axis=1)))
+def _held_clouds(clouds: Sequence[Array], seconds: NDArray[np.float64], track: _Track, begin: int) -> NDArray[np.int64]:
+    """Which clouds show what a gripper holds at the first one: those of the first second, before it opens."""
+    opens = [1e-9 * (time - begin) for time, closed in track.grasps if time > begin and not closed]
+    whole = [len(cloud) == len(clouds[0]) for cloud in clouds]
+    return np.flatnonzero((seconds <= SPAN) & (seconds < min(opens, default=np.inf)) & np.array(whole))
 
 
-def _bent(rest: Array, points: Array, positions: Sequence[Array]) -> Array:
-    """A flat sheet, drawn to where grippers hold it and bent across its plane to the points about each particle."""
+def _bent(rest: Array, points: Array, places: Mapping[int, Array]) -> Array:
+    """A flat sheet, drawn to where held particles are and bent across its plane to the points about each particle."""
     from scipy.spatial import cKDTree
 
-    x = rest.copy()
-    held = [_nearest(rest, position) for position in positions]
+    x, held = rest.copy(), list(places)
     if held:
         away = np.sqrt(np.square(rest[:, None] - rest[held]).sum(axis=2))
         shares = 1.0 / np.square(np.maximum(away, 1e-6))
         shares /= shares.sum(axis=1, keepdims=True)
-        x += shares @ (np.array(positions) - rest[held])
+        x += shares @ (np.array([places[particle] for particle in held]) - rest[held])
     across = np.linalg.svd(rest - rest.mean(axis=0), full_matrices=False)[2][2]
     _, near = cKDTree(points).query(x, k=min(8, len(points)))
     about = points[np.asarray(near).reshape(len(x), -1)].mean(axis=1)
-    return np.asarray(x + ((about - x) @ across)[:, None] * across)
+    x = np.asarray(x + ((about - x) @ across)[:, None] * across)
+    for particle, place in places.items():
+        x[particle] = place
+    return x
 
 
 def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
@@ -285,8 +340,10 @@ def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
     return x
 
 
-def _events(scene: Scene, tracks: Mapping[str, _Track], begin: int, lead: int, frames: int) -> list[tuple[Event, ...]]:
-    """Grippers close where they are at the first cloud, wait, and then follow their poses."""
+def _events(
+    scene: Scene, tracks: Mapping[str, _Track], begin: int, lead: int, frames: int, holding: Sequence[str]
+) -> list[tuple[Event, ...]]:
+    """Grippers close where they are at the first cloud, unless they hold already, wait, and follow their poses."""
     period = scene.period * 1e9
     events: list[tuple[Event, ...]] = []
     for k in range(frames):
@@ -296,7 +353,7 @@ def _events(scene: Scene, tracks: Mapping[str, _Track], begin: int, lead: int, f
             if not k or k >= lead:
                 now.append(Target(name, *track.at(stamp)))
             before = [closed for time, closed in track.grasps if time <= begin]
-            if not k and (not before or before[-1]):
+            if not k and name not in holding and (not before or before[-1]):
                 now.append(Grasp(name, True))
             now += [
                 Grasp(name, closed) for time, closed in track.grasps if k >= lead and stamp - period < time <= stamp

@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 
 from cloth_sim_ros.batch.fit import Fit, path_of
@@ -56,6 +57,7 @@ def write_json(fit: Fit, path: Path) -> None:
         "runs": fit.runs,
         "tolerance": fit.tolerance,
         "within": fit.within,
+        "held": [attrs.asdict(held) for held in fit.recording.held],
         "by_cloud": {
             "seconds": fit.seconds.tolist(),
             "before": fit.before.tolist(),

@@ -110,6 +110,14 @@ def _add_real(parser: argparse.ArgumentParser) -> None:
         help="the topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose",
     )
     real.add_argument(
+        "--held",
+        action="append",
+        default=[],
+        metavar="GRIPPER=PARTICLES",
+        help="what a gripper holds at the first cloud: numbers (12,13), a corner (top_left) or an edge; default: the "
+        "particle that the clouds show nearest to it, with those within gripper.radius",
+    )
+    real.add_argument(
         "--settle",
         type=float,
         metavar="S",
@@ -155,9 +163,9 @@ def _recording(options: argparse.Namespace) -> Recording:
     from cloth_sim_ros.session.opening import open_file
 
     scene = None if options.scene is None else Scene.from_file(options.scene)
-    poses = _pairs(options.pose, "--pose")
+    poses, held = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     if is_session(options.session[0]):
-        given = [name for name, value in (("--topic", options.topic), ("--pose", poses)) if value]
+        given = [name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", held)) if value]
         given += ["--settle"] if options.settle is not None else []
         if given:
             raise FitError(f"{given[0]} is for an MCAP that cloth_sim did not record; a session holds its state")
@@ -174,6 +182,7 @@ def _recording(options: argparse.Namespace) -> Recording:
         scene,
         topic=options.topic,
         poses=poses,
+        held=held,
         settle=4.0 if options.settle is None else options.settle,
         matched=not options.unordered,
     )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -21,6 +21,9 @@ from cloth_sim_ros.scene.recorded import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Relax, SetParameters, from_dict
 from cloth_sim_ros.simulation.sleep import wake
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.batch.fit_held import Held
 
 #: Fewer clouds with points tell nothing of a motion.
 LEAST_CLOUDS = 3
@@ -55,6 +58,8 @@ class Recording:
     shifted: bool = False
     #: What could not be read of it, in a sentence; empty where nothing is missing.
     lost: str = ""
+    #: What each gripper that is closed at the first cloud holds; of a session the state says it.
+    held: tuple[Held, ...] = ()
 
     def part(self, *, until: float | None = None, every: int = 1) -> Recording:
         """Return the recording up to a time [s], with every so many-th cloud."""

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator
 
 from cloth_sim_ros.batch.fit import LEAST_CORRELATION, Estimate, Fit
+from cloth_sim_ros.batch.fit_held import describe_held
 from cloth_sim_ros.batch.fit_information import Tie
 from cloth_sim_ros.session.words import counted
 
@@ -23,6 +24,8 @@ def _head(fit: Fit) -> Iterator[str]:
     yield f"{fit.name}: {used} up to {fit.until:.2f} s{lost}; {fit.runs} simulations."
     if fit.recording.lost:
         yield f"Not all of the recording could be read: {fit.recording.lost}."
+    for held in fit.recording.held:
+        yield describe_held(held, fit.recording.scene)
     said = "given" if fit.sigma_given else "from the residuals"
     yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({said}); residuals: {1e3 * fit.rms:.3g} mm."
     if fit.shift is not None:

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array
@@ -145,11 +146,7 @@ class Grippers:
         distance = np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
         near = distance <= radius
         particles = np.flatnonzero(near & (model.inverse_masses > 0.0))
-        turn = rotation_matrix(pose[3:])
-        # A world vector in the gripper's frame: R' d.
-        x, y, z = away[:, particles]
-        offsets = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] * z for i in range(3)], axis=1)
-        self._replace(g, particles, offsets)
+        self.take(name, particles)
         if particles.size:
             return GraspResult(name, True, int(particles.size))
         if near.any():
@@ -157,6 +154,18 @@ class Grippers:
         return GraspResult(
             name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
         )
+
+    def take(self, name: str, particles: NDArray[np.int64]) -> None:
+        """Close a gripper that is anywhere, and let it hold these particles where they are."""
+        g = self.names.index(name)
+        renewed(self._state, "gripper.closed")[g] = True
+        pose = self._state.memory["gripper.pose"][g]
+        away = self._state.x - pose[:3, None]
+        turn = rotation_matrix(pose[3:])
+        # A world vector in the gripper's frame: R' d.
+        x, y, z = away[:, particles]
+        offsets = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] * z for i in range(3)], axis=1)
+        self._replace(g, particles, offsets)
 
     def pinch(self, name: str) -> GraspResult:
         """Let the pads of a gripper close."""

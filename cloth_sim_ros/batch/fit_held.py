@@ -1,0 +1,314 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Held particles: those of a recorded cloth that its grippers hold, also if no cloud shows them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.scene.scene import Scene
+
+#: Clouds up to this time from the first one are looked at [s].
+SPAN = 1.0
+#: Particles that may be held are those nearest to the gripper; the place of a hidden one is extrapolated from so many
+#: seen ones that are nearest to it in the rest shape.
+_CANDIDATES, _ABOUT = 24, 9
+#: A choice is certain if the gripper is so many standard deviations on the chosen particle's side.
+_CERTAIN = 3.0
+#: Standard deviation of where a camera sees the gripper, and of where in its fingers the cloth lies [m].
+_CALIBRATION = 0.002
+
+
+@attrs.frozen(kw_only=True)
+class Held:
+    """What one gripper holds from the first cloud on."""
+
+    gripper: str
+    #: Numbers of the particles, the one in its origin first; of several that were given none is.
+    particles: tuple[int, ...]
+    #: How far the first is from the gripper's origin by the clouds [m].
+    distance: float
+    #: The second nearest, which is not held, and its distance [m]; None if all are held.
+    other: int | None
+    other_distance: float
+    #: Whether any cloud that was looked at shows the first one.
+    is_seen: bool
+    #: Whether --held names them.
+    is_given: bool
+
+
+@attrs.frozen(kw_only=True)
+class _Places:
+    """Places of particles in a gripper's frame, mean over clouds."""
+
+    #: [m], shape (n, 3); NaN where no cloud shows the particle.
+    mean: Array
+    #: In how many clouds each was seen.
+    count: NDArray[np.int64]
+    #: Deviation of one coordinate in one cloud [m].
+    noise: float
+
+
+def parse_held(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
+    """Return the particles that a text such as ``12,13`` or ``top_left`` names.
+
+    Raises:
+        FitError: for a name that is no particle, edge or corner.
+    """
+    sheet, count, found = scene.sheet, len(scene.initial_positions()), list[int]()
+    for name in (part.strip() for part in text.split(",")):
+        if name.isdecimal() and len(name) < 12 and int(name) < count:
+            found.append(int(name))
+            continue
+        if name.isdecimal():
+            raise FitError(f"--held {gripper} names particle {name[:20]}; there are {count}, counted from 0")
+        try:
+            if not isinstance(sheet, GridSheet):
+                raise ValueError(f"'{name}' is no particle's number, and only a grid has edges and corners")
+            found += sheet.edge(name).tolist()
+        except ValueError as error:
+            raise FitError(f"--held {gripper}: {error}") from error
+    return tuple(dict.fromkeys(found))
+
+
+def find_held(
+    scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], given: Sequence[int] = ()
+) -> tuple[Held, Array]:
+    """Return what a closed gripper holds, and the places of all particles in its frame [m], shape (n, 3).
+
+    A hidden particle's place is extrapolated from the seen ones about it, by the linear map of the rest shape that
+    fits them best. The nearest to the origin is held, with those within `gripper.radius` of it in the rest shape.
+
+    Args:
+        scene: the cloth.
+        gripper: its name.
+        clouds: matched ones, NaN where a particle was not seen, shape (n, 3) each [m].
+        poses: the gripper's when each was taken: position [m] and quaternion x, y, z, w.
+        given: particles that it is known to hold; then the clouds do not choose.
+
+    Raises:
+        FitError: if the clouds don't tell which particle it holds.
+    """
+    rest, radius = scene.sheet.positions(), scene.gripper.radius
+    places = _places(clouds, poses)
+    order = np.argsort(np.linalg.norm(_near(rest, places), axis=1), kind="stable")
+    chosen = list(dict.fromkeys([*given, *order[:_CANDIDATES].tolist()]))
+    found = places.mean.copy()
+    errors = np.full(len(rest), np.inf)
+    for particle in chosen:
+        found[particle], errors[particle] = _place(rest, places, particle)
+    away = np.linalg.norm(found[chosen], axis=1)
+    order = np.argsort(away, kind="stable")
+    first = given[0] if given else chosen[int(order[0])]
+    held = tuple(given) or _within(rest, first, radius)
+    others = [chosen[k] for k in order if chosen[k] not in held]
+    other = others[0] if others else None
+    result = Held(
+        gripper=gripper,
+        particles=held,
+        distance=float(np.linalg.norm(found[first])),
+        other=other,
+        other_distance=math.inf if other is None else float(np.linalg.norm(found[other])),
+        is_seen=bool(places.count[first]),
+        is_given=bool(given),
+    )
+    if not given:
+        _check(result, found, errors, others, radius + _spacing(rest, first))
+    # The origin lies in the particle that is held, or amid those that were given.
+    origin = np.mean([found[particle] for particle in given], axis=0) if given else found[first]
+    for particle in held:
+        if particle not in chosen:
+            found[particle] = _place(rest, places, particle)[0]
+    return result, found - origin
+
+
+def rest_held(scene: Scene, gripper: str, position: Sequence[float], given: Sequence[int] = ()) -> Held:
+    """Return what a closed gripper holds by the scene's starting shape: for clouds that number no particle.
+
+    Raises:
+        FitError: if two particles of it are about as near.
+    """
+    start, rest, radius = scene.initial_positions(), scene.sheet.positions(), scene.gripper.radius
+    away = np.linalg.norm(start - np.asarray(position), axis=1)
+    first = given[0] if given else int(np.argmin(away))
+    held = tuple(given) or _within(rest, first, radius)
+    others = [int(k) for k in np.argsort(away, kind="stable") if k not in held]
+    other = others[0] if others else None
+    result = Held(
+        gripper=gripper,
+        particles=held,
+        distance=float(away[first]),
+        other=other,
+        other_distance=math.inf if other is None else float(away[other]),
+        is_seen=False,
+        is_given=bool(given),
+    )
+    if not given and result.other_distance < 2.0 * result.distance:
+        raise FitError(
+            f"points carry no numbers, and gripper '{gripper}' is {1e3 * result.distance:.0f} mm from particle {first} "
+            f"and {1e3 * result.other_distance:.0f} mm from particle {other} of the scene's starting shape: which one "
+            f"it holds can't be told. {_remedy(result)}"
+        )
+    return result
+
+
+def describe_held(held: Held, scene: Scene) -> str:
+    """Return in a sentence what a gripper holds, and how certain that is."""
+    names = ", ".join(_named(scene, particle) for particle in held.particles[:8])
+    more = f" and {len(held.particles) - 8} more" if len(held.particles) > 8 else ""
+    how = "as given" if held.is_given else "by its place" if held.is_seen else "hidden, by the places about it"
+    beside = "" if held.other is None else f"; the next, {held.other}, at {1e3 * held.other_distance:.0f} mm"
+    kind = "particle" if len(held.particles) == 1 else "particles"
+    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm off{beside}."
+
+
+def _check(held: Held, found: Array, errors: Array, others: Sequence[int], reach: float) -> None:
+    first = held.particles[0]
+    error = math.hypot(float(errors[first]), _CALIBRATION)
+    if not held.distance <= reach + _CERTAIN * error:
+        raise FitError(
+            f"gripper '{held.gripper}' is {1e3 * held.distance:.0f} mm from the nearest particle, {first}: its poses "
+            f"are not where it holds the cloth. Give those of its fingertips, in the clouds' frame and by their clock. "
+            f"{_remedy(held)}"
+        )
+    for other in others:
+        apart = float(np.linalg.norm(found[other] - found[first]))
+        # How far the gripper is on this side of the plane amid the two.
+        inside = (float(found[other] @ found[other]) - held.distance**2) / (2.0 * apart) if apart > 0.0 else 0.0
+        unknown = math.hypot(error, 0.5 * float(errors[other]) if math.isfinite(errors[other]) else 0.0)
+        if inside < _CERTAIN * unknown:
+            raise FitError(
+                f"gripper '{held.gripper}' may hold particle {first} or {other}: by the clouds they are "
+                f"{1e3 * held.distance:.0f} and {1e3 * float(np.linalg.norm(found[other])):.0f} mm from its origin, "
+                f"known to {1e3 * unknown:.1f} mm. {_remedy(held)}"
+            )
+
+
+def _remedy(held: Held) -> str:
+    return f"Name what it holds: --held {held.gripper}={held.particles[0]}"
+
+
+def _places(clouds: Sequence[Array], poses: Sequence[Sequence[float]]) -> _Places:
+    """Means of what was seen, in the gripper's frame, and the noise from one cloud to the next."""
+    local = []
+    for cloud, pose in zip(clouds, poses, strict=True):
+        # A world vector in the gripper's frame: R' d.
+        local.append((cloud - np.asarray(pose[:3])) @ np.array(rotation_matrix(np.asarray(pose[3:]))))
+    stack = np.array(local)
+    seen = np.isfinite(stack).all(axis=2)
+    count = seen.sum(axis=0)
+    sums = np.where(seen[..., None], stack, 0.0).sum(axis=0)
+    mean = np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], np.nan)
+    steps = np.diff(stack, axis=0)
+    steps = np.abs(steps[np.isfinite(steps)])
+    # Median of a normal distribution's absolute values; of one cloud nothing is known.
+    noise = float(np.median(steps)) / (0.6745 * math.sqrt(2.0)) if steps.size else 0.0
+    return _Places(mean=mean, count=count, noise=noise)
+
+
+def _near(rest: Array, places: _Places) -> Array:
+    """Rough places of all particles: of a hidden one that of the nearest seen one in the rest shape, moved as there."""
+    from scipy.spatial import cKDTree
+
+    seen = np.flatnonzero(places.count)
+    if not seen.size:
+        return np.full(rest.shape, np.nan)
+    hidden = np.flatnonzero(places.count == 0)
+    found = places.mean.copy()
+    if hidden.size:
+        _, near = cKDTree(rest[seen]).query(rest[hidden])
+        found[hidden] = places.mean[seen[np.asarray(near)]]
+    return found
+
+
+def _place(rest: Array, places: _Places, particle: int) -> tuple[Array, float]:
+    """A particle's place in the gripper's frame [m], and the standard deviation of a coordinate [m]."""
+    noise = places.noise
+    if places.count[particle]:
+        return places.mean[particle], noise / math.sqrt(places.count[particle])
+    seen = np.flatnonzero(places.count)
+    away = np.linalg.norm(rest[seen] - rest[particle], axis=1)
+    about = np.argsort(away, kind="stable")[:_ABOUT]
+    seen, away = seen[about], away[about]
+    weights = np.sqrt(places.count[seen]) / np.maximum(away, 1e-9)
+    design = np.column_stack([np.ones(len(seen)), rest[seen] - rest[particle]])
+    # Rest shapes that are flat have a column of zeros: the pseudo-inverse leaves it out.
+    inverse = np.linalg.pinv(design * weights[:, None], rcond=1e-6) * weights
+    map_ = inverse @ places.mean[seen]
+    bent = places.mean[seen] - design @ map_
+    freedom = max(len(seen) - int(np.linalg.matrix_rank(design, tol=1e-9)), 1)
+    # What the linear map leaves is noise and curvature, which both reach the extrapolated place.
+    curved = float(np.square(bent).sum()) / (3 * freedom)
+    variance = np.maximum(curved, noise**2 / places.count[seen])
+    return map_[0], float(np.sqrt((np.square(inverse[0]) * variance).sum()))
+
+
+def _within(rest: Array, first: int, radius: float) -> tuple[int, ...]:
+    away = np.linalg.norm(rest - rest[first], axis=1)
+    order = np.argsort(away, kind="stable")
+    return tuple(int(k) for k in order if away[k] <= radius)
+
+
+def _spacing(rest: Array, particle: int) -> float:
+    """Distance of a particle to the nearest other one in the rest shape [m]."""
+    away = np.linalg.norm(rest - rest[particle], axis=1)
+    away[particle] = np.inf
+    return float(away.min())
+
+
+def _named(scene: Scene, particle: int) -> str:
+    return next((f"{particle} ({name})" for name, corner in _corners(scene) if corner == particle), str(particle))
+
+
+def _corners(scene: Scene) -> Iterator[tuple[str, int]]:
+    if isinstance(scene.sheet, GridSheet):
+        for row in ("top", "bottom"):
+            for side in ("left", "right"):
+                yield f"{row}_{side}", int(scene.sheet.edge(f"{row}_{side}")[0])
+
+
+def given_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
+    """Return particles by gripper, of texts such as ``12,13`` or ``top_left``.
+
+    Raises:
+        FitError: for an unknown gripper or particle, and for one that two grippers hold.
+    """
+    unknown = [name for name in texts if name not in scene.gripper_names]
+    if unknown:
+        there = ", ".join(scene.gripper_names) or "none"
+        raise FitError(f"--held names '{unknown[0]}'; the scene's grippers are {there}")
+    pinching = [name for name in texts if scene.pinches(name)]
+    if pinching:
+        raise FitError(f"--held names '{pinching[0]}', which pinches: its pads hold what is between them")
+    found = {name: parse_held(scene, name, text) for name, text in texts.items()}
+    _check_distinct(found)
+    return found
+
+
+def check_distinct(found: Sequence[Held]) -> None:
+    """Refuse two grippers that hold the same particle.
+
+    Raises:
+        FitError: naming both.
+    """
+    _check_distinct({one.gripper: one.particles for one in found})
+
+
+def _check_distinct(found: Mapping[str, Sequence[int]]) -> None:
+    owners: dict[int, str] = {}
+    for name, particles in found.items():
+        for particle in particles:
+            if owners.setdefault(particle, name) != name:
+                raise FitError(
+                    f"grippers '{owners[particle]}' and '{name}' would both hold particle {particle}; name what each "
+                    f"holds: --held {name}=PARTICLE"
+                )

@@ -1,0 +1,156 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the grippers of a real cloth hold, by clouds in which a hand hides it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mcap")
+
+from support.fit_samples import START, cloth, hands, random_truth, write_bag
+from support.session_maker import cloud_bytes
+
+from cloth_sim_ros.batch import fit_main
+from cloth_sim_ros.batch.fit_bag import read_bag
+from cloth_sim_ros.batch.fit_held import describe_held, find_held
+from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.batch.fit_recording import Recording
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
+TRUTH = random_truth(3)
+LAST = 5
+
+
+def scene_of(resolution: int = 6) -> Scene:
+    return cloth({**START, "rate": 60.0}, resolution=resolution)
+
+
+def hidden(
+    seed: int, *, noise: float, reach: float = 0.05, missing: float = 1 / 3
+) -> Callable[[np.ndarray, int], bytes]:
+    """Clouds that lack what is within a reach of the hands [m], and a share of the rest."""
+    random = np.random.default_rng(seed)
+
+    def see(x: np.ndarray, stamp: int) -> bytes:
+        seen = x + random.normal(scale=noise, size=x.shape)
+        for hand in hands(0.0):
+            seen[np.linalg.norm(x - hand, axis=1) < reach] = np.nan
+        seen[random.random(len(x)) < missing] = np.nan
+        return cloud_bytes(seen, stamp, (1, len(x)))
+
+    return see
+
+
+def held(recording: Recording) -> list[list[int]]:
+    """What each gripper holds once the first frame has begun."""
+    simulation = Simulation(recording.scene, recording.state)
+    simulation.advance(recording.events[0])
+    return [simulation.grippers.held(k).tolist() for k in range(2)]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("held") / "hidden.mcap"
+    return write_bag(path, TRUTH, seconds=0.4, see=hidden(0, noise=0.002))
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.005])
+def test_held_corners_that_hands_hide_are_found(tmp_path: Path, noise: float) -> None:
+    path = write_bag(tmp_path / "hidden.mcap", TRUTH, seconds=0.4, see=hidden(1, noise=noise))
+    recording = read_bag([path], scene_of())
+    assert held(recording) == [[0], [LAST]]
+    assert [one.particles for one in recording.held] == [(0,), (LAST,)]
+    assert not any(one.is_seen for one in recording.held)
+    left = describe_held(recording.held[0], recording.scene)
+    assert left.startswith("Gripper 'left' holds particle 0 (top_left) (hidden, by the places about it): ")
+
+
+def sagging(resolution: int) -> tuple[Scene, np.ndarray]:
+    """A sheet that hangs from two corners and bulges, its places in the rest shape bent onto a cylinder."""
+    scene = scene_of(resolution)
+    x, _, z = scene.initial_positions().T
+    bulge = 0.25
+    return scene, np.stack([bulge * np.sin(x / bulge), 0.4 * (1.2 - z) + bulge * np.cos(x / bulge), z], axis=1)
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.005])
+@pytest.mark.parametrize("grip", [0, 4, 44])
+def test_no_hidden_particle_is_mistaken_for_another(noise: float, grip: int) -> None:
+    # A corner, an edge and the middle of 10 x 10; of 100 random recordings of 8 clouds, all that are not refused.
+    scene, x = sagging(10)
+    random, refused = np.random.default_rng(grip), 0
+    for _ in range(100):
+        clouds = []
+        for _ in range(8):
+            cloud = x + random.normal(scale=noise, size=x.shape)
+            cloud[(np.linalg.norm(x - x[grip], axis=1) < 0.05) | (random.random(len(x)) < 1 / 3)] = np.nan
+            clouds.append(cloud)
+        pose = [*(x[grip] + random.normal(scale=0.001, size=3)).tolist(), 0.0, 0.0, 0.0, 1.0]
+        try:
+            found, places = find_held(scene, "left", clouds, [pose] * 8)
+        except FitError as error:
+            refused += 1
+            assert "--held left=" in str(error)
+            continue
+        assert found.particles == (grip,)
+        assert places[grip] == pytest.approx([0.0, 0.0, 0.0])
+    assert refused <= (5 if noise == 0.002 else 40)
+
+
+def test_what_can_not_be_told_is_refused(tmp_path: Path) -> None:
+    # Both upper rows are hidden, and there is but one cloud.
+    see = hidden(2, noise=0.005, reach=0.2, missing=0.5)
+    path = write_bag(tmp_path / "far.mcap", TRUTH, seconds=0.0, see=see)
+    with pytest.raises(FitError, match=r"gripper '\w+' may hold particle \d+ or \d+: .* --held \w+=\d+"):
+        read_bag([path], scene_of())
+    recording = read_bag([path], scene_of(), held={"left": "0", "right": "top_right"})
+    assert held(recording) == [[0], [LAST]]
+    assert all(one.is_given for one in recording.held)
+
+
+def test_given_particles_are_held(bag: Path) -> None:
+    recording = read_bag([bag], scene_of(), held={"left": "0, 6"})
+    assert held(recording) == [[0, 6], [LAST]]
+    assert recording.state is not None
+    # Amid the two lies the gripper's origin.
+    middle = recording.state.positions[[0, 6]].mean(axis=0)
+    assert middle == pytest.approx(hands(0.0)[0], abs=1e-9)
+
+
+def test_poses_away_from_the_cloth_are_refused(bag: Path) -> None:
+    poses = {"left": "/robot/left/pose", "right": "/robot/left/pose"}
+    with pytest.raises(FitError, match="would both hold particle 0"):
+        read_bag([bag], scene_of(), poses=poses)
+    scene, x = sagging(6)
+    pose = [*(x[0] + np.array([0.0, 0.0, 0.2])), 0.0, 0.0, 0.0, 1.0]
+    with pytest.raises(
+        FitError, match="200 mm from the nearest particle, 0: its poses are not where it holds the cloth"
+    ):
+        find_held(scene, "left", [x] * 3, [pose] * 3)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("left=36", "names particle 36; there are 36"),
+        ("left=top_middle", "no edge or corner"),
+        ("middle=0", "grippers are left, right"),
+        ("left", "write NAME=VALUE"),
+    ],
+)
+def test_wrong_held_particles_are_refused(
+    bag: Path, tmp_path: Path, given: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from cloth_sim_ros.scene import parameter_file
+
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(parameter_file.dump(scene_of().parameters()))
+    options = ["--scene", str(scene), "--parameters", "stretch", "--held", given]
+    assert fit_main.main([str(bag), *options]) == fit_main.REFUSED
+    assert words in capsys.readouterr().err
