@@ -59,6 +59,11 @@ class CloudBytes:
         # Behind the points: is_dense, filled up to a multiple of four as it travels.
         self._end = b"\x01\x00\x00\x00"
 
+    @property
+    def start(self) -> int:
+        """Where the points begin."""
+        return len(_LITTLE) + 8 + len(self._middle)
+
     def at(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:
         """The bytes for positions x [m] at a time; velocities v [m/s] where it has them; both (3, n)."""
         self._points[:, :3] = x.T

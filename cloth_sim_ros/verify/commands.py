@@ -27,6 +27,8 @@ from cloth_sim_ros.verify.verdict import Findings
 _MOST_WAITING = 20_000
 #: A target may have been received this long before the recording began, and wait for its stamp [ns].
 _GRACE = 1_500_000_000
+#: How far ahead of its arrival a stamp may be [ns].
+_AHEAD = 1_000_000_000
 #: Events that services and the node itself cause, without a message.
 _UNASKED = ("set_parameters", "pause", "step", "reset", "relax")
 
@@ -59,7 +61,7 @@ class CommandCheck:
     """
 
     def __init__(self, *, node: str, scene: Scene, from_start: bool, findings: Findings) -> None:
-        self._findings, self._frame_id = findings, scene.frame_id
+        self._findings, self._frame_id, self._node = findings, scene.frame_id, node
         self._grippers = frozenset(scene.gripper_names)
         self._kinds = {
             f"{node}/{name}/{leaf}": (name, leaf)
@@ -105,6 +107,9 @@ class CommandCheck:
             return
         arrived = message.publish_time
         stamp, newest = stamp or arrived, self._newest.get(name, 0)
+        if stamp > arrived + _AHEAD:
+            self._leave(message.topic, "refused by the node's own rules")
+            return
         self._newest[name] = max(stamp, newest)
         self._count += 1
         waiting = self._waiting.setdefault(name, [])
@@ -209,11 +214,15 @@ class CommandCheck:
         grippers = simulation.grippers
         if name not in self._grippers:
             return simulation.obstacles is None or name not in simulation.obstacles.names
-        return not grippers.is_placed(grippers.names.index(name))
+        return simulation.scene.pinches(name) and not grippers.is_placed(grippers.names.index(name))
 
     def _follow_parameters(self, values: Mapping[str, Any]) -> None:
-        for key in values:
-            if key.endswith(".frame"):
+        for key, value in values.items():
+            if key.endswith(".shape"):
+                # An obstacle that is described amid the recording.
+                name = key.removesuffix(".shape")
+                self._kinds |= {f"{self._node}/{name}/{leaf}": (name, leaf) for leaf in ("target", "point")}
+            if key.endswith(".frame") and value:
                 name = key.removesuffix(".frame")
                 names = self._grippers if name == "gripper" else (name,)
                 self._not_told |= dict.fromkeys(names, _FOLLOWS)

@@ -83,7 +83,7 @@ class MarkerCheck:
             stamp: ROS time that they must have [ns]; None if it is not known.
             changed: whether this frame has brought or removed obstacles.
         """
-        if stamp is not None and same_bytes(message.data, self._again(simulation, self._gone).at(self._poses, stamp)):
+        if stamp is not None and self._again(simulation, self._gone).is_same(message.data, self._poses, stamp):
             return
         try:
             recorded = decode(message.data, MARKERS).markers
@@ -103,10 +103,12 @@ class MarkerCheck:
         if stamp is None:
             time = recorded[0].header.stamp
             stamp = min(time.sec * 10**9 + time.nanosec, message.publish_time)
-        again = self._again(simulation, told).at(self._poses, stamp)
-        if same_bytes(message.data, again):
+        layout = self._again(simulation, told)
+        if layout.is_same(message.data, self._poses, stamp):
             return
-        reason = _difference(recorded, decode(again, MARKERS).markers)
+        reason = _difference(recorded, decode(layout.at(self._poses, stamp), MARKERS).markers)
+        if not reason:
+            layout.learn_gaps(message.data)
         if reason == _LOOKS and self._findings.verdict.environment:
             self._findings.not_compared(message.topic, "colours, by other code")
         elif reason:
@@ -153,6 +155,29 @@ class _Layout:
         for number in range(len(self._parts)):
             start = self._data.index(struct.pack("<d", _MARKED_PLACE * (1 + number)), start)
             self._places.append(start)
+
+        #: Bytes that fill gaps between fields, where a middleware leaves what was in memory before.
+        self._gaps = np.zeros(len(self._data), dtype=np.bool_)
+
+    def is_same(self, recorded: bytes, poses: Array, stamp: int) -> bool:
+        """Whether a message is that of poses at a ROS time [ns], up to the gaps that are known."""
+        again = self.at(poses, stamp)
+        if same_bytes(recorded, again):
+            return True
+        if len(recorded) != len(again):
+            return False
+        return not (self._unlike(recorded) & ~self._gaps).any()
+
+    def learn_gaps(self, recorded: bytes) -> None:
+        """Learn gaps of a message whose fields are those of the last bytes given by `at`."""
+        if len(recorded) == len(self._data):
+            found = self._unlike(recorded)
+            for start in self._places:
+                found[start : start + 56] = False
+            self._gaps |= found
+
+    def _unlike(self, recorded: bytes) -> NDArray[np.bool_]:
+        return np.frombuffer(recorded, np.uint8) != np.frombuffer(self._data, np.uint8)
 
     def at(self, poses: Array, stamp: int) -> bytes:
         """The bytes for poses (obstacle_count, 7) at a ROS time [ns]."""

@@ -40,8 +40,7 @@ class Numbering:
     """Follows a session's messages from its first file to its last.
 
     Args:
-        findings: what is wrong goes there.
-        foreign: topics of which not the node's own messages alone are recorded do not count in the end record.
+        findings: for what is missing or differs.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -85,19 +84,20 @@ class Numbering:
             message.sequence,
         )
 
-    def add(self, message: Message, *, own: bool, opens: bool) -> None:
+    def add(self, message: Message, *, own: bool, opens: bool = False) -> None:
         """Take a message.
 
         Args:
             message: it.
             own: whether it is the node's, or one that it hears and records.
-            opens: whether it may repeat what was last sent before the file began.
+            opens: whether it may repeat, as the file begins, what was last sent of a latched topic.
         """
         self._counts[own] += 1
         topic = self._topics.setdefault(message.topic, _Topic(message.topic, droppable=False))
         if own:
-            repeated = opens and self._part is not None and self._part.number > 0 and self.is_repeated(message)
-            self._check_log_time(message, repeated, topic.kind)
+            later = opens and self._part is not None and self._part.number > 0
+            repeated = later and self.is_repeated(message)
+            self._check_log_time(message, repeated or (later and topic.last is None), topic.kind)
             if not repeated:
                 self._check_sequence(message, topic)
         topic.count += 1

@@ -143,22 +143,22 @@ class _Run:
         assert self._commands is not None
         assert self._diagnostics is not None
         if topic == self._frame_topic:
-            self._numbering.add(message, own=True, opens=opens)
+            self._numbering.add(message, own=True)
             return self._run_frame(read_frame(message), message)
         if self._shown.takes(topic):
             same = self._shown.take(message, opens=opens)
-            self._numbering.add(message, own=True, opens=opens)
+            self._numbering.add(message, own=True, opens=opens and self._shown.is_latched(topic))
             if topic == self._points and same is not None:
                 self._show_cloud(message, same)
             return True
         if topic in self._commands.topics:
-            self._numbering.add(message, own=True, opens=opens)
+            self._numbering.add(message, own=True)
             self._commands.receive(message, self.simulation)
         elif topic == DIAGNOSTICS:
-            self._numbering.add(message, own=True, opens=opens)
+            self._numbering.add(message, own=True)
             self._diagnostics.compare(message, self.simulation)
         else:
-            self._leave(message, opens)
+            self._leave(message)
         return True
 
     def finish(self, *, whole: bool) -> None:
@@ -182,10 +182,10 @@ class _Run:
         self._numbering.end()
         self._commands.end()
 
-    def _leave(self, message: Message, opens: bool) -> None:
+    def _leave(self, message: Message) -> None:
         topic = message.topic
         own = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
-        self._numbering.add(message, own=own, opens=opens)
+        self._numbering.add(message, own=own)
         reason = _SHARED.get(topic)
         self._findings.not_compared(topic, reason or ("an unknown topic of the node" if own else "not the node's"))
 
@@ -256,7 +256,7 @@ class _Run:
         energy = self.simulation.energy_report
         for key, recorded in record.extras.items():
             if key == "flagged":
-                again = frame.advance.flagged if frame.advance else 0
+                again: float = frame.advance.flagged if frame.advance else 0
                 wrong = recorded != again
             elif key == "energy" and energy is not None:
                 again = energy.total

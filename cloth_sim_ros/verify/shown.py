@@ -53,6 +53,7 @@ class ShownCheck:
         self._states = StateCheck(findings)
         self._gripper_states = GripperStateCheck(node, findings)
         self._markers = MarkerCheck(node, simulation, findings)
+        self._marked = bool(self._markers.names)
         self._latched = frozenset({self._topology, self._state_topic, self._marker_topic, *self._grippers})
         self._taken = frozenset({self._points, *self._wrenches.values(), *self._latched})
         numbering.declare(self._points, "cloud", droppable=True)
@@ -79,10 +80,17 @@ class ShownCheck:
         """Whether messages of a topic are compared here."""
         return topic in self._taken or (topic == _TF and self._simulation.scene.tf.publish)
 
+    def is_latched(self, topic: str) -> bool:
+        """Whether a file begins with what was last sent of a topic."""
+        return topic in self._latched
+
     def open_frame(self, frame: Frame, stamp: int) -> None:
         """Look at a frame that was just run and was due at a ROS time [ns]: what follows must be its messages."""
         simulation = self._simulation
         scene = simulation.scene
+        for name in scene.obstacle_names:
+            if name not in self._wrenches:
+                self._add_wrench(name)
         self._frame, self._stamp = frame, stamp
         self._first = self._first or self._findings.place
         self._got = set()
@@ -142,16 +150,34 @@ class ShownCheck:
         self._frame = None
 
     def finish(self) -> None:
-        """End a file that has frames: it must begin with the topology."""
-        if self._topology not in self._opening:
-            self._findings.difference(
-                "topology", f"the topology, which is missing in {self._part.path.name}", place=self._first
-            )
+        """End a file that has frames: it must begin with the topology, and a node's with all that it has latched."""
+        due = [self._topology]
+        if self._part.number == 0 and "dropped" in self._part.end_notes:
+            # The node's recorder counts what it drops; other writers of sessions have no states.
+            due += [self._state_topic, *self._grippers, *([self._marker_topic] if self._marked else [])]
+        for topic in due:
+            if topic in self._opening:
+                continue
+            if topic == self._topology or self._numbering.is_seen(topic):
+                self._findings.difference(
+                    self._kind(topic),
+                    f"{topic}, of which {self._part.path.name} must begin with a message",
+                    place=self._first,
+                )
+            else:
+                self._findings.absent(topic)
 
     def end(self) -> None:
         """End the session: name topics of which there is no message at all."""
-        topics = [self._points, *self._wrenches.values(), *self._grippers, self._marker_topic, _TF]
-        self._findings.verdict.absent += [topic for topic in topics if self._numbering.absent(topic)]
+        for topic in (self._points, *self._wrenches.values(), *self._grippers, self._marker_topic, _TF):
+            if self._numbering.absent(topic):
+                self._findings.absent(topic)
+
+    def _add_wrench(self, name: str) -> None:
+        """Take note of an obstacle that was described amid the recording."""
+        topic = self._wrenches[name] = f"{self._node}/{name}/wrench"
+        self._taken |= {topic}
+        self._numbering.declare(topic, "wrench", droppable=True)
 
     def _compare(self, message: Message) -> bool | None:
         topic, simulation, findings = message.topic, self._simulation, self._findings

@@ -93,6 +93,11 @@ class Findings:
         """List messages that were not compared."""
         self.verdict.not_compared[topic, reason] += count
 
+    def absent(self, topic: str) -> None:
+        """Name a topic of which there must be messages, and is none; once."""
+        if topic not in self.verdict.absent:
+            self.verdict.absent.append(topic)
+
     def missing(self, sentence: str) -> None:
         """Say what the session lacks, once."""
         if sentence not in self.verdict.missing:

@@ -35,6 +35,7 @@ _WRENCH = "geometry_msgs/msg/WrenchStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _BOOL = "std_msgs/msg/Bool"
 _POSE = "geometry_msgs/msg/PoseStamped"
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
@@ -237,8 +238,38 @@ class SessionMaker:
             closed, held = self.simulation.grippers.is_closed(index), self.simulation.held(index)
             said = status_bytes(grasp.gripper, {"closed": str(closed).lower(), "held": str(held)})
             self._write(f"{NODE}/{grasp.gripper}/state", _STATUS, change, said)
+        if scene.tf.publish:
+            self._write("/tf", _TRANSFORMS, change, self._transforms(now))
         if diagnostics is not None:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
+
+    def _transforms(self, now: int) -> bytes:
+        """CDR bytes of the frames of the cloth and of the grippers that have had a target."""
+        simulation = self.simulation
+        centre = (simulation.state.x * simulation.model.masses).sum(axis=1) / simulation.model.mass
+        poses = {"cloth": [*centre.tolist(), 0.0, 0.0, 0.0, 1.0]}
+        grippers = simulation.grippers
+        poses |= {name: grippers.poses()[k].tolist() for k, name in enumerate(grippers.names) if grippers.is_placed(k)}
+        transform, quaternion = (
+            message_class("geometry_msgs/msg/Transform"),
+            message_class("geometry_msgs/msg/Quaternion"),
+        )
+        return encode(
+            message_class(_TRANSFORMS)(
+                transforms=[
+                    message_class("geometry_msgs/msg/TransformStamped")(
+                        header=_header(now),
+                        child_frame_id=f"{NODE.strip('/')}/{name}",
+                        transform=transform(
+                            translation=message_class("geometry_msgs/msg/Vector3")(*pose[:3]),
+                            rotation=quaternion(*pose[3:]),
+                        ),
+                    )
+                    for name, pose in poses.items()
+                ]
+            ),
+            _TRANSFORMS,
+        )
 
     def _markers(self, now: int) -> bytes:
         """CDR bytes of obstacles and pads as the node shows them; needs ROS's messages."""

@@ -1,0 +1,176 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A node's sessions: all that they hold is compared or listed, and what is falsified in them is found or listed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+from support.clocked_cloth import ClockedCloth
+from support.falsifier import FRAME, Falsification, falsifications, falsify
+from support.ros_client import Client, pose
+
+pytest.importorskip("mcap")
+
+from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.verify.main import describe
+from cloth_sim_ros.verify.run import Verdict, verify
+
+#: What sessions of other makers lack; the rest is falsified without ROS in test/verify.
+WAYS = {
+    name: way
+    for name, way in falsifications("left", busy=False).items()
+    if way.needs != FRAME or name in ("clouds moved and published 1 ns later", "received target inserted")
+}
+SECOND = 1_000_000_000
+CORNER = (0.5, 0.0, 0.5)
+SCENE: dict[str, Any] = {
+    "grippers": ["left", "right"],
+    "gripper.radius": 0.2,
+    "diagnostics.energy": True,
+    "obstacles": ["ball", "floor"],
+    "ball.shape": "capsule",
+    "ball.size": [0.05, 0.2],
+    "ball.position": [0.0, 0.5, 0.3],
+    "floor.shape": "plane",
+    "floor.position": [0.0, 0.0, -2.0],
+}
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        folder = tmp_path_factory.mktemp("sessions")
+        with Client() as client:
+            play(client, folder)
+        (path,) = folder.glob("*.mcap")
+        yield path
+
+
+def call(cloth: ClockedCloth, kind: Any, name: str, request: Any = None) -> None:
+    """Ask for what happens with the next frame."""
+    answer = cloth.client.node.create_client(kind, f"/cloth_sim/{name}")
+    cloth.client.spin_until(answer.service_is_ready, what=name)
+    future = answer.call_async(request or kind.Request())
+    waiting = len(cloth.node._queue)
+    cloth.client.spin_until(lambda: len(cloth.node._queue) > waiting or future.done(), what=f"{name} to be taken")
+
+
+def play(client: Client, folder: Path, **more: Any) -> None:
+    """Everything that a node records, in a few frames."""
+    values = {**SCENE, "record.enabled": True, "record.folder": str(folder), **more}
+    with ClockedCloth(client, values) as cloth:
+        act(cloth)
+
+
+def act(cloth: ClockedCloth) -> None:
+    cloth.tick(2)
+    for k in range(6):
+        cloth.target("left", (CORNER[0] - 0.02 * k, CORNER[1], CORNER[2]))
+        cloth.target("left", (CORNER[0] - 0.01 * k, CORNER[1], CORNER[2]), stamp=cloth.now)
+        cloth.target("ball", (0.0, 0.5 - 0.005 * k, 0.3))
+        if k == 1:
+            cloth.grasp("left", True)
+        cloth.tick()
+    # Refused: not finite, too far ahead, older than the newest, in a frame that nobody knows.
+    cloth.target("left", (float("nan"), 0.0, 0.0))
+    cloth.target("left", CORNER, stamp=cloth.now + 5 * SECOND)
+    cloth.target("left", CORNER, stamp=cloth.now - SECOND // 2)
+    cloth.send("right/target", pose(0.1, 0.2, 0.3, frame_id="nowhere"))
+    cloth.tick(2)
+    # Waits for its stamp.
+    cloth.target("left", (0.4, 0.0, 0.5), stamp=cloth.now + 3 * SECOND // 60)
+    cloth.tick(5)
+    call(cloth, SetBool, "pause", SetBool.Request(data=True))
+    cloth.publish_clock(cloth.now)
+    cloth._number += 1
+    cloth.client.spin_until(lambda: cloth.simulation.paused, what="the pause")
+    call(cloth, Trigger, "step")
+    cloth.tick()
+    call(cloth, SetBool, "pause", SetBool.Request(data=False))
+    cloth.tick(2)
+    cloth.grasp("left", False)
+    request = SetParameters.Request(parameters=[Parameter("obstacles", value=["ball"]).to_parameter_msg()])
+    assert cloth.client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
+    cloth.tick(3)
+    call(cloth, SetBool, "right/close", SetBool.Request(data=True))
+    cloth.tick(2)
+    call(cloth, Trigger, "reset")
+    cloth.tick(3)
+    cloth.node._diagnostics.send()
+    cloth.tick(2)
+
+
+def check(verdict: Verdict) -> None:
+    assert verdict.same, describe(verdict)
+    assert (verdict.missing, verdict.absent) == ([], [])
+
+
+def test_every_message_of_a_node_is_compared_or_listed(session: Path) -> None:
+    verdict = verify([session])
+    check(verdict)
+    kinds = ("cloud", "wrench", "topology", "gripper state", "state", "marker message", "command")
+    assert all(verdict.compared[kind] for kind in (*kinds, "diagnostics message"))
+    with SessionReader(session) as reader:
+        told: dict[str, int] = {}
+        for message in reader.messages():
+            told[message.topic] = told.get(message.topic, 0) + 1
+    commands = sum(count for topic, count in told.items() if topic.endswith(("/target", "/grasp", "/point")))
+    left = sum(count for (topic, _), count in verdict.not_compared.items() if topic.endswith(("/target", "/grasp")))
+    assert verdict.compared["command"] + left == commands
+    assert verdict.clouds == told["/cloth_sim/points"] == told["/cloth_sim/frame"] == verdict.frames
+    assert verdict.compared["marker message"] == told["/cloth_sim/obstacles"]
+    assert verdict.compared["state"] == told["/cloth_sim/state"] - 1
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_falsified_session_of_a_node_is_found_or_listed(session: Path, tmp_path: Path, way: str) -> None:
+    falsification = WAYS[way]
+    with SessionReader(session) as reader:
+        if not any(True for _ in reader.messages([falsification.needs])):
+            pytest.skip("without tf2_msgs a node sends no transforms")
+    verdict = verify([falsify(session, tmp_path / "false.mcap", falsification)])
+    assert falsification.is_shown(verdict), describe(verdict)
+
+
+def test_unaltered_copy_of_a_node_comes_out_the_same(session: Path, tmp_path: Path) -> None:
+    check(verify([falsify(session, tmp_path / "copy.mcap", Falsification())]))
+
+
+def test_recording_begun_amid_the_motion_comes_out_the_same(ros_domain: int, tmp_path: Path) -> None:
+    with Client() as client, ClockedCloth(client, {**SCENE, "record.folder": str(tmp_path)}) as cloth:
+        cloth.target("left", CORNER)
+        cloth.target("ball", (0.0, 0.45, 0.3))
+        cloth.grasp("left", True)
+        cloth.tick(4)
+        cloth.target("left", (0.45, 0.0, 0.5), stamp=cloth.now + SECOND // 20)
+        for _ in range(2):
+            client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=True))
+            act(cloth)
+            client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=False))
+    paths = sorted(tmp_path.glob("*.mcap"))
+    assert len(paths) == 2
+    for path in paths:
+        check(verify([path]))
+
+
+def test_split_recording_comes_out_the_same(ros_domain: int, tmp_path: Path) -> None:
+    values = {**SCENE, "record.enabled": True, "record.folder": str(tmp_path), "record.split": 20_000}
+    with Client() as client, ClockedCloth(client, values) as cloth:
+        act(cloth)
+        recorder = cloth.node._recording._recorder
+        assert recorder is not None
+        client.spin_until(lambda: recorder.wants_split, what="the file to be large enough")
+        act(cloth)
+    paths = sorted(tmp_path.glob("*.mcap"))
+    assert len(paths) > 1
+    check(verify(paths))
+    for path in paths:
+        check(verify([path]))

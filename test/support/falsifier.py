@@ -1,0 +1,373 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Falsified sessions: messages altered, left out, doubled or moved, with indexes, counts and checksums made anew."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Metadata
+
+from cloth_sim_ros.session.cdr import decode, decode_cloud, encode
+from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, describe
+from cloth_sim_ros.session.mcap_builder import McapBuilder
+from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.session.writer import END_METADATA_NAME, METADATA_NAME, metadata_checksum
+from cloth_sim_ros.verify.main import describe as verdict_in_words
+from cloth_sim_ros.verify.run import Verdict
+
+NODE = "/cloth_sim"
+POINTS, FRAME, TOPOLOGY, STATE = f"{NODE}/points", f"{NODE}/frame", f"{NODE}/topology", f"{NODE}/state"
+MARKERS, DIAGNOSTICS, ROSOUT, TF = f"{NODE}/obstacles", "/diagnostics", "/rosout", "/tf"
+
+Messages = list[Message]
+Change = Callable[[Messages], Messages]
+
+
+@dataclasses.dataclass(frozen=True)
+class Falsification:
+    """One way to falsify a session."""
+
+    change: Change = lambda messages: messages
+    needs: str = FRAME
+    """A topic that the session must have for it."""
+    end: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """What the end record says instead."""
+    counted: bool = True
+    """Whether the end record counts the messages that are there; else it is left as it was."""
+    listed: str = ""
+    """Words of the list, where it can be no more than listed."""
+    absent: str = ""
+    """A topic that is named as absent, where it can be no more."""
+
+    def is_shown(self, verdict: Verdict) -> bool:
+        """Whether a verdict shows it."""
+        if self.absent:
+            return verdict.same and self.absent in verdict.absent
+        if self.listed:
+            return verdict.same and self.listed in verdict_in_words(verdict)
+        return verdict.damaged or not verdict.same
+
+
+def falsify(source: Path, target: Path, falsification: Falsification) -> Path:
+    """Write a falsified copy of a session of one file."""
+    part = SessionPart(source)
+    messages = falsification.change(list(part.messages()))
+    builder = McapBuilder(compression="lz4")
+    opening = builder.opening(
+        library="cloth_sim_ros",
+        metadata=[Metadata(name=METADATA_NAME, metadata=dict(part.metadata))],
+        attachments=list(part.attachments.values()),
+    )
+    channels: dict[str, int] = {}
+    for message in messages:
+        if message.topic not in channels:
+            definition = describe(message.type_name).definition.encode()
+            channels[message.topic] = builder.add_channel(
+                topic=message.topic,
+                schema=(message.type_name, SCHEMA_ENCODING, definition),
+                encoding=MESSAGE_ENCODING,
+                metadata={},
+            )
+        builder.add_message(
+            channels[message.topic],
+            message.data,
+            log_time=message.log_time,
+            publish_time=message.publish_time,
+            sequence=message.sequence,
+        )
+    packed = builder.pack_chunk()
+    content = opening + b"".join(packed.parts)
+    builder.commit(packed, len(opening))
+    notes = dict(part.end_notes)
+    if falsification.counted:
+        notes["messages"] = str(len(messages))
+    notes |= falsification.end
+    notes["checksum"] = metadata_checksum(notes)
+    end = builder.metadata(Metadata(name=END_METADATA_NAME, metadata=notes), len(content))
+    target.write_bytes(content + end + builder.closing(len(content) + len(end)))
+    part.close()
+    return target
+
+
+def renumbered(change: Change) -> Change:
+    """The same, with the messages of each topic numbered from 0 again."""
+
+    def changed(messages: Messages) -> Messages:
+        numbers: dict[str, int] = defaultdict(int)
+        found = []
+        for message in change(messages):
+            found.append(message._replace(sequence=numbers[message.topic]))
+            numbers[message.topic] += 1
+        return found
+
+    return changed
+
+
+def each(topic: str, alter: Callable[[Message], Message | None], *, only: Sequence[int] | None = None) -> Change:
+    """Alter the messages of a topic, or of them only some by their place among them; None leaves one out."""
+
+    def changed(messages: Messages) -> Messages:
+        places = [k for k, message in enumerate(messages) if message.topic == topic]
+        chosen = set(places if only is None else [places[k] for k in only])
+        found = [alter(message) if k in chosen else message for k, message in enumerate(messages)]
+        return [message for message in found if message is not None]
+
+    return changed
+
+
+def drop(topic: str, *, only: Sequence[int] | None = None) -> Change:
+    """Leave messages out."""
+    return each(topic, lambda _message: None, only=only)
+
+
+def double(topic: str, number: int) -> Change:
+    """Have one message of a topic twice."""
+
+    def changed(messages: Messages) -> Messages:
+        place = [k for k, message in enumerate(messages) if message.topic == topic][number]
+        return [*messages[: place + 1], messages[place], *messages[place + 1 :]]
+
+    return changed
+
+
+def insert(
+    topic: str, number: int, after: str, at: int, alter: Callable[[Message], Message] = lambda message: message
+) -> Change:
+    """Put a message of a topic once more behind another one, under that one's times, altered."""
+
+    def changed(messages: Messages) -> Messages:
+        copied = [message for message in messages if message.topic == topic][number]
+        place = [k for k, message in enumerate(messages) if message.topic == after][at]
+        beside = messages[place]
+        copied = alter(copied)._replace(log_time=beside.log_time, publish_time=beside.publish_time)
+        return [*messages[: place + 1], copied, *messages[place + 1 :]]
+
+    return changed
+
+
+def swap(topic: str, one: int, other: int, *, whole: bool) -> Change:
+    """Exchange two messages of a topic, or of them the bytes alone."""
+
+    def changed(messages: Messages) -> Messages:
+        places = [k for k, message in enumerate(messages) if message.topic == topic]
+        a, b = places[one], places[other]
+        first, second = messages[a], messages[b]
+        if whole:
+            messages[a], messages[b] = second, first
+        else:
+            messages[a], messages[b] = first._replace(data=second.data), second._replace(data=first.data)
+        return messages
+
+    return changed
+
+
+def cut_frames(count: int) -> Change:
+    """Leave out the last frames, and all that follows."""
+
+    def changed(messages: Messages) -> Messages:
+        places = [k for k, message in enumerate(messages) if message.topic == FRAME]
+        return messages[: places[-count]]
+
+    return changed
+
+
+def rename(topic: str, other: str) -> Change:
+    """Give the messages of a topic another one."""
+    return each(topic, lambda message: message._replace(topic=other))
+
+
+def edit(alter: Callable[[Any], object]) -> Callable[[Message], Message]:
+    """Alter the content of a message, as rosbags has it."""
+
+    def altered(message: Message) -> Message:
+        content = decode(message.data, message.type_name)
+        alter(content)
+        return message._replace(data=encode(content, message.type_name))
+
+    return altered
+
+
+def moved(away: float) -> Callable[[Message], Message]:
+    """Move every point of a cloud along z [m]."""
+
+    def altered(message: Message) -> Message:
+        # A bytearray is not read-only as the message is.
+        data = bytearray(message.data)
+        view = decode_cloud(data).xyz
+        view.flags.writeable = True
+        view[:, 2] += np.float32(away)
+        return message._replace(data=bytes(data))
+
+    return altered
+
+
+def later(nanoseconds: int) -> Callable[[Message], Message]:
+    """Shift the publish time."""
+    return lambda message: message._replace(publish_time=message.publish_time + nanoseconds)
+
+
+def both(*alters: Callable[[Message], Message]) -> Callable[[Message], Message]:
+    """One change after the other."""
+
+    def altered(message: Message) -> Message:
+        for alter in alters:
+            message = alter(message)
+        return message
+
+    return altered
+
+
+def _set(name: str, value: Any) -> Callable[[Any], None]:
+    def alter(content: Any) -> None:
+        *way, last = name.split(".")
+        for step in way:
+            content = content[int(step)] if step.isdigit() else getattr(content, step)
+        setattr(content, last, value)
+
+    return alter
+
+
+def _turn_grid(content: Any) -> None:
+    content.height, content.width = content.width, content.height
+    content.row_step = content.width * content.point_step
+
+
+def _stamp_now(content: Any) -> None:
+    content.header.stamp.sec = content.header.stamp.nanosec = 0
+
+
+def _value(key: str, value: str) -> Callable[[Any], None]:
+    def alter(content: Any) -> None:
+        statuses = content.status if hasattr(content, "status") else [content]
+        for entry in statuses[0].values:
+            if entry.key == key:
+                entry.value = value
+
+    return alter
+
+
+def _flip_triangle(content: Any) -> None:
+    content.triangles[0].vertex_indices = content.triangles[0].vertex_indices[::-1].copy()
+
+
+def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
+    """Ways to falsify a session of a node with a gripper of some name, by what they do; `busy`: every frame has one
+    target.
+    """
+    wrench, grasp = f"{NODE}/{gripper}/wrench", f"{NODE}/{gripper}/grasp"
+    target, state = f"{NODE}/{gripper}/target", f"{NODE}/{gripper}/state"
+    shift = both(moved(0.5), later(1))
+    beside = (target, 2) if busy else (wrench, -3)
+    found = {
+        "clouds moved and published 1 ns later": Falsification(each(POINTS, shift)),
+        "one cloud published 1 ns later": Falsification(each(POINTS, later(1), only=[3])),
+        "cloud moved by one bit": Falsification(each(POINTS, moved(1e-7), only=[3])),
+        "cloud of another frame_id": Falsification(each(POINTS, edit(_set("header.frame_id", "map")))),
+        "cloud of another stamp": Falsification(each(POINTS, edit(_set("header.stamp.nanosec", 1)), only=[4])),
+        "cloud with rows and columns exchanged": Falsification(each(POINTS, edit(_turn_grid))),
+        "cloud that is not dense": Falsification(each(POINTS, edit(_set("is_dense", False)))),
+        "cloud with its fields renamed": Falsification(
+            each(POINTS, edit(_set("fields.0.count", 2)), only=[2]), needs=POINTS
+        ),
+        "one cloud left out": Falsification(drop(POINTS, only=[5])),
+        "one cloud left out, numbers made anew": Falsification(renumbered(drop(POINTS, only=[5]))),
+        "first cloud left out, numbers made anew": Falsification(renumbered(drop(POINTS, only=[0]))),
+        "last cloud left out": Falsification(drop(POINTS, only=[-1])),
+        "one cloud left out and told to be dropped": Falsification(
+            drop(POINTS, only=[5]), end={"dropped": "1"}, listed="1 cloud was dropped"
+        ),
+        "all clouds left out": Falsification(drop(POINTS), absent=POINTS),
+        "one cloud twice": Falsification(double(POINTS, 4)),
+        "one cloud twice, numbers made anew": Falsification(renumbered(double(POINTS, 4))),
+        "every cloud twice": Falsification(
+            renumbered(lambda messages: [one for one in messages for _ in range(1 + (one.topic == POINTS))])
+        ),
+        "bytes of two clouds exchanged": Falsification(swap(POINTS, 2, 5, whole=False)),
+        "two clouds exchanged": Falsification(swap(POINTS, 2, 5, whole=True)),
+        "cloud between two frames": Falsification(renumbered(insert(POINTS, 2, wrench, 6))),
+        "topology with a triangle turned": Falsification(each(TOPOLOGY, edit(_flip_triangle))),
+        "topology with a point moved": Falsification(each(TOPOLOGY, edit(_set("vertices.0.x", 0.123)))),
+        "topology left out": Falsification(drop(TOPOLOGY)),
+        "topology twice": Falsification(renumbered(double(TOPOLOGY, 0))),
+        "wrenches published 1 ns later, and altered": Falsification(
+            each(wrench, both(edit(_set("wrench.force.x", 9.0)), later(1)))
+        ),
+        "wrench of another frame_id": Falsification(each(wrench, edit(_set("header.frame_id", "map")))),
+        "wrench of another stamp": Falsification(each(wrench, edit(_set("header.stamp.sec", 1)), only=[2])),
+        "one wrench left out, numbers made anew": Falsification(renumbered(drop(wrench, only=[3]))),
+        "all wrenches left out": Falsification(drop(wrench), absent=wrench),
+        "received targets left out": Falsification(renumbered(drop(target))),
+        "received target inserted": Falsification(renumbered(insert(target, 0, *beside, edit(_stamp_now)))),
+        "older target inserted": Falsification(renumbered(insert(target, 0, target, 2)), listed="too old"),
+        "received grasp inserted": Falsification(renumbered(insert(grasp, 0, wrench, 2))),
+        "received grasps left out": Falsification(renumbered(drop(grasp)), listed="grasp without a message"),
+        "frame records' log times altered": Falsification(
+            each(FRAME, lambda one: one._replace(log_time=one.log_time + 1))
+        ),
+        "log time of one cloud altered": Falsification(
+            each(POINTS, lambda one: one._replace(log_time=one.log_time - 5), only=[3])
+        ),
+        "sequence number altered": Falsification(
+            each(POINTS, lambda one: one._replace(sequence=one.sequence + 1), only=[3])
+        ),
+        "sequence numbers shifted": Falsification(each(POINTS, lambda one: one._replace(sequence=one.sequence + 7))),
+        "sequence numbers gone": Falsification(
+            each(POINTS, lambda one: one._replace(sequence=0)), listed="without sequence numbers"
+        ),
+        "last frames cut out": Falsification(cut_frames(5), counted=False),
+        "end record of another count": Falsification(end={"messages": "3"}),
+        "clouds under another topic": Falsification(rename(POINTS, f"{NODE}/pts"), absent=POINTS),
+        "wrenches under another topic": Falsification(
+            rename(wrench, "/other/wrench"), counted=False, listed="/other/wrench"
+        ),
+        "bytes that are no cloud": Falsification(
+            each(POINTS, both(lambda one: one._replace(data=one.data[:40]), later(1)), only=[2])
+        ),
+        # Of the node alone.
+        "state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),
+        "state altered": Falsification(each(STATE, edit(_set("id", 3)), only=[1]), needs=STATE),
+        "states left out": Falsification(drop(STATE), needs=STATE, absent=STATE),
+        "gripper state left out": Falsification(renumbered(drop(state, only=[1])), needs=state),
+        "gripper states left out": Falsification(drop(state), needs=state, absent=state),
+        "gripper state that holds more": Falsification(each(state, edit(_value("held", "99"))), needs=state),
+        "gripper state of other words": Falsification(
+            each(state, edit(_set("message", "open")), only=[1]), needs=state
+        ),
+        "markers left out": Falsification(renumbered(drop(MARKERS, only=[2])), needs=MARKERS),
+        "all markers left out": Falsification(drop(MARKERS), needs=MARKERS, absent=MARKERS),
+        "marker moved": Falsification(each(MARKERS, edit(_set("markers.0.pose.position.x", 5.0))), needs=MARKERS),
+        "first marker moved": Falsification(
+            each(MARKERS, edit(_set("markers.0.pose.position.x", 5.0)), only=[0]), needs=MARKERS
+        ),
+        "marker of another size": Falsification(each(MARKERS, edit(_set("markers.0.scale.x", 5.0))), needs=MARKERS),
+        "marker of another colour": Falsification(each(MARKERS, edit(_set("markers.0.color.r", 0.9))), needs=MARKERS),
+        "marker of another frame_id": Falsification(
+            each(MARKERS, edit(_set("markers.0.header.frame_id", "map"))), needs=MARKERS
+        ),
+        "transforms left out": Falsification(drop(TF), needs=TF, absent=TF),
+        "one transform left out": Falsification(renumbered(drop(TF, only=[3])), needs=TF),
+        "transform moved": Falsification(
+            each(TF, edit(_set("transforms.0.transform.translation.x", 5.0)), only=[3]), needs=TF
+        ),
+        "diagnostics of another frame": Falsification(
+            each(DIAGNOSTICS, edit(_value("frame", "7777"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics of another strain": Falsification(
+            each(DIAGNOSTICS, edit(_value("largest_strain", "9.000000"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics of another integrator": Falsification(
+            each(DIAGNOSTICS, edit(_value("integrator", "other"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics of another real-time factor": Falsification(
+            each(DIAGNOSTICS, edit(_value("real_time_factor", "99.0"))), needs=DIAGNOSTICS, listed="real_time_factor"
+        ),
+        "log altered": Falsification(each(ROSOUT, edit(_set("msg", "all well"))), needs=ROSOUT, listed="/rosout"),
+        "one line of the log left out": Falsification(drop(ROSOUT, only=[0]), needs=ROSOUT),
+    }
+    return found
