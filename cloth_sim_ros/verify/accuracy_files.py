@@ -13,11 +13,26 @@ import attrs
 
 from cloth_sim_ros.session.outputs import written_whole
 from cloth_sim_ros.verify.certificate import Certificate
+from cloth_sim_ros.verify.verdict import Verdict
 
 
-def write_json(certificate: Certificate, path: Path) -> None:
-    """Write all of a certificate; numbers that cannot be told are null."""
+def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
+    """Write all of a certificate, and what was compared; numbers that cannot be told are null."""
     content = attrs.asdict(certificate)
+    content["run"] = {
+        "same": verdict.same,
+        "frames": verdict.frames,
+        "compared": dict(verdict.compared),
+        "differing": dict(verdict.differing),
+        "first_frame": verdict.first_frame,
+        "first_reason": verdict.first_reason,
+        "not_compared": [
+            {"topic": topic, "reason": reason, "count": count}
+            for (topic, reason), count in sorted(verdict.not_compared.items())
+        ],
+        "absent": verdict.absent,
+        "missing": verdict.missing,
+    }
     for told, window in zip(content["windows"], certificate.windows, strict=True):
         told |= {"promise": window.promise, "verdict": window.verdict}
     for told, frame in zip(content["frames"], certificate.frames, strict=True):

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; its exit status."""
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
-        description="Run recorded sessions again from their own snapshots and events, and compare every frame. "
+        description="Run recorded sessions again from their own snapshots and events, and compare every message. "
         "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read, or holds no frames; "
         "3: recorded with other arithmetic, and nothing differs that this does not explain; "
         "4: with --accuracy, the tolerance's promise was not kept somewhere, and no frame flagged.",
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = max(status, status_of(verdict), key=_GRAVITY.index)
             if certificate is not None:
                 status = max(status, SAME if certificate.kept else NOT_KEPT, key=_GRAVITY.index)
-                _tell(certificate, options)
+                _tell(certificate, verdict, options)
     except KeyboardInterrupt:
         return 130
     except OSError as error:
@@ -221,13 +221,13 @@ def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdic
         return certify(paths, particles=particles, judged=bar.update)
 
 
-def _tell(certificate: Certificate, options: argparse.Namespace) -> None:
+def _tell(certificate: Certificate, verdict: Verdict, options: argparse.Namespace) -> None:
     from cloth_sim_ros.verify.accuracy_files import write_json, write_plot
     from cloth_sim_ros.verify.accuracy_text import describe_accuracy
 
     print(describe_accuracy(certificate), flush=True)
     if options.json is not None:
-        write_json(certificate, options.json)
+        write_json(certificate, options.json, verdict)
     if options.plot is not None:
         write_plot(certificate, options.plot)
 
