@@ -6,6 +6,6 @@ beside a far finer motion, which says how accurate it is.
 Begin with `main` (the command), `run` (frames against the recording) and `verdict` (what is found). `shown` compares
 what each frame must have (`outputs`, `states`, `markers`), `diagnostics` what the node says of itself, `commands` the
 events with the recorded commands; `numbering` finds what is missing.
-Of the accuracy, begin with `accuracy` (a session's certificate) and `truth` (the finer motion); `shadow` is the same for
+Of the accuracy, begin with `accuracy` (a session's certificate) and `truth` (the finer motion); `shadow` is the same of
 a live cloth, in a process of its own.
 """

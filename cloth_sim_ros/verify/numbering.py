@@ -222,7 +222,7 @@ class Numbering:
         else:
             wanted = message.publish_time
         late = 0 < message.log_time - message.publish_time < _IN_ORDER
-        if message.log_time == wanted or (late and self._may_have_dropped()):
+        if message.log_time in (wanted, message.publish_time) or (late and self._may_have_dropped()):
             return
         self._findings.difference(
             kind, f"the log time of a message of {message.topic}: {message.log_time} ns is recorded, {wanted} expected"

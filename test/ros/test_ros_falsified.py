@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 from support.clocked_cloth import ClockedCloth
@@ -63,6 +62,12 @@ def call(cloth: ClockedCloth, kind: Any, name: str, request: Any = None) -> None
     cloth.client.spin_until(lambda: len(cloth.node._queue) > waiting or future.done(), what=f"{name} to be taken")
 
 
+def change(cloth: ClockedCloth, **values: Any) -> None:
+    """Set parameters together."""
+    parameters = [Parameter(name, value=value) for name, value in values.items()]
+    assert cloth.node.node.set_parameters_atomically(parameters).successful
+
+
 def play(client: Client, folder: Path, **more: Any) -> None:
     """Everything that a node records, in a few frames."""
     values = {**SCENE, "record.enabled": True, "record.folder": str(folder), **more}
@@ -97,9 +102,16 @@ def act(cloth: ClockedCloth) -> None:
     call(cloth, SetBool, "pause", SetBool.Request(data=False))
     cloth.tick(2)
     cloth.grasp("left", False)
-    request = SetParameters.Request(parameters=[Parameter("obstacles", value=["ball"]).to_parameter_msg()])
-    assert cloth.client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
+    change(cloth, obstacles=["ball"])
     cloth.tick(3)
+    change(cloth, **{"obstacles": ["ball", "post"], "post.shape": "box", "post.size": [0.1, 0.1, 0.1],
+                     "post.position": [0.0, 1.0, 0.0]})  # fmt: skip
+    cloth.tick(2)
+    cloth.target("post", (0.0, 1.01, 0.0))
+    cloth.tick(2)
+    change(cloth, **{"obstacles": ["ball"], "points.velocity": True})
+    cloth.tick(2)
+    change(cloth, **{"points.velocity": False})
     call(cloth, SetBool, "right/close", SetBool.Request(data=True))
     cloth.tick(2)
     call(cloth, Trigger, "reset")
@@ -159,6 +171,20 @@ def test_recording_begun_amid_the_motion_comes_out_the_same(ros_domain: int, tmp
     assert len(paths) == 2
     for path in paths:
         check(verify([path]))
+
+
+def test_recording_of_a_clock_that_goes_back_comes_out_the_same(ros_domain: int, tmp_path: Path) -> None:
+    values = {**SCENE, "record.enabled": True, "record.folder": str(tmp_path)}
+    with Client() as client, ClockedCloth(client, values) as cloth:
+        for back in (30, 300):
+            act(cloth)
+            cloth.target("left", CORNER)
+            cloth.grasp("left", True)
+            cloth._number -= back
+            cloth.tick()
+        act(cloth)
+    (path,) = tmp_path.glob("*.mcap")
+    check(verify([path]))
 
 
 def test_split_recording_comes_out_the_same(ros_domain: int, tmp_path: Path) -> None:

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from mcap.reader import make_reader
@@ -32,6 +33,7 @@ def copy_by_tool(
     contents_last: bool = False,
     more: tuple[Path, ...] = (),
     profile: str = "ros2",
+    extra: Mapping[str, int] = MappingProxyType({}),
     **options: Any,
 ) -> Path:
     """Copy a session, and `more` behind it, with other channel numbers.
@@ -45,6 +47,7 @@ def copy_by_tool(
         contents_last: metadata and attachments come behind the messages.
         more: further files, as `mcap merge` takes them.
         profile: of the copy.
+        extra: how many messages of other topics are added at its end.
         options: of the library's writer.
     """
     with target.open("wb") as stream:
@@ -58,6 +61,11 @@ def copy_by_tool(
             _copy_contents(path, writer, metadata, attachments)
             if not contents_last:
                 _copy_messages(path, writer, topics)
+        for topic, count in extra.items():
+            schema = writer.register_schema("std_msgs/msg/Bool", "ros2msg", b"bool data")
+            channel = writer.register_channel(topic, "cdr", schema)
+            for number in range(count):
+                writer.add_message(channel, number, b"\x00\x01\x00\x00\x01", number, number)
         writer.finish()
     return target
 
