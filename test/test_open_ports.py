@@ -15,9 +15,9 @@ import pytest
 psutil = pytest.importorskip("psutil")
 pytest.importorskip("mcap")
 
-from support.session_maker import make_grasp
-
 LOOPBACK = ("127.0.0.1", "::1")
+
+
 def listening(pid: int) -> list[tuple[str, int]]:
     """Addresses and ports that a process and its descendants listen on."""
     root = psutil.Process(pid)
@@ -69,6 +69,8 @@ def test_viewer_window_listens_on_loopback_only(
     wait_until: Callable[..., Any],
 ) -> None:
     pytest.importorskip("rerun")
+    from support.session_maker import make_grasp
+
     from cloth_sim_ros.replay.show import open_viewer
     from cloth_sim_ros.replay.viewer import ViewerError
 
@@ -88,4 +90,3 @@ def test_viewer_window_listens_on_loopback_only(
     finally:
         for viewer in viewers:
             viewer.kill()
-

@@ -64,7 +64,7 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
     }
     dask.config.set(settings)
     security = Security.temporary()
-    # All the time: a worker that is lost is replaced. Workers import from their folder: no other account may write there.
+    # All the time: a worker that is lost is replaced. Workers import from their folder: others may not write there.
     with safe_imports(), tempfile.TemporaryDirectory(prefix="cloth_batch_", ignore_cleanup_errors=True) as folder:
         with warnings.catch_warnings():
             # The dashboard's port may be taken: it gets another one.

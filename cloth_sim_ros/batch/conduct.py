@@ -97,8 +97,8 @@ class Conductor:
                 progressed = time.monotonic()
             elif time.monotonic() - progressed > wait:
                 raise StoppedError(
-                    f"the connection to the scheduler at {scheduler.address} breaks again and again; finished runs are kept, "
-                    "--resume goes on"
+                    f"the connection to the scheduler at {scheduler.address} breaks again and again; finished runs are "
+                    "kept, --resume goes on"
                 )
 
     def _drive(self, client: Client, runs: Sequence[int]) -> None:

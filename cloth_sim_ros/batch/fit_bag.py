@@ -161,22 +161,17 @@ def _closed(scene: Scene, tracks: Mapping[str, _Track], begin: int) -> list[str]
 
 def _heard(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
     """Messages of the types that count by topic: the type, and log times [ns] and bytes."""
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
+    from cloth_sim_ros.session.bag import bag_messages
+    from cloth_sim_ros.session.errors import DamagedSessionError
 
     heard: dict[str, tuple[str, list[tuple[int, bytes]]]] = {}
     for path in paths:
         try:
-            with path.open("rb") as stream:
-                for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-                    if (
-                        schema is not None
-                        and schema.name in (_CLOUD, _POSE, _BOOL)
-                        and channel.message_encoding == "cdr"
-                    ):
-                        heard.setdefault(channel.topic, (schema.name, []))[1].append((message.log_time, message.data))
-        except (McapError, ValueError, EOFError) as error:
-            raise FitError(f"{path} can't be read as MCAP: {error or type(error).__name__}; mend it first") from error
+            for topic, kind, time, data in bag_messages(path):
+                if kind in (_CLOUD, _POSE, _BOOL):
+                    heard.setdefault(topic, (kind, []))[1].append((time, data))
+        except DamagedSessionError as error:
+            raise FitError(str(error)) from error
     return heard
 
 

@@ -32,7 +32,7 @@ _HIDDEN = ".unfinished-"
 #: What to do about a file without which nothing can be gone on with.
 _BROKEN = "; nothing can be gone on with by it: put back the file as it was, or start in another folder"
 #: Longest text of all runs' values [bytes].
-_MOST_SAMPLES = 1 << 24
+_MOST_SAMPLES = 1 << 26
 #: What a row has, and of what types.
 _ROW: dict[str, type | tuple[type, ...]] = {
     "run": int,
@@ -133,13 +133,15 @@ class StudyFolder:
             text = input_file.read_text(self.study_file)
             named = dict(plain_json.loads(text, most=input_file.MOST_TEXT)["files"])
             files = {name: self._file(held) for name, held in named.items()}
-        except FileNotFoundError as error:
-            raise StudyError(f"{self.path} is no study's folder: {Path(error.filename).name} is missing") from None
             return Study.from_json(text, files)
         except StudyError:
             raise
+        except FileNotFoundError as error:
+            raise StudyError(f"{self.path} is no study's folder: {Path(error.filename).name} is missing") from None
         except (OSError, ValueError, TypeError, AttributeError, LookupError) as error:
-            raise StudyError(f"{self.study_file} holds no study that can be read: {error!r}{_BROKEN}") from error
+            raise StudyError(
+                f"{self.path} holds no readable study: {error or type(error).__name__}{_BROKEN}"
+            ) from error
 
     def _file(self, held: str) -> bytes:
         """Content of a file that a parameter names, by the name that it has here: no path leads out of the folder."""

@@ -13,7 +13,7 @@ import zlib
 
 import numpy as np
 
-#: Most bytes of all arrays together. Compressed, they may be a thousandth of it; what is written here is not compressed.
+#: Most bytes of all arrays together, whatever they are compressed to.
 MOST_BYTES = 128 << 20
 _MOST_ARRAYS = 1000
 #: Begins the entry of each array in the archive's directory.
@@ -69,6 +69,8 @@ def _check_sizes(data: bytes) -> None:
     size = sum(entry.file_size for entry in entries)
     if size > MOST_BYTES:
         raise ValueError(f"its arrays have {size} bytes, the limit is {MOST_BYTES}")
-    other = [entry.filename for entry in entries if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
+    other = [
+        entry.filename for entry in entries if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+    ]
     if other:
         raise ValueError(f"its entry '{other[0]}' is compressed otherwise than numpy does")

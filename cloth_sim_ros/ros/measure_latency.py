@@ -38,6 +38,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
+from cloth_sim_ros.session.child_process import child_environment, module_command
+
 #: Where the last particle of the default cloth hangs; radius [m] and speed [m/s] of the circle that it is led on.
 _CORNER, _RADIUS, _SPEED = np.array([0.5, 0.0, 0.5]), 0.1, 0.2
 #: Longest wait for the node to begin, for an answer, or for a cloud [s].
@@ -245,7 +247,9 @@ def running_node(
         command += ["-p", parameter]
     log = folder / "node.log"
     with log.open("wb") as stream:
-        process = subprocess.Popen(command, env=child_environment(), stdin=subprocess.DEVNULL, stdout=stream, stderr=stream)
+        process = subprocess.Popen(
+            command, env=child_environment(), stdin=subprocess.DEVNULL, stdout=stream, stderr=stream
+        )
 
     def alive() -> None:
         if process.poll() is not None:

@@ -57,7 +57,9 @@ def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
     command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__node:={name}")
     for key, value in values.items():
         command += ["-p", f"{key}:={json.dumps(value)}"]
-    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
     assert process.stderr is not None
     try:
         for line in process.stderr:

@@ -32,6 +32,8 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 
+from cloth_sim_ros.session.child_process import child_environment, module_command
+
 #: Longest wait for a first cloud [s].
 _PATIENCE = 60.0
 #: A question without an answer is asked again after so long [s].
@@ -78,7 +80,9 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
     asked: list[Future] = []
     seen = answered = None
     begun = again = time.monotonic()
-    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
     try:
         while not arrivals or answered is None:
             executor.spin_once(timeout_sec=0.02)

@@ -23,6 +23,8 @@ _META = "parameter"
 _SECTION = "section"
 #: Whole numbers of a parameter are those of 64 bits, as ROS has them.
 _INT_END = 1 << 63
+#: Most characters of a value that a message quotes.
+_MOST_SHOWN = 200
 
 #: ROS parameter types by name, as Python types.
 KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
@@ -146,10 +148,12 @@ class Parameter:
             return self._check_one(value)
         listed = isinstance(value, Sequence) or hasattr(value, "__array__")
         if not listed or isinstance(value, str | bytes) or getattr(value, "ndim", 1) != 1:
-            raise ParameterError(f"{self.name} is {value!r}; it must be an array of {self.element}")
+            raise ParameterError(f"{self.name} is {_shown(value)}; it must be an array of {self.element}")
         values = tuple(self._check_one(entry) for entry in value)
         if self.length is not None and len(values) != self.length:
-            raise ParameterError(f"{self.name} has {len(values)} entries, {list(values)}; it must have {self.length}")
+            raise ParameterError(
+                f"{self.name} has {len(values)} entries, {_shown(list(values))}; it must have {self.length}"
+            )
         return values
 
     def _check_one(self, value: Any) -> Any:
@@ -161,11 +165,13 @@ class Parameter:
         if kind is float and type(value) is int:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
         if type(value) is not kind:
-            raise ParameterError(f"{self.name} is {value!r}, of type {type(value).__name__}; it must be {self.kind}")
+            raise ParameterError(
+                f"{self.name} is {_shown(value)}, of type {type(value).__name__}; it must be {self.kind}"
+            )
         if isinstance(value, int | float) and kind is not bool:
             self._check_range(value)
         if self.choices and value not in self.choices:
-            raise ParameterError(f"{self.name} is '{value}'; it must be one of {', '.join(self.choices)}")
+            raise ParameterError(f"{self.name} is {_shown(value)}; it must be one of {', '.join(self.choices)}")
         return value
 
     def _check_range(self, value: float) -> None:
@@ -284,3 +290,9 @@ def _suggestion(name: str, known: dict[str, Parameter]) -> str:
 
     close = difflib.get_close_matches(name, known, n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def _shown(value: Any) -> str:
+    """A value as a message quotes it: the beginning of one that would fill a screen."""
+    text = repr(value)
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}... ({len(text)} characters)"

@@ -19,6 +19,8 @@ from cloth_sim_ros.scene.parameters import ParameterError
 KEY = "ros__parameters"
 #: No parameter's name has so many parts.
 _DEEPEST = 100
+#: Nor has its name, or that of a node, so many characters.
+_LONGEST = 1000
 _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|\*\*?)"
 #: What ROS takes as the name of a section.
 _NAME = re.compile(rf"/?(?:{_PART}/)*{_PART}")
@@ -115,6 +117,8 @@ class _Reader:
         key = _scalar_text(self._event) if self._is("Scalar") else ""
         if not key:
             raise self._trouble("a key that is no name; write 'name: value'")
+        if len(key) > _LONGEST:
+            raise self._trouble(f"a name of {len(key)} characters; the limit is {_LONGEST}")
         return key
 
     def _names(self, above: tuple[str, ...]) -> None:

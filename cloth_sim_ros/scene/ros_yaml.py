@@ -28,6 +28,8 @@ _HEXADECIMAL = re.compile(r"[-+]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-
 _NAMED = re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE)
 #: Most values and keys of a file, those that aliases repeat included, and the deepest nesting.
 MOST_NODES, _DEEPEST = 250_000, 100
+#: Longest value of a study, a script or a table [characters].
+_LONGEST = 10_000
 _INT_END = 1 << 63
 #: No whole number of 64 bits has as many, unless it begins with noughts.
 _MOST_DIGITS = 1000
@@ -95,6 +97,8 @@ def check_size(text: str, *, most: int = MOST_NODES) -> None:
             anchor, nodes = None, anchors[event.anchor]
         elif isinstance(event, yaml.ScalarEvent):
             anchor, nodes = event.anchor, 1
+            if len(event.value) > _LONGEST:
+                raise yaml.YAMLError(f"it has a value of {len(event.value)} characters; the limit is {_LONGEST}")
         else:
             continue
         if anchor is not None:

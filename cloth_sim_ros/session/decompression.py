@@ -8,12 +8,16 @@ announces is: no more than that is ever unpacked, and no chunk may announce more
 
 from __future__ import annotations
 
+import io
+
 from cloth_sim_ros.session.errors import SessionError
 
 #: Largest size of a chunk's content [bytes]. Recorders close chunks at some megabytes.
 MOST_BYTES = 256 << 20
 #: Largest window that a zstd frame may ask for, beside its content [bytes]; levels up to 19 take 8 MiB.
 _MOST_WINDOW = 32 << 20
+#: What lz4 is given, and what it gives, at a time [bytes].
+_PIECE, _UNPACKED = 1 << 20, 8 << 20
 
 
 class DecompressionError(ValueError):
@@ -54,12 +58,21 @@ def _lz4(payload: bytes, size: int) -> bytes:
         import lz4.frame
     except ImportError:
         raise SessionError("the session is compressed with lz4; install the Python package lz4") from None
+    # In pieces: the library doubles its room as it goes, and copies what it has not read yet.
+    content, decompressor = io.BytesIO(), lz4.frame.LZ4FrameDecompressor()
     try:
-        # One byte more than announced tells content that is longer.
-        content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(payload, max_length=size + 1)
+        for begin in range(0, len(payload), _PIECE):
+            piece = payload[begin : begin + _PIECE]
+            while not decompressor.eof and content.tell() <= size:
+                content.write(decompressor.decompress(piece, max_length=_UNPACKED))
+                piece = b""
+                if decompressor.needs_input:
+                    break
     except RuntimeError as error:
         raise DecompressionError(f"does not decompress: {error}") from error
-    return content
+    if not decompressor.eof and content.tell() <= size:
+        raise DecompressionError("does not decompress: its lz4 frame is cut off")
+    return content.getvalue()
 
 
 def _zstd(payload: bytes, size: int) -> bytes:

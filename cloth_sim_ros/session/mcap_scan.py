@@ -29,8 +29,12 @@ _MESSAGE = struct.Struct("<HIQQ")
 MESSAGE_HEAD = _MESSAGE.size
 """Bytes of a message's body before its data."""
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
-#: Largest record [bytes]: a chunk that is not compressed, its head, or an attached file.
-_MOST_BODY = MOST_BYTES + (1 << 10)
+#: Largest record [bytes]: a chunk that is not compressed with its head; and of other kinds.
+_MOST_BODY, _MOST_OTHER = MOST_BYTES + (1 << 10), 64 << 20
+#: A record that is counted beside its chunk [bytes].
+_LARGE = 8 << 20
+#: Largest attached file [bytes].
+MOST_ATTACHED = 128 << 20
 _KNOWN_OPCODES = range(1, 16)
 _PRIVATE_OPCODES = range(0x80, 0x100)
 _CHUNK_OPCODES = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.MESSAGE), *_PRIVATE_OPCODES))
@@ -38,6 +42,8 @@ _CHUNK_OPCODES = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.
 # Opcode, length below 4 GiB, times, sizes, checksum, name of the compression.
 _CHUNK_PATTERN = re.compile(rb"(?=\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))", re.DOTALL)
 _CHUNK_PATTERN_SIZE = 48
+#: Most bytes of an attachment before its content: times, name and type.
+_MOST_HEAD = 1 << 16
 _SEARCH_WINDOW = 1 << 20
 #: What a search may read and unpack of chunks that turn out to be none, beside the file's size [bytes].
 _MOST_TRIED = 512 << 20
@@ -171,19 +177,21 @@ def check_index(file: BinaryIO, place: RecordPlace) -> None:
 
 
 def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
-    """The bytes of a record after its length."""
-    size = file.seek(0, 2)
-    if place.end > size:
-        raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
-    if place.body_size > _MOST_BODY:
-        raise DamagedRecordError(
-            f"the record at byte {place.offset} has {place.body_size} bytes, the limit is {_MOST_BODY}"
-        )
+    """The bytes of a record after its length. Raises DamagedRecordError for one that is cut off or too large."""
+    _check_place(file, place, _MOST_BODY if place.opcode == Opcode.CHUNK else _MOST_OTHER)
     file.seek(place.offset + _RECORD_HEAD.size)
     body = file.read(place.body_size)
     if len(body) < place.body_size:
         raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
     return body
+
+
+def _check_place(file: BinaryIO, place: RecordPlace, most: int) -> None:
+    """Check a record's length before so much is read."""
+    if place.end > file.seek(0, 2):
+        raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
+    if place.body_size > most:
+        raise DamagedRecordError(f"the record at byte {place.offset} has {place.body_size} bytes, the limit is {most}")
 
 
 def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
@@ -229,6 +237,11 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
             raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of opcode {opcode}")
         if end > len(raw) or (opcode == Opcode.MESSAGE and size < _MESSAGE.size):
             raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of {size} bytes too many")
+        if len(raw) + size > MOST_BYTES and size > _LARGE:
+            raise DamagedRecordError(
+                f"the chunk at byte {chunk.place.offset} has {len(raw)} bytes and a record of {size}; together the "
+                f"limit is {MOST_BYTES}"
+            )
         if opcode == Opcode.MESSAGE:
             fields = (*_MESSAGE.unpack_from(raw, start), raw[start + _MESSAGE.size : end])
             yield slice(position, end), RawMessage._make(fields)
@@ -239,20 +252,48 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
         position = end
 
 
+def parse_message(body: bytes, offset: int) -> RawMessage:
+    """A message that lies outside of chunks, from its bytes. Raises DamagedRecordError."""
+    if len(body) < _MESSAGE.size:
+        raise DamagedRecordError(f"the message at byte {offset} is cut off")
+    return RawMessage._make((*_MESSAGE.unpack_from(body), body[_MESSAGE.size :]))
+
+
 def read_metadata(file: BinaryIO, place: RecordPlace) -> Metadata:
     """A metadata record. Raises DamagedRecordError."""
     return parse_record(Metadata, read_body(file, place), place.offset)
 
 
 def read_attachment(file: BinaryIO, place: RecordPlace) -> Attachment:
-    """An attachment, its checksum verified. Raises DamagedRecordError."""
-    body = read_body(file, place)
-    if len(body) < 4:
-        raise DamagedRecordError(f"the attachment at byte {place.offset} is too short")
-    (crc,) = struct.unpack_from("<I", body, len(body) - 4)
-    if crc and zlib.crc32(memoryview(body)[:-4]) != crc:
+    """An attachment, its checksum verified; its content is held once. Raises DamagedRecordError."""
+    _check_place(file, place, MOST_ATTACHED + _MOST_HEAD)
+    file.seek(place.offset + RECORD_HEAD)
+    head = file.read(min(place.body_size, _MOST_HEAD))
+    try:
+        times = struct.unpack_from("<QQ", head)
+        name, position = _text(head, 16)
+        media_type, position = _text(head, position)
+        (size,) = struct.unpack_from("<Q", head, position)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise DamagedRecordError(f"the Attachment record at byte {place.offset} does not parse: {error}") from error
+    start = position + 8
+    if start + size + 4 != place.body_size:
+        raise DamagedRecordError(f"the attachment at byte {place.offset} does not hold the {size} bytes it announces")
+    file.seek(place.offset + RECORD_HEAD + start)
+    data = file.read(size)
+    (crc,) = struct.unpack("<I", file.read(4))
+    if crc and zlib.crc32(data, zlib.crc32(head[:start])) != crc:
         raise DamagedRecordError(f"the attachment at byte {place.offset} fails its checksum")
-    return parse_record(Attachment, body, place.offset)
+    return Attachment(log_time=times[0], create_time=times[1], name=name, media_type=media_type, data=data)
+
+
+def _text(body: bytes, position: int) -> tuple[str, int]:
+    """A text with its length before it, and where it ends."""
+    (size,) = struct.unpack_from("<I", body, position)
+    text = body[position + 4 : position + 4 + size]
+    if len(text) < size:
+        raise struct.error("a text is cut off")
+    return text.decode(), position + 4 + size
 
 
 def read_summary(file: BinaryIO) -> Summary | None:
@@ -272,6 +313,10 @@ def read_summary(file: BinaryIO) -> Summary | None:
         return None
     if not len(MAGIC) <= footer.summary_start <= size - _FOOTER_SIZE:
         raise DamagedRecordError(f"the footer names byte {footer.summary_start} of a file of {size} bytes")
+    if size - footer.summary_start > _MOST_OTHER:
+        raise DamagedRecordError(
+            f"the indexes at the file's end have {size - footer.summary_start} bytes, the limit is {_MOST_OTHER}"
+        )
     file.seek(footer.summary_start)
     raw = file.read(size - _FOOTER_SIZE - footer.summary_start)
     if footer.summary_crc and zlib.crc32(tail[:25], zlib.crc32(raw)) != footer.summary_crc:
@@ -287,6 +332,8 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
     position = 0
     while position + _RECORD_HEAD.size <= len(raw):
         opcode, size = _RECORD_HEAD.unpack_from(raw, position)
+        if opcode == 0:
+            raise DamagedRecordError(f"byte {offset + position} begins no record (opcode 0)")
         body = raw[position + _RECORD_HEAD.size : position + _RECORD_HEAD.size + size]
         place = offset + position
         if opcode == Opcode.SCHEMA:

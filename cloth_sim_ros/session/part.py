@@ -23,6 +23,7 @@ from cloth_sim_ros.session.data_section import (
     opening_places,
     read_bare,
 )
+from cloth_sim_ros.session.decompression import MOST_BYTES
 from cloth_sim_ros.session.errors import DamagedSessionError, SessionError
 from cloth_sim_ros.session.mcap_scan import (
     RECORD_HEAD,
@@ -89,6 +90,7 @@ class SessionPart:
         self.attachments: dict[str, Attachment] = {}
         """By name; ``scene.yaml`` and ``state.npz`` are always there."""
         self._strict = strict
+        self._attached = 0
         self._summary: Summary | None = None
         self._summary_damage: list[str] = []
         self._schemas: dict[int, Schema] = {}
@@ -311,6 +313,11 @@ class SessionPart:
         elif place.opcode == Opcode.ATTACHMENT:
             attachment = read_attachment(self._file, place)
             self.attachments[attachment.name] = attachment
+            self._attached += len(attachment.data)
+            if self._attached > MOST_BYTES:
+                raise DamagedRecordError(
+                    f"the attachments up to byte {place.end} have {self._attached} bytes, the limit is {MOST_BYTES}"
+                )
 
     def _read_end_notes(self, record: Metadata, place: RecordPlace) -> None:
         if record.metadata.get("checksum") != metadata_checksum(record.metadata):

@@ -9,6 +9,8 @@ from typing import Any
 
 #: Largest text [bytes]: a list of lists takes twenty times its text.
 MOST_BYTES = 8 << 20
+#: Most values of a text, and most lists and objects among them.
+_MOST_VALUES, _MOST_GROUPS = 4_000_000, 1_500_000
 _DEEPEST = 64
 
 
@@ -26,11 +28,15 @@ def loads(text: str, *, most: int = MOST_BYTES, **hooks: Any) -> Any:
     """
     if len(text) > most:
         raise ValueError(f"it has {len(text)} characters, the limit is {most}")
+    groups = text.count("[") + text.count("{")
+    values = groups + text.count(",")
+    if groups > _MOST_GROUPS or values > _MOST_VALUES:
+        raise ValueError(f"it has {values} values, the limit is {_MOST_VALUES}")
     try:
         content = json.loads(text, **hooks)
     except RecursionError:
         raise ValueError(f"it is nested more than {_DEEPEST} deep") from None
-    if text.count("[") + text.count("{") > _DEEPEST:
+    if groups > _DEEPEST:
         _check_depth(content)
     if "\\u" in text:
         try:

@@ -140,7 +140,7 @@ def _index(part: SessionPart, chunk: Chunk) -> PackedChunk:
 
     indexes: dict[int, list[int]] = defaultdict(list)
     times: list[int] = []
-    kept: list[bytes] = []
+    kept: list[slice] = []
     undeclared = set()
     size = 0
     for place, item in chunk_records(chunk):
@@ -152,13 +152,14 @@ def _index(part: SessionPart, chunk: Chunk) -> PackedChunk:
         else:
             indexes[item.channel] += (item.log_time, size)
             times.append(item.log_time)
-        kept.append(chunk.raw[place])
+        kept.append(place)
         size += place.stop - place.start
     payload, content, crc = chunk.payload, chunk.raw, chunk.crc
     if undeclared:
         for number in sorted(undeclared):
             part.note_undeclared(number, chunk.place)
-        content = b"".join(kept)
+        raw = memoryview(chunk.raw)
+        content = b"".join(raw[place] for place in kept)
         payload = compressor(chunk.compression)(content)
     if undeclared or not chunk.checked:
         crc = zlib.crc32(content)

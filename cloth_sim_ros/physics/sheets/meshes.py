@@ -33,6 +33,8 @@ from cloth_sim_ros.physics.sheets.surface import Surface, SurfaceError
 FLATNESS = 1e-6
 #: The largest coordinate [m] and the smallest extent of a whole mesh [m] that are taken for a cloth's in metres.
 FARTHEST, SMALLEST = 1e6, 1e-6
+#: Most work on corners tried in vain, of all faces of a mesh: the corners of the face for each, and what any costs.
+_MOST_TRIED, _TRY = 3_000_000, 64
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -174,6 +176,7 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
         SurfaceError: for a polygon of fewer than three corners, a corner out of range, or one no fan can fill.
     """
     triangles: list[Sequence[int]] = []
+    tried = 0
     for number, polygon in enumerate(polygons):
         if len(polygon) == 3:
             triangles.append(polygon)
@@ -182,7 +185,14 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
             raise SurfaceError(f"face {number} is {list(polygon)}; a face has at least 3 corners")
         if min(polygon) < 0 or max(polygon) >= len(positions):
             raise SurfaceError(f"face {number} is {list(polygon)}; vertices are 0 to {len(positions) - 1}")
-        begin = _fan_corner(positions[list(polygon)])
+        begin, vain = _fan_corner(positions[list(polygon)], (_MOST_TRIED - tried) // (len(polygon) + _TRY))
+        tried += vain * (len(polygon) + _TRY)
+        if tried > _MOST_TRIED:
+            raise SurfaceError(
+                f"face {number} has {len(polygon)} corners and is concave, and too many corners of faces have been tried "
+                f"for a fan of triangles (limit {_MOST_TRIED}); cut such faces into triangles in the program that made "
+                "them"
+            )
         if begin is None:
             raise SurfaceError(
                 f"face {number}, of vertices {list(polygon)}, at {positions[polygon[0]].tolist()}, is too concave or "
@@ -193,24 +203,29 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
     return np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
-def _fan_corner(corners: Array) -> int | None:
-    """The first of a polygon's corners (k, 3) to fan it from with no triangle outside; None if there is none."""
+def _fan_corner(corners: Array, most: int) -> tuple[int | None, int]:
+    """The first of a polygon's corners (k, 3) to fan it from with no triangle outside, and how many were tried in vain.
+
+    None for a corner if there is none, or if more than `most` were tried in vain.
+    """
     best, best_share = 0, -np.inf
     for begin in range(len(corners)):
+        if begin > most:
+            return None, begin
         arms = np.roll(corners, -begin, axis=0)[1:] - corners[begin]
         with np.errstate(invalid="ignore", over="ignore"):
             areas = np.cross(arms[:-1], arms[1:])
             whole = in_rows(areas)
             size = in_order((whole * whole).tolist())
         if not (0 < size < np.inf):
-            return 0  # without an area or not finite: the check of the triangles names the place
+            return 0, begin  # without an area or not finite: the check of the triangles names the place
         share = float(in_rows((areas * whole).T).min() / size)
         if share > FLATNESS:
-            return begin
+            return begin, begin
         if share > best_share + FLATNESS:
             best, best_share = begin, share
     # a corner given twice leaves a triangle without area in every fan
-    return best if best_share > -FLATNESS else None
+    return (best if best_share > -FLATNESS else None), len(corners)
 
 
 def _check_size(points: Array, faces: NDArray[np.int64]) -> None:

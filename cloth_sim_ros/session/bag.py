@@ -1,0 +1,69 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of an MCAP that is no session, such as a robot's bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from cloth_sim_ros.session.errors import DamagedSessionError
+from cloth_sim_ros.session.mcap_builder import MAGIC
+from cloth_sim_ros.session.mcap_scan import (
+    DamagedRecordError,
+    RawMessage,
+    chunk_records,
+    parse_message,
+    parse_record,
+    place_at,
+    read_body,
+    read_chunk,
+)
+from cloth_sim_ros.session.opening import open_file
+
+
+def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
+    """Topic, type, log time [ns] and CDR bytes of each message with an encoding `cdr`, in the order of the file.
+
+    Raises:
+        SessionError: if it can't be read, or is damaged.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    with open_file(path) as file:
+        try:
+            for item in _records(file):
+                if isinstance(item, Schema):
+                    schemas[item.id] = item
+                elif isinstance(item, Channel):
+                    channels[item.id] = item
+                else:
+                    channel = channels.get(item.channel)
+                    schema = None if channel is None else schemas.get(channel.schema_id)
+                    if channel is not None and schema is not None and channel.message_encoding == "cdr":
+                        yield channel.topic, schema.name, item.log_time, item.data
+        except DamagedRecordError as error:
+            raise DamagedSessionError(f"{path} can't be read as MCAP: {error}; mend it first") from error
+
+
+def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:
+    """Declarations and messages, in chunks or without."""
+    position = len(MAGIC)
+    while (place := place_at(file, position)) is not None:
+        position = place.end
+        if place.opcode == Opcode.CHUNK:
+            for _, item in chunk_records(read_chunk(file, place)):
+                yield item
+        elif place.opcode == Opcode.MESSAGE:
+            yield parse_message(read_body(file, place), place.offset)
+        elif place.opcode == Opcode.SCHEMA:
+            yield parse_record(Schema, read_body(file, place), place.offset)
+        elif place.opcode == Opcode.CHANNEL:
+            yield parse_record(Channel, read_body(file, place), place.offset)
+        elif place.opcode == Opcode.DATA_END:
+            return
+    raise DamagedRecordError(f"it ends at byte {position} or later, without the end of its data")

@@ -1,0 +1,156 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small files that ask for much memory or time, and a process that is measured while it reads one."""
+
+from __future__ import annotations
+
+import io
+import struct
+import subprocess
+import time
+import zipfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+_CHUNK, _MESSAGE = 6, 5
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    """An MCAP record."""
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def chunk(payload: bytes, compression: str, size: int, crc: int = 0) -> bytes:
+    """A chunk record that announces a size of its content."""
+    name = compression.encode()
+    head = struct.pack("<QQQII", 0, 0, size, crc, len(name)) + name
+    return record(_CHUNK, head + struct.pack("<Q", len(payload)) + payload)
+
+
+def opening(session: Path) -> bytes:
+    """The bytes of a session before its first chunk."""
+    from cloth_sim_ros.session.mcap_scan import place_at
+
+    with session.open("rb") as file:
+        position = 8
+        while (place := place_at(file, position)) is not None and place.opcode != _CHUNK:
+            position = place.end
+        file.seek(0)
+        return file.read(position)
+
+
+def zstd_zeros(size: int) -> bytes:
+    """Zeros, compressed by a hundred thousand."""
+    import zstandard
+
+    compressor = zstandard.ZstdCompressor(level=19).compressobj()
+    pieces = [compressor.compress(bytes(1 << 20)) for _ in range(size >> 20)]
+    return b"".join([*pieces, compressor.flush()])
+
+
+def lz4_zeros(size: int) -> bytes:
+    """Zeros, compressed, whose frame does not tell their size."""
+    import lz4.frame
+
+    with lz4.frame.LZ4FrameCompressor(block_size=lz4.frame.BLOCKSIZE_MAX4MB) as compressor:
+        pieces = [compressor.begin()]
+        pieces += [compressor.compress(bytes(1 << 22)) for _ in range(size >> 22)]
+        return b"".join([*pieces, compressor.flush()])
+
+
+def false_heads(size: int) -> bytes:
+    """Heads of chunks, each of which claims all that follows as its content."""
+    head = 9 + 32 + 8
+    count = size // head
+    out = bytearray()
+    for k in range(count):
+        rest = (count - k - 1) * head
+        out += chunk(b"", "", rest, crc=1)[:-8] + struct.pack("<Q", rest)
+        struct.pack_into("<Q", out, k * head + 1, 40 + rest)
+    return bytes(out)
+
+
+def npz_zeros(size: int) -> bytes:
+    """A state whose positions are so many bytes of zeros, deflated."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in ("position", "velocity"):
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                shape = (3, size // 48)
+                np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": shape})
+                left = 24 * shape[1]
+                while left:
+                    entry.write(bytes(min(left, 1 << 22)))
+                    left -= min(left, 1 << 22)
+        with archive.open("frame.npy", "w") as entry:
+            np.lib.format.write_array(entry, np.array(0))
+    return buffer.getvalue()
+
+
+def npy_of_shape(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
+    """A state whose positions have a header of a shape, and no content."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive, archive.open("position.npy", "w") as entry:
+        np.lib.format.write_array_header_1_0(entry, {"descr": descr, "fortran_order": False, "shape": shape})
+    return buffer.getvalue()
+
+
+def laughs(levels: int = 9) -> str:
+    """Aliases that stand for 10 to so many-th texts."""
+    lines = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, levels)]
+    return "\n".join(lines) + f"\nscene: *a{levels - 1}\n"
+
+
+def many_cornered_face(corners: int) -> bytes:
+    """An OBJ file of one face that no fan fills: a comb."""
+    lines = []
+    for k in range(corners):
+        lines.append(f"v {k * 1e-3} {(k % 2) * 0.5 if 0 < k < corners - 1 else -1.0} 0")
+    return ("\n".join(lines) + "\nf " + " ".join(str(k + 1) for k in range(corners)) + "\n").encode()
+
+
+def sparse(path: Path, size: int, start: bytes = b"") -> Path:
+    """A file that claims a size and takes no room on the disk."""
+    with path.open("wb") as file:
+        file.write(start)
+        file.truncate(size)
+    return path
+
+
+class Measured(NamedTuple):
+    """How a command took a file."""
+
+    status: int
+    said: str
+    seconds: float
+    memory: float
+    """Peak of its resident memory [MB]."""
+
+
+def measure(arguments: list[str], folder: Path, *, limit: float = 60.0) -> Measured:
+    """Run a command as a process of its own and measure it."""
+    begun = time.perf_counter()
+    with (folder / "said.log").open("w+b") as said:
+        process = subprocess.Popen(arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        memory = 0.0
+        while (status := process.poll()) is None:
+            memory = max(memory, _peak(process.pid))
+            if time.perf_counter() - begun > limit:
+                process.kill()
+            time.sleep(0.01)
+        said.seek(0)
+        words = said.read(1 << 20).decode(errors="replace")
+    return Measured(status, words, time.perf_counter() - begun, memory)
+
+
+def _peak(pid: int) -> float:
+    """Peak of a process's resident memory so far [MB]."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0.0
+    words = [line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:")]
+    return int(words[0]) / 1e3 if words else 0.0
