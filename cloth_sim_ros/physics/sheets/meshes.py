@@ -189,7 +189,7 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
         tried += vain * (len(polygon) + _TRY)
         if tried > _MOST_TRIED:
             raise SurfaceError(
-                f"face {number} has {len(polygon)} corners and is concave, and too many corners of faces have been tried "
+                f"face {number} has {len(polygon)} corners and is concave; too many corners of faces were tried "
                 f"for a fan of triangles (limit {_MOST_TRIED}); cut such faces into triangles in the program that made "
                 "them"
             )
