@@ -95,6 +95,7 @@ soak: $(DEV) engines
 	@$(BIN)/python -m pytest -m soak --timeout 0 -s $(ARGS)
 	@$(BIN)/python -m pytest -m hypothesis --hypothesis-profile random $(ARGS)
 	@$(BIN)/python test/soak_session_kills.py --count 500
+	@$(BIN)/python test/soak_files.py --count 500
 	@$(BIN)/python test/soak_verify.py --sessions 200
 	@$(BIN)/python test/soak_accuracy.py --sessions 30
 	@$(BIN)/python test/soak_contact.py --steps 1000000

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cloth_sim_ros.session.console import escape_unencodable
+
 if TYPE_CHECKING:
     from cloth_sim_ros.batch.fit import Fit
     from cloth_sim_ros.batch.fit_recording import Recording
@@ -31,6 +33,7 @@ _DESCRIPTION = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; its exit status."""
+    escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.plot is not None and importlib.util.find_spec("matplotlib") is None:

@@ -32,6 +32,8 @@ COLUMNS = {
 }
 #: Before the names of outcomes, so that none can be taken for a parameter.
 OUTCOME = "outcome."
+#: Most bytes of an index once it is read, and most cells: a cell that repeats the one before takes nothing on the disk.
+_MOST_BYTES, _MOST_CELLS = 256 << 20, 20_000_000
 
 
 def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
@@ -78,8 +80,9 @@ def read(place: StudyFolder) -> pa.Table:
         raise StudyError(f"{place.path} is no study's folder: study.json is missing")
     try:
         if place.index.is_file():
-            return pq.read_table(place.index)
-    except (OSError, pa.ArrowInvalid) as error:
+            _check_size(place)
+            return _checked(pq.read_table(place.index))
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise StudyError(f"cannot read {place.index}: {error} Remove it: the rows have all that it had") from error
     return table_of(place.rows())
 
@@ -95,3 +98,31 @@ def _column(values: list[Any]) -> pa.Array:
         return pa.array(values)
     except (pa.ArrowInvalid, pa.ArrowTypeError):
         return pa.array([None if value is None else json.dumps(value) for value in values])
+
+
+def _check_size(place: StudyFolder) -> None:
+    """Refuse an index that would take too much memory.
+
+    Raises:
+        ValueError: naming the limit.
+    """
+    import pyarrow.parquet as pq
+
+    held = pq.read_metadata(place.index)
+    size = sum(held.row_group(k).total_byte_size for k in range(held.num_row_groups))
+    cells = held.num_rows * held.num_columns
+    if size > _MOST_BYTES or cells > _MOST_CELLS:
+        raise ValueError(f"it has {cells} cells and {size} bytes; the limits are {_MOST_CELLS} and {_MOST_BYTES}.")
+
+
+def _checked(table: pa.Table) -> pa.Table:
+    """The table, if it is an index.
+
+    Raises:
+        ValueError: if it lacks a column, or has one of another type or with values missing.
+    """
+    for name, kind in COLUMNS.items():
+        found = str(table.schema.field(name).type) if name in table.column_names else "none"
+        if found not in (kind, "double" if kind == "float64" else kind):
+            raise ValueError(f"its column '{name}' is of type {found}, not {kind}.")
+    return table

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cloth_sim_ros.batch.errors import StoppedError, StudyError
+from cloth_sim_ros.session.console import escape_unencodable
 
 #: Exit statuses: every run went well; some did not, or the study had to stop; bad input; a signal.
 WELL, NOT_ALL, REFUSED, INTERRUPTED = 0, 1, 2, 130
@@ -20,6 +21,7 @@ _COMMANDS = ("check", "view", "export")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; its exit status."""
+    escape_unencodable()
     given = list(sys.argv[1:] if arguments is None else arguments)
     name = given[0] if given and given[0] in _COMMANDS else "run"
     parser = {"run": _run_parser, "check": _check_parser, "view": _view_parser, "export": _export_parser}[name]()

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cloth_sim_ros.replay.viewer import ViewerError
+from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 
 #: Exit statuses: what was asked for was done; it cannot be done here; the session or the command line is at fault.
@@ -23,6 +24,7 @@ _LONGEST = 9e9
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; its exit status."""
+    escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
     _check(parser, options)

@@ -5,7 +5,11 @@
 from __future__ import annotations
 
 import io
+import lzma
+import struct
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.session.errors import SessionError
+
+#: Most bytes of a state's arrays together, whatever they are compressed to.
+_MOST_BYTES = 128 << 20
+#: What numpy's and Python's readers raise for damaged archives.
+_DAMAGE = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError, SyntaxError, MemoryError),
+    *(OSError, ValueError, TypeError, LookupError, EOFError, OverflowError, RuntimeError),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +78,16 @@ class Opening:
 
 def read_opening(scene_yaml: str, state: bytes) -> Opening:
     """Read scene.yaml and state.npz. Raises SessionError if they are none."""
+    try:
+        return _opening(scene_yaml, state)
+    except (ValueError, TypeError, LookupError, OverflowError) as error:
+        # Either may be whole and hold values of other types and shapes than its names say.
+        raise SessionError(
+            f"scene.yaml or state.npz of the session is not one that cloth_sim wrote: {error}"
+        ) from error
+
+
+def _opening(scene_yaml: str, state: bytes) -> Opening:
     values = _parameters(scene_yaml)
     arrays = _arrays(state)
     names = [name for name in _texts(values.get("grippers")) if name]
@@ -114,9 +136,12 @@ def _parameters(text: str) -> dict[str, Any]:
     import yaml
 
     try:
+        for event in yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+            if isinstance(event, yaml.AliasEvent):
+                raise yaml.YAMLError("it has an alias, which ROS does not read")
         tree = yaml.safe_load(text)
         content = next(iter(tree.values()))["ros__parameters"]
-    except (yaml.YAMLError, AttributeError, StopIteration, KeyError, TypeError) as error:
+    except (yaml.YAMLError, AttributeError, StopIteration, LookupError, TypeError, ValueError, RecursionError) as error:
         raise SessionError(f"scene.yaml of the session is no ROS parameter file: {error}") from error
     values: dict[str, Any] = {}
     waiting = [("", content)]
@@ -132,7 +157,11 @@ def _parameters(text: str) -> dict[str, Any]:
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > _MOST_BYTES:
+            raise SessionError(f"state.npz of the session has arrays of {size} bytes, the limit is {_MOST_BYTES}")
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except (zipfile.BadZipFile, OSError, ValueError, EOFError) as error:
+    except _DAMAGE as error:
         raise SessionError(f"state.npz of the session is not readable: {error}") from error

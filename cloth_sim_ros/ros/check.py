@@ -25,6 +25,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -41,6 +42,7 @@ def main(arguments: Sequence[str]) -> int:
     Returns:
         Exit status: 0, or 1 where the node would refuse the file, 130 if a signal ended it.
     """
+    escape_unencodable()
     options = parser().parse_args(arguments)
     try:
         status = check(options.check, node=options.node)

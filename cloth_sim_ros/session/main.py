@@ -10,12 +10,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.words import counted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 1 if the session lacks something, 2 if it cannot be done."""
+    escape_unencodable()
     options = _parser().parse_args(arguments)
     try:
         status: int = options.run(options)

@@ -95,6 +95,8 @@ _KINDS: dict[str, type] = {
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 #: Names of the fields of each kind: recorded runs have events in most frames.
 _FIELDS = {kind: tuple(field.name for field in attrs.fields(kind)) for kind in _NAMES}
+#: Types of fields that are taken as they are.
+_TYPES = {"gripper": str, "obstacle": str, "values": dict, "paused": bool}
 #: What comes before the rest: made once, for a union of types takes longer to make than to ask for.
 _FIRST = (Target, Move, Grasp)
 
@@ -137,11 +139,14 @@ def from_dict(data: dict[str, Any]) -> Event:
     """
     fields = dict(data)
     kind = fields.pop("kind", None)
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"event of unknown kind {kind!r}; known are {', '.join(_KINDS)}")
+    for name, wanted in _TYPES.items():
+        if name in fields and not isinstance(fields[name], wanted):
+            raise ValueError(f"event {data} does not fit '{kind}': {name} must be of type {wanted.__name__}")
     try:
         event: Event = _KINDS[kind](**fields)
-    except TypeError as error:
+    except (TypeError, OverflowError) as error:
         raise ValueError(f"event {data} does not fit '{kind}': {error}") from error
     return event
 

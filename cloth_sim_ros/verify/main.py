@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.outputs import OutputError, check_outputs, written_whole
 from cloth_sim_ros.session.reader import SessionReader, by_session
@@ -39,6 +40,7 @@ _GRAVITY = (SAME, OTHER_ARITHMETIC, NOT_KEPT, DIFFERENT, UNREADABLE)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; its exit status."""
+    escape_unencodable()
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
         description="Run recorded sessions again from their own snapshots and events, and compare every message. "

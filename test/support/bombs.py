@@ -41,6 +41,13 @@ def opening(session: Path) -> bytes:
         return file.read(position)
 
 
+def zstd(content: bytes) -> bytes:
+    """Content, compressed."""
+    import zstandard
+
+    return bytes(zstandard.ZstdCompressor().compress(content))
+
+
 def zstd_zeros(size: int) -> bytes:
     """Zeros, compressed by a hundred thousand."""
     import zstandard
