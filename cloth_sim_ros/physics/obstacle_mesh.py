@@ -93,7 +93,8 @@ def _check_arrays(vertices: Array, triangles: NDArray[np.int64], most: float) ->
     bad = np.flatnonzero(~(np.abs(vertices) <= most).all(axis=1))
     if bad.size:
         raise ValueError(
-            f"vertex {bad[0]} is {vertices[bad[0]].tolist()} m; its coordinates must be finite, none beyond {most:g} m"
+            f"vertex {bad[0]} is {vertices[bad[0]].tolist()} m; its coordinates must be finite, none beyond "
+            f"{most:g} m; if its file is not in metres, set the obstacle's scale"
         )
     wrong = np.flatnonzero(((triangles < 0) | (triangles >= len(vertices))).any(axis=1))
     if wrong.size:

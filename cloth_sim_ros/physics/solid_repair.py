@@ -15,7 +15,6 @@ closed in four steps, which move its surface by no more than the flatness of the
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from itertools import pairwise
 
@@ -30,6 +29,8 @@ from cloth_sim_ros.physics.sheets.seams import near_edges
 
 #: How far from an edge a vertex lies on it, as a share of its length: flat triangles may lie on one another.
 _ON_EDGE = 4.0 * FLATNESS
+#: Coordinates beyond this have no volume in double precision: such a mesh is left to the checks of an obstacle.
+_MAX_COORDINATE = 1e100
 #: Rounds of the steps: one splits each triangle along one side.
 _MAX_ROUNDS = 12
 
@@ -37,7 +38,7 @@ _MAX_ROUNDS = 12
 def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
     """Tell whether a mesh of vertices (m, 3) and triangles (t, 3) encloses a volume as it is."""
     try:
-        check_closed(vertices, triangles, sys.float_info.max)
+        check_closed(vertices, triangles, _MAX_COORDINATE)
     except ValueError:
         return False
     return True
@@ -64,7 +65,7 @@ def closed_solid(
     Returns:
         Vertices and triangles that are left, and a sentence on each step that changed something.
     """
-    if not np.isfinite(vertices).all():
+    if not np.all(np.abs(vertices) <= _MAX_COORDINATE):
         return vertices, triangles, ()
     lowest = clusters(vertices, limit)
     merged = int(np.sum(lowest != np.arange(len(vertices))))

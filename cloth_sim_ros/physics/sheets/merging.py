@@ -26,6 +26,8 @@ SINGLE_PRECISION_SHARE = 1e-6
 _CROWD = 64
 #: Links that are collected before they are reduced to clusters.
 _PENDING = 1 << 22
+#: A direction, (1, these two), along which few vertices of a mesh lie side by side, and a bound of its length.
+_DIRECTION, _STRETCH = (0.7548776662466927, 0.5698402909980532), 1.4
 #: Factors that mix the three numbers of a cell into one.
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
@@ -64,21 +66,9 @@ def clusters(points: Array, limit: float) -> NDArray[np.int64]:
     lowest = np.arange(len(points))
     if not limit > 0.0 or len(points) < 2:
         return lowest
-    low = points.min(axis=0)
-    links: list[NDArray[np.int64]] = []
-    # Cells of two limits, in eight grids that are shifted by one: two linked vertices share a cell in one of them.
-    scaled = (points - low) / (2.0 * limit)
-    for shift in np.ndindex(2, 2, 2):
-        cell = np.floor(scaled + 0.5 * np.array(shift)).astype(np.int64).astype(np.uint64)
-        for one, two in _in_one_cell(np.bitwise_xor.reduce(cell * _MIX, axis=1)):
-            near = _square(points[one], points[two]) < limit * limit
-            if np.any(near):
-                links.append(np.stack((one[near], two[near]), axis=1))
-            if sum(map(len, links)) > _PENDING:
-                lowest = _lowest(links, len(points))
-                links = [np.stack((np.arange(len(points)), lowest), axis=1)]
-    if links:
-        lowest = _lowest(links, len(points))
+    near = _candidates(points, limit)
+    if near.size:
+        lowest[near] = near[_linked(points[near], limit)]
     wide = lowest[_square(points, points[lowest]) > 4.0 * limit * limit]
     if wide.size:
         apart = np.isin(lowest, wide)
@@ -86,33 +76,72 @@ def clusters(points: Array, limit: float) -> NDArray[np.int64]:
     return lowest
 
 
-def _lowest(links: list[NDArray[np.int64]], count: int) -> NDArray[np.int64]:
-    """Return the lowest vertex that each of `count` vertices is linked to, directly or through others."""
+def _candidates(points: Array, limit: float) -> NDArray[np.int64]:
+    """Vertices that may have another one closer than a limit: along one direction one is; ascending."""
+    x, y, z = (points - points.min(axis=0)).T
+    along = x + _DIRECTION[0] * y + _DIRECTION[1] * z
+    order = np.argsort(along, kind="stable")
+    close = np.diff(along[order]) < _STRETCH * limit
+    return np.sort(order[np.concatenate((close, [False])) | np.concatenate(([False], close))])
+
+
+def _linked(points: Array, limit: float) -> NDArray[np.int64]:
+    """Return the lowest vertex that each one is linked to, directly or through others, (n,)."""
+    lowest = np.arange(len(points))
+    # Cells of two limits, in eight grids that are shifted by one: two linked vertices share a cell in one of them.
+    scaled = (points - points.min(axis=0)) / (2.0 * limit)
+    for shift in np.ndindex(2, 2, 2):
+        cell = np.floor(scaled + 0.5 * np.array(shift)).astype(np.int64).astype(np.uint64)
+        order, first = _shared_cells(np.bitwise_xor.reduce(cell * _MIX, axis=1))
+        # Copies of one vertex are linked to the first in the cell; what is not is compared pair by pair.
+        lowest = _lowest(lowest, _closer(points, order, order[first], limit))
+        alone = np.flatnonzero(lowest[order] != lowest[order[first]])
+        compared = np.isin(first, first[alone])
+        order, first = order[compared], first[compared]
+        links: list[NDArray[np.int64]] = []
+        for away in range(1, _CROWD):
+            same = first[away:] == first[:-away]
+            if not np.any(same):
+                break
+            one, two = order[:-away][same], order[away:][same]
+            apart = lowest[one] != lowest[two]
+            links.append(_closer(points, one[apart], two[apart], limit))
+            if sum(map(len, links)) > _PENDING:
+                lowest = _lowest(lowest, *links)
+                links = []
+        if links:
+            lowest = _lowest(lowest, *links)
+    return lowest
+
+
+def _closer(points: Array, one: NDArray[np.int64], two: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
+    """Those pairs of vertices that are closer than a limit, (p, 2)."""
+    near = _square(points[one], points[two]) < limit * limit
+    return np.stack((one[near], two[near]), axis=1)
+
+
+def _lowest(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the lowest vertex that each one is linked to, given those so far, (n,), and further links, (p, 2) each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    one, two = np.concatenate(links).T
+    count = len(lowest)
+    one, two = np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)).T
     graph = coo_array((np.ones(len(one), dtype=np.int8), (one, two)), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)
     return first[label].astype(np.int64)
 
 
-def _in_one_cell(key: NDArray[np.uint64]) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Pairs of vertices with equal keys (n,), but of keys that no crowd has."""
+def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices that share a cell with others but with no crowd, cell by cell, and the place of their cell's first."""
     order = np.argsort(key, kind="stable")
     key = key[order]
     begins = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
     sizes = np.diff(np.append(begins, len(key)))
-    together = np.repeat((sizes > 1) & (sizes <= _CROWD), sizes)
-    order, key = order[together], key[together]
-    pairs = []
-    for away in range(1, _CROWD):
-        same = key[away:] == key[:-away]
-        if not np.any(same):
-            break
-        pairs.append((order[:-away][same], order[away:][same]))
-    return pairs
+    shared = (sizes > 1) & (sizes <= _CROWD)
+    order, sizes = order[np.repeat(shared, sizes)], sizes[shared]
+    return order, np.repeat(np.cumsum(sizes) - sizes, sizes)
 
 
 def _square(one: Array, two: Array) -> Array:

@@ -86,7 +86,7 @@ def checked_mesh(
     if scale != 1.0:
         points = points * scale
     try:
-        return _checked(points, faces, several, len(points) - copies - merged, repairs, notes)
+        mesh = _checked(points, faces, several, len(points) - copies - merged, repairs, unmerged=not merge)
     except SurfaceError as error:
         if not merged:
             raise
@@ -94,12 +94,22 @@ def checked_mesh(
             f"{error} ({_several(merged, 'vertex', 'vertices')} closer than {merge:.3g} to another merged with it; "
             "cloth.merge: false keeps them apart)"
         ) from error
+    return attrs.evolve(mesh, notes=tuple(notes))
 
 
 def _checked(
-    points: Array, faces: NDArray[np.int64], several: bool, distinct: int, repairs: list[str], notes: list[str]
+    points: Array, faces: NDArray[np.int64], several: bool, distinct: int, repairs: list[str], *, unmerged: bool
 ) -> CheckedMesh:
-    """Return the mesh of triangles whose corners are at places of their own; `distinct`: vertices left by merging."""
+    """Return the mesh of triangles whose corners are at places of their own.
+
+    Args:
+        points: vertices [m], (n, 3).
+        faces: triangles, (m, 3).
+        several: whether it may be of several pieces.
+        distinct: vertices left by merging.
+        repairs: sentences on what was mended, to which further ones are added.
+        unmerged: whether vertices at exactly one place alone were merged.
+    """
     _check_size(points, faces)
     faces = _without_slivers(points, faces, repairs)
     if len(faces) == 0:
@@ -114,6 +124,8 @@ def _checked(
     number[kept] = np.arange(len(kept))
     gap = open_seam(points, faces, border_edges(faces))
     seam = gap.describe(points) if gap is not None else ""
+    if gap is not None and unmerged and gap.distance < merge_limit(points[kept]):
+        seam += ", or set cloth.merge: true"
     try:
         surface = Surface.from_triangles(number[faces], particle_count=len(kept))
     except SurfaceError as error:
@@ -131,7 +143,7 @@ def _checked(
     if seam:
         repairs.append(seam)
     positions = np.ascontiguousarray(points[kept])
-    return CheckedMesh(positions=positions, surface=surface, kept=kept, repairs=tuple(repairs), notes=tuple(notes))
+    return CheckedMesh(positions=positions, surface=surface, kept=kept, repairs=tuple(repairs))
 
 
 def _merged(points: Array, faces: NDArray[np.int64], limit: float, notes: list[str]) -> tuple[NDArray[np.int64], int]:

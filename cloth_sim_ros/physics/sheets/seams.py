@@ -16,8 +16,11 @@ from cloth_sim_ros.physics.forces.force import Array
 
 #: Share of the local edge length below which two places of the border look joined.
 SEAM_SHARE = 0.01
-#: Neighbours of a border vertex, and pairs of edges and vertices, that are looked at.
-_NEIGHBOURS, _MAX_PAIRS = 8, 1 << 22
+#: Neighbours of a border vertex that are looked at.
+_NEIGHBOURS = 8
+#: Edges of the border, and pairs of an edge and a vertex, up to which vertices are looked for on edges: a border has a
+#: few thousand edges, and triangles that do not hang together have three each.
+_MAX_EDGES, _MAX_PAIRS = 10_000, 1 << 22
 
 
 @attrs.frozen(kw_only=True)
@@ -123,11 +126,14 @@ def near_edges(
     Returns:
         Edges and vertices, each (p,); none if there were more than can be looked at.
     """
+    none = np.zeros(0, dtype=np.int64)
+    if len(border) > _MAX_EDGES:
+        return none, none
     middles = 0.5 * (points[border[:, 0]] + points[border[:, 1]])
     radii = 0.5 * lengths
     counts = tree.query_ball_point(middles, radii, return_length=True)  # type: ignore[attr-defined]
     if counts.sum() > _MAX_PAIRS:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return none, none
     found = tree.query_ball_point(middles, radii, return_sorted=True)  # type: ignore[attr-defined]
     which = np.array([vertex for row in found for vertex in row], dtype=np.int64)
     return np.repeat(np.arange(len(border)), counts), which
