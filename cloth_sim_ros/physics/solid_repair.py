@@ -74,8 +74,8 @@ def closed_solid(
     for _ in range(_MAX_ROUNDS):
         if not len(triangles):
             break
-        triangles, needles = _without_needles(vertices, triangles)
-        thin = _flat(vertices, triangles)
+        triangles, needles = _without_needles(vertices, triangles, limit)
+        thin = _flat(vertices, triangles, limit)
         triangles = triangles[~thin]
         triangles, cuts = _split_edges(vertices, triangles, limit)
         flat += needles + int(thin.sum())
@@ -100,12 +100,13 @@ def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
     return lengths
 
 
-def _flat(vertices: Array, triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which triangles have no area, as `check_closed` does, (t,)."""
+def _flat(vertices: Array, triangles: NDArray[np.int64], limit: float) -> NDArray[np.bool_]:
+    """Tell which triangles have no area, as `check_closed` does, or none but for rounding, (t,)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     longest = _sides(vertices, triangles).max(axis=1)
-    flat: NDArray[np.bool_] = ~(np.sqrt((across * across).sum(axis=1)) > FLATNESS * longest * longest)
+    height = np.maximum(FLATNESS * longest, 2.0 * limit)
+    flat: NDArray[np.bool_] = ~(np.sqrt((across * across).sum(axis=1)) > height * longest)
     return flat
 
 
@@ -127,10 +128,10 @@ def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     return triangles[keep]
 
 
-def _without_needles(vertices: Array, triangles: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+def _without_needles(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
     """Merge the ends of the short side of flat triangles that have one; return the number of such triangles."""
     sides = _sides(vertices, triangles)
-    needle = _flat(vertices, triangles) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
+    needle = _flat(vertices, triangles, limit) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
     count = int(needle.sum())
     if not count:
         return triangles, 0
@@ -138,14 +139,19 @@ def _without_needles(vertices: Array, triangles: NDArray[np.int64]) -> tuple[NDA
     begin = np.argmin(sides[needle], axis=1)
     at = np.arange(count)
     ends = np.stack((rows[at, begin], rows[at, (begin + 1) % 3]), axis=1)
+    label = _connected(ends, len(vertices))
+    _, first = np.unique(label, return_index=True)
+    return _without_twins(first[label].astype(np.int64)[triangles]), count
+
+
+def _connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """A number for each of `count` vertices, the same for those that edges (e, 2) connect, (count,)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    size = len(vertices)
-    graph = coo_array((np.ones(count, dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
-    _, first = np.unique(label, return_index=True)
-    return _without_twins(first[label].astype(np.int64)[triangles]), count
+    ones = np.ones(len(edges), dtype=np.int8)
+    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
@@ -170,9 +176,12 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
     away = vertices[middle] - vertices[tails[edges]]
     share = (away * sides[edges]).sum(axis=1) / (lengths[edges] * lengths[edges])
     foot = away - share[:, None] * sides[edges]
-    tolerance = np.maximum(2.0 * limit, _ON_EDGE * lengths[edges])
+    tolerance = np.maximum(4.0 * limit, _ON_EDGE * lengths[edges])
     lies_on = ((foot * foot).sum(axis=1) <= tolerance * tolerance) & (share > 0.0) & (share < 1.0)
     lies_on &= (middle != tails[edges]) & (middle != heads[edges]) & (middle != thirds[edges])
+    # Of the same gap: one border runs from the edge to the vertex.
+    gap = _connected(np.stack((tails, heads), axis=1), len(vertices))
+    lies_on &= gap[middle] == gap[tails[edges]]
     cuts: dict[int, list[tuple[float, int]]] = defaultdict(list)
     for edge, position, vertex in zip(edges[lies_on], share[lies_on], middle[lies_on], strict=True):
         cuts[int(edge)].append((float(position), int(vertex)))

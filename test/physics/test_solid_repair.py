@@ -159,3 +159,15 @@ def test_open_solid_tells_its_narrowest_gap() -> None:
     data = stl(corners.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
     with pytest.raises(ValueError, match=r"the mesh is open: .*nearly meet, the closest 0.000\d+ m apart.*by distance"):
         obstacle(data, "box.stl")
+
+
+def test_rounded_junctions_off_the_origin_are_closed() -> None:
+    # Single precision leaves triangles that are thin beside others that are flat.
+    random = np.random.default_rng(0)
+    for _ in range(40):
+        kind = str(random.choice(["box", "cylinder", "ring"]))
+        edges, corners, filled = int(random.integers(1, 5)), int(random.integers(1, 12)), bool(random.integers(2))
+        points, triangles = with_junctions(kind, edges, corners, filled=filled)
+        shift, scale = random.uniform(-5.0, 5.0, 3), 10.0 ** random.uniform(-3.0, 3.0)
+        mesh = mesh_file.solid(stl((points + shift) * scale, triangles), name="solid.stl")
+        assert is_closed(mesh.vertices, mesh.triangles), (kind, edges, corners, filled, shift, scale)
