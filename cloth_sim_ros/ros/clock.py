@@ -11,9 +11,13 @@ from fractions import Fraction
 from typing import Protocol
 
 import attrs
-from rclpy.clock import JumpThreshold, TimeJump
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.timer import Timer
+
+from cloth_sim_ros.ros.sim_time import ClockSilence, SimTimeNode
 
 _SECOND = 1_000_000_000
 #: A difference of stamps and ROS time above this is a jump of the clock, not its drift [ns].
@@ -26,6 +30,13 @@ _READING = 50_000
 _PATIENCE = 0.2
 #: When /clock goes ahead by more than this, older frames are left out [s].
 CATCH_UP = 1.0
+#: /clock stands when its time has not changed for so long, or for so many times its own last interval, within bounds
+#: [s].
+STANDS_AFTER, _INTERVALS, _MAX_STANDS_AFTER = 2.0, 3.0, 4.0
+#: Longest time between two looks at /clock that counts: what lies beyond it the executor was busy [s].
+_MAX_LOOK = 0.5
+#: Shortest period of frames while /clock stands [s]: they only take commands.
+_MIN_STANDING_PERIOD = 0.01
 
 
 @attrs.frozen(kw_only=True)
@@ -34,13 +45,16 @@ class Due:
 
     #: ROS time at which it was due [ns].
     stamp: int
-    #: How long ago that was, by a steady clock [ns]; 0 where time is simulated.
+    #: How long ago that was, by a steady clock [ns]. Where time is simulated: how much later it begins than real time
+    #: allows, one period for each frame since /clock made it due.
     lateness: int
     #: Due times since the frame before that passed without a frame.
     skipped: int
     #: ROS time at which it begins [ns]; when it was due, where that is simulated. One that is late takes what came
     #: since.
     now: int
+    #: Whether /clock stands, so that no time is to pass.
+    stands: bool = False
 
 
 class Pacer(Protocol):
@@ -195,11 +209,12 @@ class ClockPacer:
     """Frames due when `/clock` reaches multiples of the period: the same stamps however often `/clock` is published.
 
     When it jumps back, frames begin again from there; when it jumps ahead, those of the last second are made up for.
+    When it stands, frames without a motion are called for by wall time, stamped with the time at which it stands.
     """
 
     def __init__(
         self,
-        node: Node,
+        node: SimTimeNode,
         *,
         rate: float,
         on_due: Callable[[Due], None],
@@ -219,6 +234,13 @@ class ClockPacer:
         self._reached = 0
         self._guard = node.create_guard_condition(self._serve)
         self._jump: object | None = None
+        #: Newest time of /clock [ns], and when real time lets the next frame begin, by a steady clock [ns].
+        self._now, self._allowed = 0, 0
+        #: Whether its time changed since the last look; since when it has not, and the interval before that [s].
+        self._changed, self._idle, self._interval = False, 0.0, 0.0
+        self._looked = time.monotonic()
+        self._silence = ClockSilence(node.get_logger())
+        self._standing: Timer | None = None
 
     def start(self) -> None:
         threshold = JumpThreshold(
@@ -231,16 +253,54 @@ class ClockPacer:
         if self._jump is not None:
             self._jump.unregister()  # type: ignore[attr-defined]
             self._jump = None
+            self._end_standing()
             self._node.destroy_guard_condition(self._guard)
         return True
 
     @property
     def has_clock(self) -> bool:
         """Whether /clock has said anything yet."""
-        return self._next is not None
+        return self._next is not None or self._node.has_heard_clock
+
+    def describe(self) -> tuple[bytes, str] | None:
+        """Return level and summary of diagnostics while /clock does not move; None while it does."""
+        if not self.has_clock:
+            return DiagnosticStatus.WARN, f"waiting for /clock since {self._silence.seconds:.0f} s"
+        if self._standing is None:
+            return None
+        return DiagnosticStatus.OK, f"/clock stands at {self._reached / _SECOND:.3f} s"
+
+    def look(self) -> None:
+        """Notice that /clock stands; call it some times a second, from the executor that hears /clock."""
+        now = time.monotonic()
+        # What an executor that was busy has not taken yet is no sign that nothing came.
+        since, self._looked = min(now - self._looked, _MAX_LOOK), now
+        if not self.has_clock:
+            self._silence.look()
+            return
+        if self._changed:
+            self._interval = max(self._idle, 0.5 * self._interval)
+            self._changed, self._idle = False, 0.0
+            return
+        self._idle += since
+        patience = min(max(STANDS_AFTER, _INTERVALS * self._interval), _MAX_STANDS_AFTER)
+        if self._standing is None and self._jump is not None and self._idle >= patience:
+            period = max(self.period / _SECOND, _MIN_STANDING_PERIOD)
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._standing = self._node.create_timer(period, self._stand, clock=steady)
+
+    def _stand(self) -> None:
+        if self._standing is not None and self._settled():
+            self._on_due(Due(stamp=self._reached, lateness=0, skipped=0, now=self._reached, stands=True))
+
+    def _end_standing(self) -> None:
+        if self._standing is not None:
+            self._node.destroy_timer(self._standing)
+            self._standing = None
 
     def _moved(self, _jump: TimeJump) -> None:
         # Called from within the clock's own update: only say that there is something to do.
+        self._changed = True
         self._guard.trigger()
 
     def _due(self, number: int) -> int:
@@ -255,13 +315,19 @@ class ClockPacer:
 
     def _serve(self) -> None:
         now = self._node.get_clock().now().nanoseconds
-        if now == 0:
+        if now == 0 and not self._node.has_heard_clock:
             return
+        if now != self._now:
+            if self._next is None or self._due(self._next) > self._now:
+                # No frame waits that an earlier message made due.
+                self._allowed = time.monotonic_ns()
+            self._now = now
         if self._next is None:
-            self._next = self._first_from(now)
+            self._next = self._first_from(max(now, 1))
         elif now < self._reached - self.period:
             # A step back of less than a frame needs nothing: no frame is due until /clock is where it was.
-            self._next = self._first_from(now)
+            self._next = self._first_from(max(now, 1))
+            self._allowed = time.monotonic_ns()
             self._on_jump_back(self._reached, now)
             self._reached = now
         self._reached = max(self._reached, now)
@@ -276,9 +342,13 @@ class ClockPacer:
         if skipped:
             self._next += skipped
             self._on_jump_ahead(skipped)
+        self._end_standing()
         number = self._next
         self._next += 1
-        self._on_due(Due(stamp=self._due(number), lateness=0, skipped=skipped, now=self._due(number)))
+        # Each frame may take its period, those of one step of /clock as well.
+        lateness = max(0, time.monotonic_ns() - self._allowed)
+        self._allowed += self.period
+        self._on_due(Due(stamp=self._due(number), lateness=lateness, skipped=skipped, now=self._due(number)))
         if self._due(self._next) <= now:
             # One frame a call, so that commands and services are heard while many are made up for.
             self._guard.trigger()

@@ -19,6 +19,7 @@ from cloth_sim_ros.ros.aside import Turn, at_once
 from cloth_sim_ros.ros.broadcast import FrameBroadcaster
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
 from cloth_sim_ros.ros.cloth_clock import ClothClock
+from cloth_sim_ros.ros.clock_pause import ClockPause
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
@@ -39,7 +40,7 @@ from cloth_sim_ros.ros.relief import Relief
 from cloth_sim_ros.ros.report import Latest, Report, log_start
 from cloth_sim_ros.ros.services import Services
 from cloth_sim_ros.ros.shut_down import unless_shut_down
-from cloth_sim_ros.ros.sim_time import SIM_TIME, ClockSilence
+from cloth_sim_ros.ros.sim_time import SIM_TIME
 from cloth_sim_ros.ros.states import States
 from cloth_sim_ros.ros.stepper import Stepper
 from cloth_sim_ros.ros.stopping import StopRequestedError
@@ -99,6 +100,7 @@ class ClothNode:
         self._frames = FrameTransformer(self.node, scene.frame_id)
         self._stepper = Stepper(self._simulation, self._queue, aside=aside)
         self._failure = FailureGuard(self.node, self._simulation, self._queue, self._stepper, lock=self._turn)
+        self._clock_pause = ClockPause(self._simulation, self._queue)
         self._recording = SessionRecording(
             node_name=self.node.get_fully_qualified_name(),
             simulation=self._simulation,
@@ -125,7 +127,7 @@ class ClothNode:
             self.node,
             grippers=scene.gripper_names,
             queue=self._queue,
-            paused=lambda: self._simulation.paused,
+            paused=lambda: self._clock_pause.user_paused,
             record=lambda begin, answer: self._record(begin, answer),
             save_state=self._recording.save_state,
             seconds=time.monotonic,
@@ -157,6 +159,8 @@ class ClothNode:
             outputs=self._outputs,
             recording=self._recording,
             further=lambda: {name: value for one in further for name, value in one.describe().items()},
+            user_paused=lambda: self._clock_pause.user_paused,
+            clock=lambda: self._pacer.describe() if isinstance(self._pacer, ClockPacer) else None,
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
         self._overheard = Overheard(self.node, self._recording, self._failure.turn)
@@ -182,7 +186,6 @@ class ClothNode:
         )
         self._pacer: Pacer | None = None
         self._report_due = time.monotonic()
-        self._silence = ClockSilence(self.node.get_logger())
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
         #: Whether a signal came before a frame ended, which goes on alone: the cloth is not to be read.
@@ -243,11 +246,10 @@ class ClothNode:
         self.node.create_timer(_HOUSEKEEPING, self._keep_house, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if not self._follows_clock:
             self._forecaster.tell()
-        self._silence = ClockSilence(self.node.get_logger())
         self._report_due = time.monotonic() + diagnostics.PERIOD
         self.tally.begin()
         # Last: who hears it may rely on all else.
-        self._states.start(now)
+        self._states.start(now, waits=self._follows_clock)
         self._pacer.start()
         log_start(self.node.get_logger(), self._simulation, follows_clock=self._follows_clock)
         self._log.debug(lambda: f"Poisson's ratio, which follows from the moduli: {scene.poisson_ratio}")
@@ -290,11 +292,14 @@ class ClothNode:
 
     def _frame(self, due: Due) -> None:
         begun = time.monotonic()
+        first, last = self._clock_pause.events(stands=due.stands)
         self._recording.before_frame(due.stamp)
         self._accuracy.before_frame()
         try:
             frame = self._stepper.advance(
-                max(due.stamp, due.now), [*self._companions.events(due.stamp), *self._relief.events()]
+                max(due.stamp, due.now),
+                [*first, *self._companions.events(due.stamp), *self._relief.events()],
+                last=last,
             )
         except StopRequestedError:
             self.cut_off = True
@@ -331,6 +336,7 @@ class ClothNode:
         self._services.show(frame)
         self._commands.show(frame)
         self._frame_log.show(frame)
+        self._clock_pause.settle(frame, stands=due.stands)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
@@ -340,10 +346,13 @@ class ClothNode:
     def _count_late(self, due: Due, taken: float) -> None:
         assert self._pacer is not None
         period = self._pacer.period
+        if self._follows_clock:
+            # Real time promises nothing of a step of /clock but a period for each frame that is made up for.
+            self.tally.late += due.lateness > period
+            return
         late = due.skipped + (due.lateness + int(taken * 1e9) > period)
         self.tally.late += late
-        if not self._follows_clock:
-            self._lateness.add(late=late, skipped=due.skipped, seconds=taken)
+        self._lateness.add(late=late, skipped=due.skipped, seconds=taken)
 
     def _on_jump_back(self, before: int, now: int) -> None:
         self.node.get_logger().warning(
@@ -393,5 +402,5 @@ class ClothNode:
         if trouble:
             self.node.get_logger().error(trouble)
         self._failure.check_exit()
-        if isinstance(self._pacer, ClockPacer) and not self._pacer.has_clock:
-            self._silence.look()
+        if isinstance(self._pacer, ClockPacer):
+            self._pacer.look()

@@ -70,6 +70,8 @@ class Report:
         outputs: counts of clouds.
         recording: its state.
         further: values of others, by name.
+        user_paused: whether the user paused the cloth; the simulation is paused while /clock stands as well.
+        clock: level and summary while /clock does not move, None while it does or is not followed.
     """
 
     def __init__(
@@ -83,6 +85,8 @@ class Report:
         outputs: Outputs,
         recording: SessionRecording,
         further: Callable[[], dict[str, str]] = dict,
+        user_paused: Callable[[], bool],
+        clock: Callable[[], tuple[bytes, str] | None],
     ) -> None:
         self._node = node
         self._simulation = simulation
@@ -92,6 +96,7 @@ class Report:
         self._outputs = outputs
         self._recording = recording
         self._further = further
+        self._user_paused, self._clock = user_paused, clock
         self._gauge = StrainGauge(simulation.scene)
         self._namesakes = False
 
@@ -102,7 +107,7 @@ class Report:
         values = {
             "frame": str(self._simulation.frame),
             "simulated_time": f"{self._simulation.time:.6f}",
-            "paused": str(self._simulation.paused).lower(),
+            "paused": str(self._user_paused()).lower(),
             "real_time_factor": f"{rates['real_time_factor']:.4f}",
             "real_time_factor_overall": f"{self._tally.overall_factor(period):.4f}",
             "late_frames": str(self._tally.late),
@@ -126,10 +131,15 @@ class Report:
             return DiagnosticStatus.ERROR, f"stopped: {self._latest.failure}", values
         if status is not None and status.state == "failed":
             return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
+        clock = self._clock()
+        if clock is not None and clock[0] != DiagnosticStatus.OK:
+            return *clock, values
         if rates["late"]:
             return DiagnosticStatus.WARN, f"{counted(rates['late'], 'frame')} late in the last second", values
-        if self._simulation.paused:
-            return DiagnosticStatus.OK, "paused", values
+        if self._user_paused():
+            return DiagnosticStatus.OK, "paused" if clock is None else f"paused; {clock[1]}", values
+        if clock is not None:
+            return *clock, values
         if self._simulation.asleep:
             return DiagnosticStatus.OK, "asleep: the cloth is at rest", values
         return DiagnosticStatus.OK, "running", values

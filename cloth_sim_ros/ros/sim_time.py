@@ -41,10 +41,19 @@ class SimTimeNode(Node):
     rclpy's own reader of /clock raises for times before 0, and takes times for which no stamp has a place.
     """
 
+    #: Whether a time has come on /clock: 0 is one, and rclpy's before the first as well.
+    has_heard_clock = False
+
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
         """As rclpy's; it subscribes to /clock by this method too."""
         if msg_type is Clock and not options.get("raw"):
-            callback = _only_times(callback, ThrottledLog(self.get_logger(), seconds=_AGAIN))
+            take = callback
+
+            def heard(message: Clock) -> Any:
+                self.has_heard_clock = True
+                return take(message)
+
+            callback = _only_times(heard, ThrottledLog(self.get_logger(), seconds=_AGAIN))
         return super().create_subscription(msg_type, topic, callback, *arguments, **options)
 
 
@@ -78,6 +87,11 @@ class ClockSilence:
         self._seconds = seconds
         self._began = seconds()
         self._due = self._began + _PATIENCE
+
+    @property
+    def seconds(self) -> float:
+        """Time since the beginning [s]."""
+        return self._seconds() - self._began
 
     def look(self) -> None:
         """Say so, if it is time to; call it now and then, while nothing has come."""

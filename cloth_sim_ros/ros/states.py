@@ -40,9 +40,12 @@ class States:
         self._latest: dict[Output, bytes] = {}
         self._said = 0
 
-    def start(self, stamp: int) -> None:
-        """Say what is so at the beginning, at a ROS time [ns]."""
-        self._say_state(stamp)
+    def start(self, stamp: int, *, waits: bool = False) -> None:
+        """Say what is so at the beginning, at a ROS time [ns]; `waits`: no time passes until /clock comes."""
+        if waits:
+            self._send_state(State.PRIMARY_STATE_INACTIVE, stamp)
+        else:
+            self._say_state(stamp)
         self._say_grippers({name: "" for name in self._grippers}, stamp)
 
     def record(self, stamp: int) -> None:
