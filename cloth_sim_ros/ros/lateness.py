@@ -39,6 +39,23 @@ class Lateness:
         self._sum = 0
         self._begin()
 
+    def count(self, *, lateness: int, skipped: int, seconds: float, follows_clock: bool) -> int:
+        """Return the number of due times, a frame's and those skipped before it, that count as late.
+
+        Args:
+            lateness: how much later it began than it was due [ns].
+            skipped: due times before this one that were left out.
+            seconds: wall time that the frame took [s].
+            follows_clock: whether /clock makes frames due: then real time promises nothing of a step but a period for
+                each frame that is made up for, which `lateness` takes into account.
+        """
+        period = round(1e9 * self._period)
+        if follows_clock:
+            return int(lateness > period)
+        late = skipped + (lateness + int(1e9 * seconds) > period)
+        self.add(late=late, skipped=skipped, seconds=seconds)
+        return late
+
     def add(self, *, late: int, skipped: int, seconds: float) -> None:
         """Take note of a frame.
 

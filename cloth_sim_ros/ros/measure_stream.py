@@ -141,7 +141,6 @@ def measure(resolution: int, *, seconds: float, rate: float, moving: bool = Fals
     finally:
         cloth.close()
         executor.shutdown()
-        cloth.node.destroy_node()
 
 
 def _stream(

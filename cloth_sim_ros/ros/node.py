@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import Any
+from typing import Any, Self
 
 from rclpy.clock import Clock, ClockType
 from rclpy.logging_service import LoggingService
@@ -190,6 +190,8 @@ class ClothNode:
         self._extras: dict[str, Any] = {}
         #: Whether a signal came before a frame ended, which goes on alone: the cloth is not to be read.
         self.cut_off = False
+        #: Once closed, whether all that was recorded is in its file.
+        self._saved: bool | None = None
 
     @property
     def simulation(self) -> Simulation:
@@ -261,13 +263,29 @@ class ClothNode:
         return ended
 
     def close(self, *, timeout: float = 1.5) -> bool:
-        """End the recording and let no more frames be due; return whether all that was recorded is in its file.
+        """End the recording and the node; return whether all that was recorded is in its file.
 
-        Also where the context was shut down before, as rclpy's own signal handlers do: nothing is published then.
+        Nothing of it stays in the graph, and no thread. If the context was shut down before, as rclpy's own signal
+        handlers do, nothing is published. Once closed, a further call returns the same.
+
+        Args:
+            timeout: longest time that the recording's file is waited for [s].
         """
-        # Who waited for the end of a frame that goes on alone would wait in vain.
-        with self._turn if self.stop() else nullcontext():
-            return self._close(timeout)
+        if self._saved is None:
+            try:
+                # Who waited for the end of a frame that goes on alone would wait in vain.
+                with self._turn if self.stop() else nullcontext():
+                    self._saved = self._close(timeout)
+            finally:
+                self.node.destroy_node()
+        return self._saved
+
+    def __enter__(self) -> Self:
+        """Return the cloth, which is closed at the end."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def _close(self, timeout: float) -> bool:
         self._accuracy.close()
@@ -341,18 +359,9 @@ class ClothNode:
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
         self._relief.add(frame, taken)
-        self._count_late(due, taken)
-
-    def _count_late(self, due: Due, taken: float) -> None:
-        assert self._pacer is not None
-        period = self._pacer.period
-        if self._follows_clock:
-            # Real time promises nothing of a step of /clock but a period for each frame that is made up for.
-            self.tally.late += due.lateness > period
-            return
-        late = due.skipped + (due.lateness + int(taken * 1e9) > period)
-        self.tally.late += late
-        self._lateness.add(late=late, skipped=due.skipped, seconds=taken)
+        self.tally.late += self._lateness.count(
+            lateness=due.lateness, skipped=due.skipped, seconds=taken, follows_clock=self._follows_clock
+        )
 
     def _on_jump_back(self, before: int, now: int) -> None:
         self.node.get_logger().warning(

@@ -66,6 +66,16 @@ class SceneNode(SimTimeNode):
         #: What is known of the parameters of a scene that are declared.
         self.entries: dict[str, Parameter] = {}
 
+    def destroy_node(self) -> None:
+        """As rclpy's; callbacks of parameters are forgotten too, so that nothing refers to what they belong to."""
+        super().destroy_node()
+        for callbacks in (
+            self._pre_set_parameters_callbacks,
+            self._on_set_parameters_callbacks,
+            self._post_set_parameters_callbacks,
+        ):
+            callbacks.clear()
+
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
         """As rclpy's, which declares the overrides by it before it looks at any of them: the place to refuse them."""
         listed = list(parameters)

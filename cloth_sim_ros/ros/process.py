@@ -117,7 +117,6 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: conte
         saved = cloth.close()
         if cloth.cut_off:
             aside.leave()
-        cloth.node.destroy_node()
     return 0 if saved and not failed else 1
 
 
