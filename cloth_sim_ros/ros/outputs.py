@@ -32,7 +32,7 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 #: How long the node waits at its end for subscribers to receive the last messages.
 _FLUSH = Duration(seconds=0.2)
 #: A publication that takes longer is worth a warning, at most once in so long [s].
-_LONG_PUBLICATION, _BETWEEN_WARNINGS = 0.2, 60.0
+_LONG_PUBLICATION, _BETWEEN_WARNINGS = 0.5, 60.0
 
 
 class Tape(Protocol):
@@ -96,8 +96,8 @@ class Output:
         if (taken := time.monotonic() - begun) > _LONG_PUBLICATION:
             self._log.warn(
                 "slow",
-                f"{self.topic}: publishing took {taken:.2g} s, and the frame waited: a subscriber that is suspended or "
-                f"was killed holds the middleware's queue; resume it or end it",
+                f"{self.topic}: publishing took {taken:.2g} s, and the frame waited for the middleware: a subscriber "
+                f"starts, is suspended, or was killed; if this comes again, resume or end it",
             )
 
     def send(self, data: bytes, stamp: int) -> None:

@@ -79,8 +79,7 @@ def test_suspended_subscribers_leave_others_their_clouds(
         # Far more than Fast DDS' own segment holds, and longer than it takes to give a subscriber up.
         client.wait_for_clouds(60 * 4)
         stalled.send_signal(signal.SIGCONT)
-        for process in stalled.processes:
-            client.spin_until(lambda process=process: "resumed" in process.output, what="a subscriber that resumes")
+        client.wait_for_clouds(30)
         check_received(node, client, tmp_path)
 
 
@@ -91,7 +90,9 @@ def test_suspended_subscriber_leaves_small_topics(
     with Client() as client:
         wrenches: list[Any] = []
         health: list[Any] = []
-        client.node.create_subscription(WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, QoSProfile(depth=9))
+        client.node.create_subscription(
+            WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, QoSProfile(depth=9)
+        )
         client.node.create_subscription(DiagnosticArray, "/diagnostics", health.append, QoSProfile(depth=9))
         client.watch()
         stalled = Stalled(start_process, "r", "/cloth_sim/points", "/cloth_sim/gripper/wrench", "/diagnostics")
@@ -174,10 +175,10 @@ def test_long_publication_is_warned_of_once(monkeypatch: pytest.MonkeyPatch, ros
         output = Output(node, PointCloud2, "~/points", Recorded())
         output.publish(b"\x00\x01\x00\x00")
         assert not log.lines
-        node.seconds = 0.25
-        for _ in range(3):
+        node.seconds = 0.55
+        for _ in range(2):
             output.publish(b"\x00\x01\x00\x00")
         (line,) = log.lines
-        assert "/slow/points: publishing took 0.2" in str(line)
+        assert "/slow/points: publishing took 0.5" in str(line)
         assert "suspended" in str(line)
         node.destroy_node()
