@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import importlib
 from collections.abc import Callable
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
     from cloth_sim_ros.session.writer import Snapshot
 
+_NO_MEMORY = "no memory is left"
 _FRAME_TYPE = "std_msgs/msg/String"
 #: Libraries that a recording's compression takes.
 _COMPRESSION = {"none": (), "lz4": ("lz4.frame",), "zstd": ("zstandard",)}
@@ -86,22 +86,35 @@ class SessionRecording:
 
         Raises:
             RecordingNotInstalledError: if the libraries for it are missing.
-            RecordingUnavailableError: if one runs already, or the folder has no place.
+            RecordingUnavailableError: if one runs already, the folder has no place, or memory, threads, files run out.
         """
         if self._recorder is not None:
             raise RecordingUnavailableError(f"recording already, into {self._recorder.status().path}")
         if self._closing is not None:
             raise RecordingUnavailableError("the recording before is still being closed; ask again")
+        try:
+            self._recorder = self._new_recorder(stamp)
+        except (OSError, MemoryError) as error:
+            reason = getattr(error, "strerror", None) or _NO_MEMORY
+            raise RecordingUnavailableError(
+                f"cannot begin to record: {reason}; end other processes, or raise this one's limits (ulimit -a)"
+            ) from error
+
+    def _new_recorder(self, stamp: int) -> Recorder:
         self._check_libraries()
+        from cloth_sim_ros.session.errors import RecordingError
         from cloth_sim_ros.session.recorder import Recorder, session_stem
 
-        self._recorder = Recorder(
-            _folder(self._settings()),
-            snapshot=self._snapshot(),
-            log_time=stamp,
-            stem=session_stem(self._stem(), datetime.datetime.now(datetime.UTC)),
-            options=self._options(),
-        )
+        try:
+            return Recorder(
+                _folder(self._settings()),
+                snapshot=self._snapshot(),
+                log_time=stamp,
+                stem=session_stem(self._stem(), datetime.datetime.now(datetime.UTC)),
+                options=self._options(),
+            )
+        except RecordingError as error:
+            raise RecordingUnavailableError(str(error)) from error
 
     def _check_libraries(self) -> None:
         """Import the libraries that recording needs.
@@ -186,9 +199,14 @@ class SessionRecording:
         return self._last
 
     def before_frame(self, stamp: int) -> None:
-        """Go on in a new file where the present one has reached its limit."""
+        """Go on in a new file where the present one has reached its limit; without memory for that, end here."""
         if self._recorder is not None and self._recorder.wants_split:
-            self._recorder.split(self._snapshot(), log_time=stamp)
+            try:
+                snapshot = self._snapshot()
+            except (OSError, MemoryError) as error:
+                self._recorder.give_up(f"cannot begin the next file: {getattr(error, 'strerror', None) or _NO_MEMORY}")
+            else:
+                self._recorder.split(snapshot, log_time=stamp)
         self._held = []
 
     def commit(self) -> None:
@@ -244,21 +262,32 @@ class SessionRecording:
             RecordingUnavailableError: if it can't be written; the message says why, and the remedy.
         """
         from cloth_sim_ros.session.errors import RecordingError
-        from cloth_sim_ros.session.storage import make_folder
+        from cloth_sim_ros.session.storage import AppendFile, make_folder, remove_leftovers
 
         folder = _folder(self._settings())
+        time_of_day = datetime.datetime.now(datetime.UTC)
+        stem, suffix = f"{self._stem()}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}", ".npz"
         try:
+            data = self._simulation.state.to_bytes()
             make_folder(folder)
+            remove_leftovers(folder, suffix)
+            file = AppendFile(folder, stem, suffix)
+            try:
+                file.append([data])
+                file.sync()
+                path = file.publish()
+                file.sync_name()
+            except BaseException:
+                file.discard()
+                raise
+            file.close()
         except RecordingError as error:
             raise RecordingUnavailableError(str(error)) from error
-        time_of_day = datetime.datetime.now(datetime.UTC)
-        path = folder / f"{self._stem()}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}.npz"
-        try:
-            path.write_bytes(self._simulation.state.to_bytes())
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                path.unlink()
-            raise RecordingUnavailableError(f"cannot write {path}: {error.strerror}; set record.folder") from error
+        except (OSError, MemoryError) as error:
+            reason = getattr(error, "strerror", None) or _NO_MEMORY
+            raise RecordingUnavailableError(
+                f"cannot write {folder / stem}{suffix}: {reason}; set record.folder"
+            ) from error
         return path
 
     def _stem(self) -> str:

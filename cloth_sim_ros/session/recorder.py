@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import errno
 import secrets
 import threading
 from collections import deque
@@ -27,6 +28,13 @@ call, and have both compete for the interpreter just when a frame is due."""
 _ITEM_OVERHEAD = 400
 """Memory that Python keeps for a queued message beyond its bytes; estimated on the high side [bytes]."""
 
+_FAILURES = (OSError, MemoryError, ImportError, SessionError)
+"""What ends a recording, and nothing else: the disk, the machine's limits, and modules that cannot be read for them."""
+_REMEDIES = {
+    errno.EMFILE: "; this process has too many open: raise its limit (ulimit -n)",
+    errno.ENFILE: "; the machine has too many open: end other processes",
+    errno.ENOSPC: "; make room, or set record.folder",
+}
 _LATEST = 1 << 63
 _CLOCK_JUMP = 1_000_000_000
 """A log time that lies back by this much is no matter of the order in which callbacks ran [ns]."""
@@ -84,6 +92,7 @@ class Recorder:
         """Start recording into a new file under `folder` (created if absent); see `wait_until_open` for errors.
 
         `log_time` [ns] is the time of the snapshot. `stem` names the files; by default ``cloth_sim_<start in UTC>``.
+        Raises RecordingError if no thread can be started.
         """
         self._folder = Path(folder)
         self._options = options or RecorderOptions()
@@ -116,7 +125,14 @@ class Recorder:
         self._finished_bytes = self._finished_messages = 0
         self._latched: dict[str, _Message] = {}
         self._thread = threading.Thread(target=self._run, args=(snapshot, log_time), name="recorder", daemon=True)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except (RuntimeError, MemoryError) as error:
+            reason = str(error) or "no memory is left"
+            raise RecordingError(
+                f"cannot record into {self._folder}: {reason}; end other processes, or raise this one's limits of "
+                "threads and memory (ulimit -u, ulimit -v)"
+            ) from error
 
     def wait_until_open(self, timeout: float = 10.0) -> Path:
         """Wait until the first file exists; its path. Raises RecordingError with the reason if it cannot be made."""
@@ -185,6 +201,12 @@ class Recorder:
                 self._splits_asked += 1
                 self._put(_Split(snapshot, self._in_order(log_time), self._dropped))
 
+    def give_up(self, reason: str) -> None:
+        """End the recording behind what is queued, as one that failed; never blocks."""
+        with self._put_lock:
+            if not self._stop_asked and self._status.state != "failed":
+                self._end_with(reason)
+
     def status(self) -> RecorderStatus:
         """What the recording is doing."""
         status = replace(
@@ -225,10 +247,13 @@ class Recorder:
 
     def _give_up(self, waiting: int) -> None:
         """End the recording behind what is queued: rather a whole recording that ends than one with holes."""
-        self._given_up = (
+        self._end_with(
             f"{waiting >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
             f"the disk of {self._folder} is stuck or too slow"
         )
+
+    def _end_with(self, reason: str) -> None:
+        self._given_up = reason
         self._put(_Stop(self._given_up, self._dropped, self._given_up))
         self._stop_asked = True
 
@@ -242,7 +267,7 @@ class Recorder:
     def _run(self, snapshot: Snapshot, log_time: int) -> None:
         try:
             writer = self._new_writer(snapshot, log_time, 0)
-        except (OSError, SessionError) as error:
+        except _FAILURES as error:
             with self._put_lock:
                 self._status = replace(self._status, state="failed", error=_sentence(error, self._folder))
                 self._empty_queue()
@@ -265,7 +290,7 @@ class Recorder:
                     self._report(writer, "failed" if item.error else "closed", item.error)
                     return
                 writer.maintain()
-            except (OSError, SessionError) as error:
+            except _FAILURES as error:
                 self._end_early(writer, error)
                 return
             self._report(writer, "recording")
@@ -300,7 +325,7 @@ class Recorder:
         following = self._new_writer(split.snapshot, split.log_time, self._part + 1)
         try:
             writer.finish(reason="split", notes=self._notes(split.dropped))
-        except (OSError, SessionError):
+        except _FAILURES:
             following.finish(reason="the file before it could not be finished")
             raise
         self._part += 1
@@ -327,10 +352,10 @@ class Recorder:
         size, seconds = self._options.split_bytes, self._options.split_seconds
         return bool(size and writer.bytes_written >= size) or bool(seconds and writer.session_seconds >= seconds)
 
-    def _end_early(self, writer: SessionWriter, error: OSError | SessionError) -> None:
+    def _end_early(self, writer: SessionWriter, error: Exception) -> None:
         sentence = _sentence(error, writer.path)
         # The chunk that did not fit is refused again; the file itself is finished or, at worst, intact.
-        with contextlib.suppress(OSError, SessionError):
+        with contextlib.suppress(*_FAILURES):
             writer.finish(reason=sentence, notes=self._notes(self._dropped))
         with self._put_lock:
             self._report(writer, "failed", sentence)
@@ -365,7 +390,12 @@ def _weight(item: _Message | _Split | _Stop) -> int:
     return len(item.snapshot.state) + _ITEM_OVERHEAD if isinstance(item, _Split) else _ITEM_OVERHEAD
 
 
-def _sentence(error: OSError | SessionError, path: Path) -> str:
+def _sentence(error: Exception, path: Path) -> str:
     if isinstance(error, OSError):
-        return f"cannot write {path}: {error.strerror or error}"
+        remedy = _REMEDIES.get(error.errno or 0, "")
+        return f"cannot write {path}: {error.strerror or error}{remedy}"
+    if isinstance(error, MemoryError):
+        return f"cannot write {path}: no memory is left; end other processes, or give this one more"
+    if isinstance(error, ImportError):
+        return f"cannot write {path}: {error}"
     return str(error)

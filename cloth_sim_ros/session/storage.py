@@ -91,6 +91,13 @@ class AppendFile:
             self._hidden.unlink(missing_ok=True)
             self._hidden = None
 
+    def discard(self) -> None:
+        """Give the file back and remove it, also one that was published."""
+        published = self._hidden is None
+        self.close()
+        if published:
+            self.path.unlink(missing_ok=True)
+
     def _write(self, view: memoryview) -> int:
         return os.write(self._descriptor, view)
 
@@ -165,6 +172,10 @@ def _give_name(hidden: Path, stem: str, suffix: str) -> Path:
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
             except FileExistsError:
                 continue
-            os.replace(hidden, path)
+            try:
+                os.replace(hidden, path)
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
         return path
     raise RecordingError(f"{hidden.parent} already holds {_NAME_LIMIT - 1} files named {stem}; choose another folder")

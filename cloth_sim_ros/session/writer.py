@@ -138,7 +138,8 @@ class SessionWriter:
             if self._options.sync_seconds:
                 self._file.sync_name()
         except BaseException:
-            self._file.close()
+            # A session that could not be begun leaves no file, though it has its name already.
+            self._file.discard()
             raise
 
     @property
@@ -209,10 +210,10 @@ class SessionWriter:
             return
         self._finished = True
         try:
-            refused: OSError | RecordingError | None = None
+            refused: OSError | MemoryError | RecordingError | None = None
             try:
                 self._write_chunk()
-            except (OSError, RecordingError) as error:
+            except (OSError, MemoryError, RecordingError) as error:
                 refused = error
             self._close_file(reason, notes or {})
             if refused is not None:
