@@ -15,6 +15,7 @@ from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.folder import StudyFolder, read_row
 from cloth_sim_ros.scene.unknown import suggestion
 from cloth_sim_ros.session.child_process import child_environment, module_command
+from cloth_sim_ros.session.outputs import written_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -124,7 +125,8 @@ def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
         axes.set_xscale("log")
     axes.set(xlabel=along, ylabel=name.removeprefix(index.OUTCOME))
     axes.grid(alpha=0.3)
-    figure.savefig(file, dpi=120)
+    with written_whole(file) as place:
+        figure.savefig(place, dpi=120, format=file.suffix.removeprefix(".") or "png")
 
 
 def _replay(place: StudyFolder, run: int, save: Path | None) -> int:

@@ -58,8 +58,8 @@ def check_outputs(
 def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
     """Give an empty hidden file beside the target to write; at the end it takes the target's name.
 
-    After an error or an interruption nothing of it stays, and what was there before is as it was. Where `target` is a
-    device or a pipe, it is itself what is given.
+    After an error, an interruption or a loss of power nothing of it stays, and what was there before is as it was.
+    Where `target` is a device or a pipe, it is itself what is given.
 
     Raises:
         OSError: naming the target, where it cannot be written; FileExistsError where it exists and `replace` is false.
@@ -72,6 +72,7 @@ def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
     try:
         hidden.open("xb").close()
         yield hidden
+        _sync(hidden)
         if replace:
             if final.exists():
                 shutil.copymode(final, hidden)
@@ -79,6 +80,7 @@ def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
         else:
             # Unlike a rename this fails where there is a file by now.
             os.link(hidden, final)
+        _sync(final.parent)
     except OSError as error:
         if str(error.filename) == str(hidden) and not isinstance(error, FileExistsError):
             raise OSError(error.errno, error.strerror, str(target)) from error
@@ -86,6 +88,15 @@ def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             hidden.unlink(missing_ok=True)
+
+
+def _sync(place: Path) -> None:
+    """Wait until a file, or a folder's names, would survive a loss of power."""
+    descriptor = os.open(place, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _check_overwriting(option: str, path: Path, inputs: Sequence[Path]) -> None:
