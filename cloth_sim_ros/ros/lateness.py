@@ -19,6 +19,10 @@ AGAIN = 30
 CALM = 5
 #: Above this share of the period it is computing that takes the time.
 BUSY = 0.9
+#: A contact that begins is told of where it makes the real-time factor smaller than this share of what was told.
+WORSE = 0.8
+#: What makes frames cheaper.
+REMEDY = "a smaller cloth.resolution, a lower rate, a larger tolerance, or overload: relax gives it less to do"
 
 
 class Lateness:
@@ -37,6 +41,18 @@ class Lateness:
         self._windows = 0
         self._calm = 0
         self._sum = 0
+        #: Real-time factor that was told last.
+        self._told = 1.0
+        self._since = ""
+        self._begin()
+
+    def begin_contact(self, names: str) -> None:
+        """Measure anew from now on, because the cloth has begun to touch something.
+
+        Args:
+            names: of what it touches, as the end of a sentence.
+        """
+        self._since = f" since the cloth touches {names}"
         self._begin()
 
     def count(self, *, lateness: int, skipped: int, seconds: float, follows_clock: bool) -> int:
@@ -81,17 +97,20 @@ class Lateness:
                 self._is_late, self._windows, self._sum = True, 0, 0
             self._calm = 0
             self._sum += self._late
-            if self._windows % AGAIN == 0:
-                self._tell()
+            factor = len(self._taken) / self._due
+            if self._windows % AGAIN == 0 or (self._since and factor < WORSE * self._told):
+                self._tell(factor)
+                self._windows = 0
             self._windows += 1
         elif self._is_late:
             self._sum += self._late
             self._calm += 1
             if self._calm == CALM:
-                self._is_late = False
+                self._is_late, self._told = False, 1.0
                 self._log.info("in time", f"frames come in time again; {counted(self._sum, 'frame')} late or left out")
+        self._since = ""
 
-    def _tell(self) -> None:
+    def _tell(self, factor: float) -> None:
         middle, period = statistics.median(self._taken), self._period
         if middle > BUSY * period:
             why = "the cloth takes more time than this machine has"
@@ -100,5 +119,13 @@ class Lateness:
         self._log.warn(
             "late",
             f"frames come late: {self._late} of {self._due} were not there a period after they were due; one takes "
-            f"{middle * 1e3:.1f} ms of {period * 1e3:.1f} ms: {why}",
+            f"{middle * 1e3:.1f} ms of {period * 1e3:.1f} ms: {why}{self._describe(factor, middle)}",
         )
+        self._told = factor
+
+    def _describe(self, factor: float, middle: float) -> str:
+        """Return the real-time factor, where it is below 1, and what would raise it, as the end of a sentence."""
+        if factor > 1.0 - MANY:
+            return ""
+        remedy = f": {REMEDY}" if middle > BUSY * self._period else ""
+        return f"; the real-time factor is {factor:.2g}{self._since}{remedy}"

@@ -24,6 +24,7 @@ from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue
 from cloth_sim_ros.ros.failure import FailureGuard
+from cloth_sim_ros.ros.first_contact import FirstContact
 from cloth_sim_ros.ros.forecast import Forecaster, try_frames
 from cloth_sim_ros.ros.frame_log import FrameLog
 from cloth_sim_ros.ros.frames import FrameTransformer
@@ -148,6 +149,7 @@ class ClothNode:
         self._changed = self._follows_clock = False
         self._lateness = Lateness(period=scene.period, log=self._log)
         self._frame_log = FrameLog(self._log)
+        self._first_contact = FirstContact(self._simulation)
         self._latest = Latest()
         further = (self._relief, self._forecaster, self._accuracy, self._obstacles)
         self._report = Report(
@@ -359,6 +361,8 @@ class ClothNode:
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
         self._relief.add(frame, taken)
+        if not self._follows_clock and (touched := self._first_contact.look(frame)):
+            self._lateness.begin_contact(touched)
         self.tally.late += self._lateness.count(
             lateness=due.lateness, skipped=due.skipped, seconds=taken, follows_clock=self._follows_clock
         )

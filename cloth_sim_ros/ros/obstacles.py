@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
     from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
 
+#: A stop within so much simulated time of the one before is the same one [s].
+_CALM = 1.0
+#: Words of a stop of several.
+_SEVERAL = ("are", "they would", "they stand still until they are")
+
 
 class ObstacleTopics:
     """Topics of the obstacles of a cloth; none where there are none.
@@ -48,6 +53,9 @@ class ObstacleTopics:
         self._poses = np.zeros((0, 7))
         #: Who was stopped and was not commanded anew since.
         self._halted: set[str] = set()
+        #: Frame in which each was stopped last, and after how many frames without a stop another one is news.
+        self._stopped: dict[str, int] = {}
+        self._calm = round(_CALM * simulation.scene.rate)
 
     def start(self, stamp: int) -> None:
         """Publish where they are at a ROS time [ns], and listen."""
@@ -61,12 +69,7 @@ class ObstacleTopics:
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record what a frame did to them."""
         self._follow_halted(frame)
-        for name in frame.halted:
-            self._log.warn(
-                f"halted {name}",
-                f"'{name}' is stopped: with what else is there it would have left the cloth no room; it stands still "
-                "until it is commanded anew",
-            )
+        self._tell_halted(frame)
         obstacles = self._simulation.obstacles
         solids, poses = self._solids()
         if [solid.name for solid in solids] != self._drawn:
@@ -97,6 +100,22 @@ class ObstacleTopics:
             count, gap = contact.own_gaps(self._simulation.state.x)
             said |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
         return said
+
+    def _tell_halted(self, frame: Frame) -> None:
+        """Warn once of a stop, although commands that go on ask for it again in each frame."""
+        latest = self._stopped
+        self._stopped = {name: index for name, index in latest.items() if frame.index - index <= self._calm}
+        new = [name for name in frame.halted if name not in self._stopped]
+        self._stopped |= dict.fromkeys(frame.halted, frame.index)
+        if not new:
+            return
+        names = ", ".join(f"'{name}'" for name in new)
+        each = ("is", "it would", "it stands still until it is") if len(new) == 1 else _SEVERAL
+        self._log.warn(
+            f"halted {names}",
+            f"{names} {each[0]} stopped: with what else is there {each[1]} have left the cloth no room; {each[2]} "
+            "commanded anew",
+        )
 
     def _follow_halted(self, frame: Frame) -> None:
         """Take note of who stands still because there was no room, and who was commanded since or is gone."""

@@ -65,3 +65,40 @@ def test_due_times_that_were_left_out_count() -> None:
         judge.add(late=1, skipped=1, seconds=0.03)
     (line,) = log.lines
     assert line.startswith("frames come late: 60 of 120 ")
+
+
+def pass_window(judge: Lateness, *, taken: float, skipped: int) -> None:
+    """Let a window of frames pass, each with due times left out before it."""
+    for _ in range(WINDOW // (1 + skipped)):
+        judge.add(late=1 + skipped, skipped=skipped, seconds=taken)
+
+
+def test_slow_cloth_names_its_factor_and_the_remedy() -> None:
+    judge, log = lateness()
+    pass_window(judge, taken=0.05, skipped=2)
+    (line,) = log.lines
+    assert line.endswith(
+        "the cloth takes more time than this machine has; the real-time factor is 0.33: a smaller cloth.resolution, a "
+        "lower rate, a larger tolerance, or overload: relax gives it less to do"
+    )
+
+
+def test_first_contact_is_measured_anew_and_told_if_it_is_worse() -> None:
+    judge, log = lateness()
+    # In time so far: what came before the contact does not count.
+    run(judge, 1, late=0, seconds=0.003)
+    for _ in range(WINDOW // 2):
+        judge.add(late=0, skipped=0, seconds=0.003)
+    judge.begin_contact("'table'")
+    pass_window(judge, taken=0.025, skipped=1)
+    assert "the real-time factor is 0.5 since the cloth touches 'table':" in log.lines[0]
+    # No worse than that: it is known. Much worse: it is told, before a minute is over.
+    judge.begin_contact("'floor'")
+    pass_window(judge, taken=0.025, skipped=1)
+    assert len(log.lines) == 1
+    judge.begin_contact("'gripper'")
+    pass_window(judge, taken=0.09, skipped=5)
+    assert len(log.lines) == 2
+    assert "the real-time factor is 0.17 since the cloth touches 'gripper':" in log.lines[1]
+    pass_window(judge, taken=0.09, skipped=5)
+    assert len(log.lines) == 2

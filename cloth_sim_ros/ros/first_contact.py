@@ -1,0 +1,45 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The moment at which a cloth begins to touch each obstacle, each gripper that pinches, and itself."""
+
+from __future__ import annotations
+
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+#: Of the cloth that touches itself.
+_ITSELF = "itself"
+
+
+class FirstContact:
+    """Looks at frames for contacts that were not there before.
+
+    Args:
+        simulation: the cloth.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._touched: set[str] = set()
+
+    def look(self, frame: Frame) -> str:
+        """Return what the cloth has begun to touch in a frame, for the first time, in words; empty if nothing."""
+        contact = self._simulation.plan.contact
+        if contact is None or not frame.moved or frame.advance is None or not frame.advance.steps:
+            return ""
+        scene = self._simulation.scene
+        loads = zip(scene.obstacle_names, frame.loads, strict=False)
+        pressed = [name for name, load in loads if name not in self._touched and load.any()]
+        if len(self._touched) < len(scene.pinching) + len(scene.obstacle_names):
+            wrenches = zip(scene.gripper_names, frame.wrenches, strict=True)
+            pressed += [name for name, load in wrenches if self._is_pinched(name) and load.any()]
+        new = [f"'{name}'" for name in pressed]
+        # It takes longer to look for: once a second.
+        looks = contact.force.surface is not None and not frame.index % max(1, round(scene.rate))
+        if looks and _ITSELF not in self._touched and contact.own_gaps(self._simulation.state.x)[0]:
+            pressed.append(_ITSELF)
+            new.append(_ITSELF)
+        self._touched.update(pressed)
+        return ", ".join(new)
+
+    def _is_pinched(self, name: str) -> bool:
+        return name not in self._touched and self._simulation.scene.pinches(name)

@@ -1,0 +1,64 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stops for want of room are told once each, and contacts are noticed when they begin."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import attrs
+import numpy as np
+from support.kept_log import Log
+
+from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.ros.first_contact import FirstContact
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.obstacles import ObstacleTopics
+
+FALLING: dict[str, Any] = {
+    "cloth.resolution": [5, 5],
+    "cloth.anchors": [""],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "cloth.position": [0.0, 0.0, 0.02],
+    "obstacles": ["floor"],
+    "floor.shape": "plane",
+}
+
+
+def test_a_stop_is_told_once_however_often_it_is_asked_for() -> None:
+    cloth, log = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5]})), Log()
+    frame = cloth.advance()
+    node, nothing = SimpleNamespace(), SimpleNamespace()
+    topics = ObstacleTopics(node, cloth, nothing, nothing, ThrottledLog(log, seconds=0.0))  # type: ignore[arg-type]
+    # Two are stopped together, and commanded on into the cloth in every frame or every other one.
+    for index in range(1, 200):
+        halted = ("iron", "gripper") if index % 2 else ()
+        topics.send(attrs.evolve(frame, index=index, halted=halted), 0)
+    assert log.lines == [
+        "'iron', 'gripper' are stopped: with what else is there they would have left the cloth no room; they stand "
+        "still until they are commanded anew"
+    ]
+    topics.send(attrs.evolve(frame, index=400, halted=("iron",)), 0)
+    assert log.lines[1:] == [
+        "'iron' is stopped: with what else is there it would have left the cloth no room; it stands still until it is "
+        "commanded anew"
+    ]
+
+
+def test_contact_is_noticed_once_when_it_begins() -> None:
+    cloth = Simulation(Scene.from_parameters({**FALLING, "contact.self": True}))
+    watch = FirstContact(cloth)
+    seen = [(cloth.frame, touched) for _ in range(60) if (touched := watch.look(cloth.advance()))]
+    assert [touched for _, touched in seen] == ["'floor'"]
+    assert 2 < seen[0][0] < 20
+    free = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5]}))
+    assert not any(FirstContact(free).look(free.advance()) for _ in range(5))
+
+
+def test_each_gripper_that_pinches_is_a_contact_of_its_own() -> None:
+    cloth = Simulation(Scene.from_parameters({**FALLING, "gripper.mode": "pinch"}))
+    watch, frame = FirstContact(cloth), cloth.advance()
+    touching = attrs.evolve(frame, wrenches=np.ones((1, 6)), loads=np.ones((1, 6)))
+    assert watch.look(touching) == "'floor', 'gripper'"
+    assert not watch.look(touching)
