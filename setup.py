@@ -148,12 +148,12 @@ setup(
         "console_scripts": [
             "cloth_sim = cloth_sim_ros.ros.main:main",
             "cloth_gripper = cloth_sim_ros.ros.gripper_main:main",
-            "cloth_replay = cloth_sim_ros.replay.main:main",
-            "cloth_verify = cloth_sim_ros.verify.main:main",
-            "cloth_batch = cloth_sim_ros.batch.main:main",
-            "cloth_session = cloth_sim_ros.session.main:main",
-            "cloth_fit = cloth_sim_ros.batch.fit_main:main",
-            "cloth_bench = cloth_sim_ros.bench.main:main",
+            "cloth_replay = cloth_sim_ros.replay.command:main",
+            "cloth_verify = cloth_sim_ros.verify.command:main",
+            "cloth_batch = cloth_sim_ros.batch.command:main",
+            "cloth_session = cloth_sim_ros.session.command:main",
+            "cloth_fit = cloth_sim_ros.batch.fit_command:main",
+            "cloth_bench = cloth_sim_ros.bench.command:main",
         ],
     },
 )

@@ -1,26 +1,18 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_gripper`: plays scripted grasps into the command topics of a cloth."""
+"""The command `cloth_gripper`: plays scripted grasps into the command topics of a cloth.
+
+It imports next to nothing, as the node does: a signal during the slow imports of rclpy ends it in order.
+"""
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 
-import attrs
-import rclpy
-from rclpy.executors import ExternalShutdownException
-
-from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
-from cloth_sim_ros.ros.cloth_clock import ClothTime
-from cloth_sim_ros.ros.gripper_hand import Hold
-from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
-from cloth_sim_ros.ros.sim_time import SimTimeNode
+from cloth_sim_ros.ros.gripper_words import describe_holds as describe_holds
 from cloth_sim_ros.ros.stopping import StopSignals
-from cloth_sim_ros.scene.locations import config_file
-from cloth_sim_ros.session.words import counted
-from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
+from cloth_sim_ros.session.loading import loading
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,108 +22,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 when it was played, 1 if it could not be or a grasp held nothing, 130 if a signal ended it.
     """
     argv = list(sys.argv if arguments is None else ["cloth_gripper", *arguments])
-    try:
-        options = read_and_start(_parser(), argv)
-    except ArgumentsError as error:
-        return _refuse(str(error))
-    try:
-        return _play(options)
-    finally:
-        rclpy.try_shutdown()
+    with loading("cloth_gripper"):
+        from cloth_sim_ros.ros.gripper_run import run
 
-
-def _play(options: argparse.Namespace) -> int:
-    try:
-        scripts = [GripperScript.from_file(path) for path in options.scripts or [config_file("grasp.yaml")]]
-    except ScriptError as error:
-        return _refuse(str(error))
-    if options.gripper:
-        if len(scripts) > 1:
-            return _refuse("--gripper names one gripper, for one script; several scripts name their own")
-        scripts = [attrs.evolve(scripts[0], gripper=options.gripper)]
-    names = [script.gripper for script in scripts]
-    for name in names:
-        if not name.isidentifier():
-            return _refuse(f"gripper name '{name}' is no ROS name; use letters, digits and _, a letter first")
-        if names.count(name) > 1:
-            return _refuse(f"{names.count(name)} scripts are for the gripper '{name}'; a gripper plays one")
-    signals = StopSignals()
+        signals = StopSignals()
     signals.install()
-    try:
-        node = SimTimeNode("cloth_gripper")
-    except (ValueError, RuntimeError) as error:
-        return _refuse(readable(error))
-    log = node.get_logger()
-    player = GripperPlayer(
-        node,
-        scripts,
-        target=options.node,
-        proceed=lambda: signals.requested is None,
-        played=ClothTime(node, "/" + options.node.strip("/")),
-        on_standing=log.info,
-    )
-    named = f"gripper{'s' if names[1:] else ''} {', '.join(map(repr, names))} of {options.node}"
-    try:
-        log.info(f"waiting for {named}")
-        if not player.wait_for_grippers(options.wait):
-            return 130
-        log.info(f"playing {max(script.duration for script in scripts):g} s to {named}")
-        if not player.play(standing=options.wait):
-            return 130
-        for hand in player.hands:
-            what = f"{hand.targets_sent} targets sent; {describe_holds(hand.holds)}"
-            log.info(f"played; {what}" if not names[1:] else f"played '{hand.script.gripper}'; {what}")
-        for hand in player.hands:
-            if not all(hold.held for hold in hand.holds):
-                return _refuse(f"gripper '{hand.script.gripper}' of {options.node}: {describe_holds(hand.holds)}")
-    except GripperError as error:
-        return _refuse(str(error))
-    except ExternalShutdownException:
-        return 130
-    finally:
-        node.destroy_node()
-    return 0
-
-
-def describe_holds(holds: Sequence[Hold]) -> str:
-    """Return in words what was held, one grasp after the other."""
-    if not holds:
-        return "the script closes nothing"
-    return "; ".join(_in_words(hold) for hold in holds)
-
-
-def _in_words(hold: Hold) -> str:
-    if hold.held is None:
-        return f"what it held is not known: {hold.words}"
-    return f"held {counted(hold.held, 'particle')}" if hold.held else "held nothing (the node's log says why)"
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="cloth_gripper",
-        description="Plays scripted grasps (YAML: times, poses, close, open) into a cloth's command topics.",
-    )
-    parser.add_argument(
-        "scripts",
-        nargs="*",
-        metavar="script",
-        help="a script, or one for each of several grippers, which begin together; config/grasp.yaml where left out",
-    )
-    parser.add_argument("--gripper", help="name of the gripper, instead of the script's")
-    parser.add_argument("--node", default="/cloth_sim", help="full name of the cloth's node (default: %(default)s)")
-    parser.add_argument(
-        "--wait",
-        type=float,
-        default=30.0,
-        metavar="SECONDS",
-        help="how long to wait for the node, and while a cloth's time stands (default: %(default)s)",
-    )
-    return parser
-
-
-def _refuse(reason: str) -> int:
-    print(f"cloth_gripper: {reason}", file=sys.stderr)
-    return 1
+    return run(argv, signals)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from cloth_sim_ros.ros.accuracy import Accuracy
 from cloth_sim_ros.ros.aside import Turn, at_once
 from cloth_sim_ros.ros.broadcast import FrameBroadcaster
 from cloth_sim_ros.ros.clock import ClockPacer, Due, Pacer, WallPacer
-from cloth_sim_ros.ros.cloth_clock import ClothClock
 from cloth_sim_ros.ros.clock_pause import ClockPause
+from cloth_sim_ros.ros.cloth_clock import ClothClock
 from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.companions import Companions
 from cloth_sim_ros.ros.event_queue import EventQueue

@@ -1,0 +1,14 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Entry of the command `cloth_verify`, which loads the command itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cloth_sim_ros.session.loading import run_command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status."""
+    return run_command("cloth_verify", "cloth_sim_ros.verify.main", arguments)

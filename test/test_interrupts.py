@@ -1,0 +1,59 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C of each command but the node while it loads and begins: one line and a status, no traceback."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SESSION = Path(__file__).parent / "data" / "session_0.1.0.mcap"
+#: Interrupts itself as it imports its so many-th module, counted from the command's beginning.
+PROGRAM = """
+import os, signal, sys
+from {module} import main
+class Finder:
+    left = {number}
+    def find_spec(self, *_):
+        Finder.left -= 1
+        if not Finder.left:
+            os.write(2, b"interrupt\\n")
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.exit(main({arguments}))
+"""
+#: By command: its module, what it needs, and arguments with which it has something to do.
+COMMANDS: dict[str, tuple[str, str, list[str]]] = {
+    "cloth_sim --check": ("cloth_sim_ros.ros.main", "rclpy", ["--check", "{folder}/scene.yaml"]),
+    "cloth_gripper": ("cloth_sim_ros.ros.gripper_main", "rclpy", ["--node", "/nowhere", "--wait", "1.0"]),
+    "cloth_session": ("cloth_sim_ros.session.command", "mcap", ["info", str(SESSION)]),
+    "cloth_verify": ("cloth_sim_ros.verify.command", "mcap", [str(SESSION)]),
+    "cloth_replay": ("cloth_sim_ros.replay.command", "rerun", [str(SESSION), "--save", "{folder}/out.rrd"]),
+    "cloth_batch": ("cloth_sim_ros.batch.command", "distributed", ["check", "{folder}/scene.yaml"]),
+    "cloth_fit": ("cloth_sim_ros.batch.fit_command", "mcap", [str(SESSION), "--parameters", "stretch"]),
+}
+
+
+@pytest.mark.parametrize("number", [1, 40, 500])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_interrupt_leaves_no_traceback(
+    command: str, number: int, ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    module, needed, arguments = COMMANDS[command]
+    if importlib.util.find_spec(needed) is None:
+        pytest.skip(f"{needed} is not there")
+    (tmp_path / "scene.yaml").write_text("/**: {ros__parameters: {rate: 60.0}}\n")
+    filled = [argument.format(folder=tmp_path) for argument in arguments]
+    program = PROGRAM.format(module=module, number=number, arguments=filled)
+    process = start_process([sys.executable, "-c", program], cwd=tmp_path)
+    status = process.wait()
+    assert "Traceback" not in process.output
+    if "interrupt\n" in process.output:
+        # The viewer's command says 1 once it is at work, as for all that it can't do.
+        assert status in ((130, 1) if command == "cloth_replay" else (130,)), process.output
+        assert len(process.output.splitlines()) < 8, process.output
