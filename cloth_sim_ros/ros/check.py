@@ -81,8 +81,8 @@ def check(path: str, *, node: str) -> int:
         return 1
     full = f"/{node.strip('/')}"
     if not values:
-        others = parameter_file.other_nodes(text, node=node, source=path)
-        print(f"warning: '{path}' sets nothing for the node {full}: all has its default{others and f'; {others}'}")
+        owners = parameter_file.other_nodes(text, node=node, source=path)
+        print(f"warning: '{path}' sets nothing for the node {full}: all has its default{owners and f'; {owners}'}")
     notes, doubts = mesh_notes(scene)
     doubts += implausible_sizes(scene, simulation.state.x, simulation.model.masses)
     for sentence in [*unknown_sentences(values, known, scene, node=full), *without_effect(scene, own), *doubts]:

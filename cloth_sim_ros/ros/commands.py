@@ -22,7 +22,7 @@ from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, Que
 from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.outputs import Tape
-from cloth_sim_ros.ros.qos_overrides import OPTIONS, own_profile
+from cloth_sim_ros.ros.qos_overrides import OPTIONS, overridden_profile
 from cloth_sim_ros.ros.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.session.words import counted
@@ -109,26 +109,25 @@ class Commands:
         self, name: str, leaf: str, kind: Any, qos: QoSProfile, handle: Callable[[str, Any, int], None]
     ) -> Subscription:
         topic = f"~/{name}/{leaf}"
-        own = own_profile(self._node, topic, qos, side=SUBSCRIPTION)
+        profile = overridden_profile(self._node, topic, qos, endpoint_kind=SUBSCRIPTION)
         take = functools.partial(
-            self._take, name, leaf, kind, own, self._node.resolve_topic_name(topic, only_expand=True), handle
+            self._take, name, leaf, kind, profile, self._node.resolve_topic_name(topic, only_expand=True), handle
         )
         # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-        # A volatile subscription by best effort meets every publisher: nothing is to be told, and each event costs time
-        # every turn.
-        choosy = own.reliability != ReliabilityPolicy.BEST_EFFORT or own.durability != DurabilityPolicy.VOLATILE
-        misfit = functools.partial(self._tell_misfit, self._node.resolve_topic_name(topic)) if choosy else None
+        # A volatile best-effort subscription matches every publisher: it needs no event, which costs each turn time.
+        choosy = profile.reliability != ReliabilityPolicy.BEST_EFFORT or profile.durability != DurabilityPolicy.VOLATILE
+        misfit = functools.partial(self._warn_of_misfit, self._node.resolve_topic_name(topic)) if choosy else None
         events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
         return self._node.create_subscription(
-            kind, topic, self._single(take), own, raw=True, event_callbacks=events, qos_overriding_options=OPTIONS
+            kind, topic, self._single(take), profile, raw=True, event_callbacks=events, qos_overriding_options=OPTIONS
         )
 
-    def _tell_misfit(self, topic: str, event: Any) -> None:
+    def _warn_of_misfit(self, topic: str, event: Any) -> None:
         if event.last_policy_kind == QoSPolicyKind.DURABILITY:
-            what = "is volatile, and nothing that it sends is heard: make it transient local"
+            fault = "is volatile, and nothing that it sends is heard: make it transient local"
         else:
-            what = "offers best effort, and nothing that it sends is heard: make it reliable"
-        self._log.warn(f"misfit {topic}", f"a publisher of {topic} {what}")
+            fault = "offers best effort, and nothing that it sends is heard: make it reliable"
+        self._log.warn(f"misfit {topic}", f"a publisher of {topic} {fault}")
 
     def heard(self, gripper: str) -> int | None:
         """When the newest target of a gripper or obstacle came, ROS time [ns]; None if none has."""
@@ -199,12 +198,12 @@ class Commands:
 
     def _refuse(self, name: str, leaf: str, kind: str, reason: str) -> None:
         self.refused += 1
-        # Said of the target already, where an event's own check refuses it.
-        own = f"target of '{name}'"
-        if reason.startswith(f"{own}: "):
-            reason = reason.removeprefix(f"{own}: ")
-        elif reason.startswith(own):
-            reason = f"it{reason.removeprefix(own)}"
+        # The check of an event names its target itself.
+        subject = f"target of '{name}'"
+        if reason.startswith(f"{subject}: "):
+            reason = reason.removeprefix(f"{subject}: ")
+        elif reason.startswith(subject):
+            reason = f"it{reason.removeprefix(subject)}"
         self._log.warn(f"{leaf} {name} {kind}", f"{leaf} of '{name}' is refused: {reason}")
 
     def _target(self, gripper: str, message: PoseStamped, now: int) -> None:

@@ -54,10 +54,10 @@ def explain(message: str) -> str:
 def _check_log_folder(environment: Mapping[str, str]) -> None:
     """Refuse a log's folder that can't be made or written, as rcl names and makes it."""
     remedy = "set ROS_LOG_DIR to a folder that can be written"
-    given = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
-    if given.startswith("~") and not environment.get("HOME"):
-        raise EnvironmentFaultError(f"HOME is not set, so the log has no folder {given}: {remedy}")
-    folder = Path(environment["HOME"] + given.removeprefix("~")) if given.startswith("~") else Path(given)
+    named = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
+    if named.startswith("~") and not environment.get("HOME"):
+        raise EnvironmentFaultError(f"HOME is not set, so the log has no folder {named}: {remedy}")
+    folder = Path(environment["HOME"] + named.removeprefix("~")) if named.startswith("~") else Path(named)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -74,8 +74,8 @@ def _check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) ->
             f"{_SECURE} is true and ROS_SECURITY_STRATEGY is Enforce, but ROS_SECURITY_KEYSTORE is not set: set it to "
             f"the folder that 'ros2 security create_keystore' made, {_UNSET}"
         )
-    given = dict(itertools.pairwise(arguments)).get("--enclave", "/")
-    enclave = environment.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or given
+    argument = dict(itertools.pairwise(arguments)).get("--enclave", "/")
+    enclave = environment.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or argument
     folder = Path(keystore) / "enclaves" / enclave.strip("/")
     if not folder.is_dir():
         raise EnvironmentFaultError(

@@ -80,11 +80,15 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
         if not player.play(standing=options.wait):
             return INTERRUPTED
         for hand in player.hands:
-            what = f"{hand.targets_sent} targets sent; {describe_holds(hand.holds)}"
-            log.info(f"played; {what}" if not names[1:] else f"played '{hand.script.gripper}'; {what}")
-        for hand in player.hands:
-            if not all(hold.held for hold in hand.holds):
-                return _refuse(f"gripper '{hand.script.gripper}' of {options.node}: {describe_holds(hand.holds)}")
+            summary = f"{hand.targets_sent} targets sent"
+            if all(hold.held for hold in hand.holds):
+                summary += f"; {describe_holds(hand.holds)}"
+            log.info(f"played; {summary}" if not names[1:] else f"played '{hand.script.gripper}'; {summary}")
+        failed = [hand for hand in player.hands if not all(hold.held for hold in hand.holds)]
+        for hand in failed:
+            _refuse(f"gripper '{hand.script.gripper}' of {options.node}: {describe_holds(hand.holds)}")
+        if failed:
+            return 1
     except GripperError as error:
         return _refuse(str(error))
     except ExternalShutdownException:

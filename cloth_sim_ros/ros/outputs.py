@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
-from cloth_sim_ros.ros.qos_overrides import OPTIONS, own_profile
+from cloth_sim_ros.ros.qos_overrides import OPTIONS, overridden_profile
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
@@ -60,12 +60,12 @@ class Output:
         self._tape = tape
         self._droppable = droppable
         self._log = ThrottledLog(node.get_logger(), seconds=_BETWEEN_WARNINGS)
-        own = own_profile(node, topic, qos)
+        profile = overridden_profile(node, topic, qos)
         try:
             self._publisher = node.create_publisher(
                 kind,
                 topic,
-                own,
+                profile,
                 qos_overriding_options=OPTIONS,
                 # A subscriber that asks for what is not offered is told so by its own side; each event that this side
                 # waits for costs the executor time in every turn.

@@ -345,7 +345,7 @@ def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
     """Warn of overrides that nothing looks at: a typing error in a parameter file is easily overlooked."""
     there = node.list_parameters([], 0).names
     full, resolve = node.get_fully_qualified_name(), node.resolve_topic_name
-    looked_at = {Override(resolve(topic), side, policy).name for side, topic, policy in overridable(scene)}
+    looked_at = {Override(resolve(topic), kind, policy).name for kind, topic, policy in overridable(scene)}
     for sentence in unknown_sentences(there, known, scene, node=full, resolve=resolve):
         node.get_logger().warning(sentence)
     for name in there:

@@ -23,12 +23,12 @@ _ENUMS: dict[str, Any] = {
 }
 
 
-def override_names(node: Node, topic: str, *, side: str = PUBLISHER) -> list[str]:
+def override_names(node: Node, topic: str, *, endpoint_kind: str = PUBLISHER) -> list[str]:
     """Return the names of the overrides that a publisher or subscription of a topic looks at, after remapping."""
-    return [Override(node.resolve_topic_name(topic), side, policy).name for policy in POLICIES]
+    return [Override(node.resolve_topic_name(topic), endpoint_kind, policy).name for policy in POLICIES]
 
 
-def own_profile(node: Node, topic: str, qos: QoSProfile, *, side: str = PUBLISHER) -> QoSProfile:
+def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
     """Return a profile of a topic's own, with its overrides: rclpy writes them into the very object that it is given.
 
     They are judged here, because rclpy's errors about them name no parameter.
@@ -37,19 +37,22 @@ def own_profile(node: Node, topic: str, qos: QoSProfile, *, side: str = PUBLISHE
         node: whose topic.
         topic: before remapping.
         qos: the defaults; stays as it is.
-        side: one of `qos_rules.SIDES`.
+        endpoint_kind: one of `qos_rules.ENDPOINT_KINDS`.
 
     Raises:
         ParameterError: names each parameter, its value and what is allowed.
     """
-    found = zip(POLICIES, override_names(node, topic, side=side), strict=True)
-    given = {policy: (name, node.get_parameter(name).value) for policy, name in found if node.has_parameter(name)}
+    names = override_names(node, topic, endpoint_kind=endpoint_kind)
+    overrides = {
+        policy: (name, node.get_parameter(name).value)
+        for policy, name in zip(POLICIES, names, strict=True)
+        if node.has_parameter(name)
+    }
     defaults = {"reliability": qos.reliability.name.lower(), "durability": qos.durability.name.lower()}
     refused = Faults()
-    refused.add(faults(dict(given.values()), defaults))
+    refused.add(faults(dict(overrides.values()), defaults))
     refused.refuse()
-    values = {
-        policy: value if policy == "depth" else _ENUMS[policy][value.upper()] for policy, (_, value) in given.items()
-    }
-    own = {policy: getattr(qos, policy) for policy in POLICIES} | values
-    return QoSProfile(**own)
+    policies = {policy: getattr(qos, policy) for policy in POLICIES}
+    for policy, (_, value) in overrides.items():
+        policies[policy] = value if policy == "depth" else _ENUMS[policy][value.upper()]
+    return QoSProfile(**policies)

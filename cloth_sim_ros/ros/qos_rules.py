@@ -14,7 +14,7 @@ from cloth_sim_ros.scene.unknown import PROFILES
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene
 
-PUBLISHER, SUBSCRIPTION = SIDES = ("publisher", "subscription")
+PUBLISHER, SUBSCRIPTION = ENDPOINT_KINDS = ("publisher", "subscription")
 #: Values of each policy that has words for values, in rclpy's order.
 _WORDS = {
     "reliability": ("system_default", "reliable", "best_effort", "best_available"),
@@ -32,15 +32,15 @@ class Override:
     """The name of an override, taken apart."""
 
     topic: str
-    #: One of SIDES.
-    side: str
+    #: One of ENDPOINT_KINDS.
+    endpoint_kind: str
     #: One of POLICIES.
     policy: str
 
     @property
     def endpoint(self) -> str:
-        """What the name begins with, for all policies alike."""
-        return f"{PROFILES}{self.topic}.{self.side}"
+        """The beginning of the name, the same for all policies."""
+        return f"{PROFILES}{self.topic}.{self.endpoint_kind}"
 
     @property
     def name(self) -> str:
@@ -49,7 +49,7 @@ class Override:
 
 
 def topics_of(scene: Scene) -> dict[str, list[str]]:
-    """Return the topics of a scene's node whose profiles may be overridden, by side."""
+    """Return the topics of a scene's node whose profiles may be overridden, by endpoint_kind."""
     out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
@@ -60,11 +60,11 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
 
 
 def overridable(scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield side, topic before remapping, and policy of each override that a scene's node looks at."""
-    for side, topics in topics_of(scene).items():
+    """Yield the kind of endpoint, topic before remapping, and policy of each override that a scene's node looks at."""
+    for endpoint_kind, topics in topics_of(scene).items():
         for topic in topics:
             for policy in POLICIES:
-                yield side, topic, policy
+                yield endpoint_kind, topic, policy
 
 
 def read_name(name: str) -> Override | None:
@@ -72,8 +72,10 @@ def read_name(name: str) -> Override | None:
     if not name.startswith(PROFILES):
         return None
     topic, _, end = name.removeprefix(PROFILES).rpartition(".")
-    topic, _, side = topic.rpartition(".")
-    return Override(topic, side, end) if topic and side in SIDES and end in POLICIES else None
+    topic, _, endpoint_kind = topic.rpartition(".")
+    return (
+        Override(topic, endpoint_kind, end) if topic and endpoint_kind in ENDPOINT_KINDS and end in POLICIES else None
+    )
 
 
 def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None) -> Iterator[str]:
@@ -120,10 +122,10 @@ def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> di
 
 
 def _wrong(override: Override, value: Any) -> str:
-    """Say what a policy's value must be, where it is not."""
+    """Return what a policy's value must be; empty if it is."""
     if override.policy == "depth":
         right = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _DEEPEST
-        waits = "for slow subscribers" if override.side == PUBLISHER else "for the node"
+        waits = "for slow subscribers" if override.endpoint_kind == PUBLISHER else "for the node"
         return "" if right else f"a whole number from 0 to {_DEEPEST}, how many messages wait {waits}"
     words = _WORDS[override.policy]
     right = isinstance(value, str) and value.lower() in words

@@ -34,16 +34,18 @@ def unknown_sentences(
     """
     full = resolve or (lambda topic: topic.replace("~", node, 1))
     topics = {full(topic) for _, topic, _ in overridable(scene)}
-    profiles = [Override(full(topic), side, policy).name for side, topic, policy in overridable(scene)]
-    there = [*known, *FOREIGN, *profiles]
-    unknown = [name for name in names if name not in set(there)]
+    profiles = [
+        Override(full(topic), endpoint_kind, policy).name for endpoint_kind, topic, policy in overridable(scene)
+    ]
+    declared = [*known, *FOREIGN, *profiles]
+    unknown = [name for name in names if name not in set(declared)]
     owners = foreign_owners(unknown, topics, node)
     dumps = {owner: found for owner, found in owners.items() if len(found) > _SINGLE}
     grouped = {name for found in dumps.values() for name in found}
     single = [name for name in unknown if name not in grouped]
     if resolve is None:
         single = [name for name in single if not name.startswith(PROFILES)]
-    return [*(_of_dump(owner, len(found), node) for owner, found in dumps.items()), *_of_names(single, there)]
+    return [*(_of_dump(owner, len(found), node) for owner, found in dumps.items()), *_of_names(single, declared)]
 
 
 def _of_dump(owner: str, count: int, node: str) -> str:

@@ -26,9 +26,9 @@ def unused_files(arguments: Sequence[str], *, node: str) -> Iterator[str]:
         if option not in _OPTIONS or not Path(path).is_file():
             continue
         try:
-            others = parameter_file.other_nodes(parameter_file.text_of(path), node=node, source=path)
+            owners = parameter_file.other_nodes(parameter_file.text_of(path), node=node, source=path)
         except ParameterError:
             # ROS has taken it all the same: the two readers differ in what they refuse.
             continue
-        if others:
-            yield f"'{path}' sets nothing for the node {node}: {others.partition(', or give the name')[0]}"
+        if owners:
+            yield f"'{path}' sets nothing for the node {node}: {owners.partition(', or give the name')[0]}"

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of coordinate frames, as tf2 takes them.
 
-A session recorded with another name is read and run again as it was: a live node and its parameter files are judged, a
-`Scene` is not.
+A live node and its parameter files are checked, a `Scene` is not: it may be that of an older session with another name.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 #: Largest number of particles of a cloth.
-MOST_PARTICLES = 4_000_000
+MAX_PARTICLES = 4_000_000
 #: Positions of metres are rounded to about 1e-16 of themselves, a few thousand times a frame [m].
-LEAST_TOLERANCE = 1e-12
+MIN_TOLERANCE = 1e-12
 #: Of coefficients of friction.
 FRICTION = "1 or 2 entries, the second no larger"
 #: Of orientations.

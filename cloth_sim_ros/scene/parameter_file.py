@@ -72,14 +72,14 @@ def other_nodes(text: str, *, node: str, source: str) -> str:
     """
     sections = _sections(text, source)
     full = f"/{node.strip('/')}"
-    others = [name for name, values in sections.items() if values]
-    if not others or any(ros_sections.matches(name, full) for name in sections):
+    owners = [name for name, values in sections.items() if values]
+    if not owners or any(ros_sections.matches(name, full) for name in sections):
         return ""
-    first = f"/{others[0].removeprefix('/')}"
+    first = f"/{owners[0].removeprefix('/')}"
     named = "" if "*" in first else f", or give the name, --node {first} or node='{first}'"
     return (
-        f"it sets parameters of {', '.join(others)}: write '/**:', which means every node, or '{full}:' for "
-        f"'{others[0]}:' in the file{named}"
+        f"it sets parameters of {', '.join(owners)}: write '/**:', which means every node, or '{full}:' for "
+        f"'{owners[0]}:' in the file{named}"
     )
 
 

@@ -28,8 +28,8 @@ _TAIL = """## Of ROS itself
 
 `use_sim_time`: time is that of `/clock`; set at start ([simulated time](../ros.md#simulated-time)).
 
-`qos_overrides.<topic>.publisher.<policy>`: `reliability`, `history` or `depth` of one output; set at start
-([topics](../ros.md#topics)).
+`qos_overrides.<topic>.publisher.<policy>` and `qos_overrides.<topic>.subscription.<policy>`: `reliability`,
+`durability`, `history` or `depth` of one topic; set at start ([quality of service](../ros.md#quality-of-service)).
 """
 
 #: Stands for the name of an obstacle.

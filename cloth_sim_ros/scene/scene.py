@@ -124,7 +124,7 @@ class Scene:
         unit="m",
         least=0.0,
         most=1.0,
-        constraint=f"0.0, or at least {limits.LEAST_TOLERANCE}",
+        constraint=f"0.0, or at least {limits.MIN_TOLERANCE}",
         live=True,
     )
     step: float = parameter(

@@ -9,7 +9,7 @@ import attrs
 from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
 from cloth_sim_ros.physics.sheets.surface import LAYOUTS
 from cloth_sim_ros.scene.gripper_section import Gripper as Gripper
-from cloth_sim_ros.scene.limits import FRAME, FRICTION, MOST_PARTICLES, QUATERNION
+from cloth_sim_ros.scene.limits import FRAME, FRICTION, MAX_PARTICLES, QUATERNION
 from cloth_sim_ros.scene.parameters import parameter
 
 
@@ -33,7 +33,7 @@ class Cloth:
         length=2,
         least=2,
         most=4096,
-        constraint=f"at most {MOST_PARTICLES} particles",
+        constraint=f"at most {MAX_PARTICLES} particles",
     )
     mesh: str = parameter("string", "", "Triangle mesh file (OBJ, PLY, STL) instead of size and resolution")
     merge: bool = parameter(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.scene import gripper_parameters, obstacles
-from cloth_sim_ros.scene.limits import LEAST_TOLERANCE, MOST_PARTICLES
+from cloth_sim_ros.scene.limits import MAX_PARTICLES, MIN_TOLERANCE
 from cloth_sim_ros.scene.parameters import Faults
 
 if TYPE_CHECKING:
@@ -34,10 +34,10 @@ def check_values(scene: Scene) -> None:
 
 def _faults(scene: Scene) -> Iterator[str]:
     rows, columns = scene.cloth.resolution
-    if rows * columns > MOST_PARTICLES:
-        yield f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MOST_PARTICLES}"
-    if 0.0 < scene.tolerance < LEAST_TOLERANCE:
-        yield f"tolerance is {scene.tolerance} m, finer than rounding; take {LEAST_TOLERANCE} m or more, or 0.0"
+    if rows * columns > MAX_PARTICLES:
+        yield f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MAX_PARTICLES}"
+    if 0.0 < scene.tolerance < MIN_TOLERANCE:
+        yield f"tolerance is {scene.tolerance} m, finer than rounding; take {MIN_TOLERANCE} m or more, or 0.0"
     if not scene.frame_id:
         yield "frame_id is empty; name the coordinate frame, e.g. 'world'"
     if scene.tf.publish and "cloth" in scene.gripper_names:

@@ -144,6 +144,7 @@ def test_a_grasp_of_nothing_is_a_failure(ros_domain: int, start_process: Callabl
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
     assert gripper.wait() == 1
     assert "gripper 'gripper' of /cloth_sim: held nothing (the node's log says why)" in gripper.output
+    assert gripper.output.count("held nothing") == 1, "said once, by the log or by the command"
     process.wait_for_output("is closed and holds nothing: no particle within 0.05 m of it")
 
 

@@ -45,7 +45,7 @@ def ends(entry: Parameter) -> tuple[Any, Any]:
 
 
 def is_accepted(entry: Parameter, value: Any) -> bool:
-    """Whether a cloth of some grid takes a value."""
+    """True if a cloth of some grid takes a value."""
     for beside in ({}, BESIDE.get(entry.name, {})):
         with contextlib.suppress(ParameterError):
             Scene.from_parameters({"cloth.resolution": [5, 5], **beside, entry.name: value})
@@ -54,7 +54,7 @@ def is_accepted(entry: Parameter, value: Any) -> bool:
 
 
 def declare(node: Node, entry: Parameter, value: Any) -> Any:
-    """What a parameter of the descriptor of another is, once it is declared: rclpy looks at ranges as it declares."""
+    """Declare a new parameter with another's descriptor, whose range rclpy checks, and return its value."""
     name = f"p{next(NUMBERS)}"
     return node.declare_parameter(name, value, describe(entry)).value
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node's log says of commands, each thing once, and its DEBUG lines, which a service switches on."""
+"""The node's log of commands, and its DEBUG lines, which a service switches on."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ def client(ros_domain: int) -> Iterator[Client]:
         yield client
 
 
-def asked(client: Client, topic: str) -> Any:
-    """What the one subscription of a topic asks for, as the graph has it."""
+def requested(client: Client, topic: str) -> Any:
+    """The profile of a topic's only subscription, as the graph has it."""
     found = client.spin_until(lambda: client.node.get_subscriptions_info_by_topic(topic), what=f"one of {topic}")
     (info,) = found
     return info.qos_profile
@@ -54,9 +54,9 @@ def test_latched_points_reach_those_who_come_later(client: Client) -> None:
 def test_inputs_keep_their_defaults(client: Client) -> None:
     with ClockedCloth(client):
         for leaf in ("target", "point"):
-            found = asked(client, f"/cloth_sim/gripper/{leaf}")
+            found = requested(client, f"/cloth_sim/gripper/{leaf}")
             assert (found.reliability, found.durability) == (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
-        assert asked(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.RELIABLE
+        assert requested(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.RELIABLE
 
 
 def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
@@ -67,9 +67,9 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
         f"{GRASP}.reliability": "best_effort",
     }
     with ClockedCloth(client, values) as cloth:
-        found = asked(client, "/cloth_sim/gripper/target")
+        found = requested(client, "/cloth_sim/gripper/target")
         assert (found.reliability, found.durability) == (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
-        assert asked(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.BEST_EFFORT
+        assert requested(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.BEST_EFFORT
         # Parameters of what was not overridden tell the defaults, as `ros2 param dump` has them.
         assert cloth.node.node.get_parameter(f"{GRASP}.depth").value == 100
         publisher = client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", LATCHED)

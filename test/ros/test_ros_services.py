@@ -157,7 +157,7 @@ def check_parameters(client: Client) -> None:
         assert descriptor.read_only == (not entry.live)
         if entry.kind == "double" and entry.most is not None:
             (limits,) = descriptor.floating_point_range
-            assert (limits.from_value, limits.to_value) == (entry.least, entry.most)
+            assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.most)
     rate = next(descriptor for descriptor in descriptors if descriptor.name == "rate")
     assert rate.description.endswith("[Hz]")
     # The weight turns: the cloth falls up, from the next frame on.
