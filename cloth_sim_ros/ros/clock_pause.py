@@ -27,7 +27,7 @@ class ClockPause:
 
     @property
     def user_paused(self) -> bool:
-        """Whether the user paused the cloth, whatever /clock does."""
+        """Pause that the user asked for, with a moving /clock as with a standing one."""
         return self._user if self._holds else self._simulation.paused
 
     def events(self, *, stands: bool) -> tuple[list[Event], list[Event]]:

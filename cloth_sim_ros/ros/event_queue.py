@@ -96,7 +96,7 @@ class EventQueue:
         return sorted(ready, key=lambda entry: entry.stamp)
 
     def holds(self, kind: type[Event]) -> bool:
-        """Whether an event of a kind waits."""
+        """Return true if an event of a kind waits."""
         return any(isinstance(entry.event, kind) for entry in self._entries)
 
     def clear(self, reason: str) -> None:

@@ -33,8 +33,8 @@ class NodeFailedError(RuntimeError):
 class FailureGuard:
     """Runs frames. An exception takes the simulation back to the frame before and stops time until a reset.
 
-    MemoryError, StopRequestedError and what is no Exception propagate. A callback that holds `turn` and raises fails
-    the next frame.
+    MemoryError, StopRequestedError and what is no Exception propagate. A callback that holds `callback_lock` and raises
+    fails the next frame.
 
     Args:
         node: the node.
@@ -57,7 +57,7 @@ class FailureGuard:
         self._reports: Mapping[str, Callable[[str, int], Any]] = {}
         self._recover: Callable[[], None] = lambda: None
         #: Held by callbacks instead of the lock alone.
-        self.turn = CallbackTurn(lock, self.defer)
+        self.callback_lock = CallbackLock(lock, self.defer)
         self._pending: Exception | None = None
         self._log = ThrottledLog(node.get_logger(), seconds=60.0)
         self._must_exit = False
@@ -109,8 +109,8 @@ class FailureGuard:
             self._pending = error
         return True
 
-    def attempt(self, what: str, job: Callable[[], Any]) -> None:
-        """Run a job that must not end the node; an exception is logged, once a minute for each `what`."""
+    def attempt(self, subject: str, job: Callable[[], Any]) -> None:
+        """Run a job that must not end the node; an exception is logged, once a minute for each subject."""
         try:
             job()
         except Exception as error:
@@ -118,10 +118,10 @@ class FailureGuard:
                 raise
             # While failed, what else goes wrong most likely has the same cause, whose traceback is in the log.
             trace = "" if self.reason else f"\n{traceback.format_exc().rstrip()}"
-            self._log.error(what, f"{what}: {sentence_of(error)}{trace}")
+            self._log.error(subject, f"{subject}: {sentence_of(error)}{trace}")
 
     def check_exit(self) -> None:
-        """Let the executor end if that was asked for.
+        """End the executor's spin if `on_failure` says so.
 
         Raises:
             NodeFailedError: if a frame failed, and `on_failure` is `exit`.
@@ -137,7 +137,7 @@ class FailureGuard:
     def _propagates(self, error: Exception) -> bool:
         if isinstance(error, MemoryError | StopRequestedError) or os.environ.get(RAISE):
             return True
-        # The middleware's errors after the context was shut down: nobody is left to be told.
+        # The middleware's errors after the context was shut down: nobody listens any more.
         return isinstance(error, RuntimeError) and not self._node.context.ok()
 
     def _enter(self, error: Exception, before: Snapshot, stamp: int) -> None:
@@ -152,11 +152,11 @@ class FailureGuard:
         )
         self._stepper.refuse(self.answer)
         self._queue.refuse(self.answer)
-        for what, report in self._reports.items():
-            self.attempt(f"cannot report the failure by {what}", lambda report=report: report(reason, stamp))  # type: ignore[misc]
+        for subject, report in self._reports.items():
+            self.attempt(f"cannot report the failure by {subject}", lambda report=report: report(reason, stamp))  # type: ignore[misc]
 
 
-class CallbackTurn:
+class CallbackLock:
     """A lock that takes the exception of the callback that holds it.
 
     Args:

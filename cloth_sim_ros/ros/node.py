@@ -119,7 +119,7 @@ class ClothNode:
             frames=self._frames,
             tape=self._recording,
             log=self._log,
-            turn=self._failure.turn,
+            turn=self._failure.callback_lock,
         )
         self._gripper_speed = GripperSpeedMonitor(self._simulation, self._log)
         self._companions = Companions(self._simulation, self._frames, self._commands.heard, self._log)
@@ -165,7 +165,7 @@ class ClothNode:
             clock=lambda: self._pacer.describe() if isinstance(self._pacer, ClockPacer) else None,
         )
         self._diagnostics = diagnostics.Diagnostics(self.node, self._recording, self._report)
-        self._overheard = Overheard(self.node, self._recording, self._failure.turn)
+        self._overheard = Overheard(self.node, self._recording, self._failure.callback_lock)
         self._recording_control = RecordingControl(
             self.node,
             self._recording,

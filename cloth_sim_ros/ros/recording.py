@@ -68,7 +68,7 @@ class SessionRecording:
 
     @property
     def busy(self) -> bool:
-        """Whether a recording runs, or the one before is still being closed."""
+        """True while a recording runs or the one before is still being closed."""
         return self._recorder is not None or self._closing is not None
 
     def prepare(self) -> None:

@@ -79,7 +79,7 @@ class RecordingControl:
             answer(False, str(error))
             return
 
-        def told(status: RecorderStatus) -> None:
+        def finish(status: RecorderStatus) -> None:
             if status.state == "recording":
                 self._node.get_logger().info(f"recording into {status.path}")
             elif status.state == "closed":
@@ -87,7 +87,7 @@ class RecordingControl:
             # Why it failed, the housekeeping logs, whether or not somebody waits for an answer.
             answer(status.state == ("recording" if begin else "closed"), status.error or str(status.path))
 
-        self._recording.tell(told)
+        self._recording.tell(finish)
 
     def fail(self, reason: str, _stamp: int) -> None:
         """End the recording, if there is one, with the reason of a failure; another one begins after the reset."""
@@ -101,9 +101,9 @@ class RecordingControl:
         """Begin the recording that a failure ended, once the node has recovered; call it now and then."""
         if self._resumes and not self._refusal() and not self._recording.busy:
             self._resumes = False
-            self.switch(True, self._tell_resumed)
+            self.switch(True, self._log_resumption)
 
-    def _tell_resumed(self, success: bool, message: str) -> None:
+    def _log_resumption(self, success: bool, message: str) -> None:
         if not success:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
