@@ -102,7 +102,7 @@ def _has_users_transports() -> bool:
 
 
 def _enter(stack: contextlib.ExitStack, wanted: int) -> str:
-    """Set the environment for a segment, or for UDP where there is no room; return a warning or an empty text."""
+    """Set the environment for a segment, or for UDP without room for one; return a warning or an empty text."""
     wanted = min(wanted, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)

@@ -36,7 +36,7 @@ SessionRecording(node_name="/cloth_sim", simulation=simulation).save_state()
 
 
 def recording_into(folder: Path) -> SessionRecording:
-    """What a node saves states with."""
+    """Return the recording of a node that is not started."""
     simulation = Simulation(Scene.from_parameters({"record.folder": str(folder)}))
     return SessionRecording(node_name="/cloth_sim", simulation=simulation)
 
