@@ -125,7 +125,7 @@ def test_recovered_session_comes_out_the_same(session: Path, tmp_path: Path, sha
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_copies_of_random_sessions_come_out_the_same(tmp_path: Path, seed: int) -> None:
-    paths = make_random_session(tmp_path, seed, frames=30, obstacles=True)
+    paths = make_random_session(tmp_path, seed, frames=30)
     copies = []
     for number, path in enumerate(paths):
         with contextlib.closing(SessionPart(path)) as part:
