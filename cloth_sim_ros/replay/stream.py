@@ -19,6 +19,7 @@ from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, ex
 from cloth_sim_ros.replay.rows import Moment, Rows
 from cloth_sim_ros.replay.survey import Survey, check_fit
 from cloth_sim_ros.session.cdr import decode, decode_cloud
+from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import read_frame
@@ -182,9 +183,13 @@ class Stream:
         record = read_frame(message)
         moment = self._moment = Moment(record.time, message.log_time, record.frame)
         self._tell_events()
-        counts = self._grippers.advance(record, lambda: self._positions_before(record))
-        self._recorded = record.frame
-        self._anchor(record)
+        try:
+            counts = self._grippers.advance(record, lambda: self._positions_before(record))
+            self._recorded = record.frame
+            self._anchor(record)
+        except (TypeError, ValueError, OverflowError) as error:
+            # Values of parameters are of any type in a file.
+            raise SessionError(f"the record of frame {record.frame} has an event of other values: {error}") from error
         self._scalar("plots/steps/steps", moment, float(record.steps))
         for path, value in extra_numbers(record.extras):
             self._scalar(path, moment, value)

@@ -260,6 +260,8 @@ def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> An
     Raises:
         ValueError: if the file is broken.
     """
+    # It logs the exceptions of the readers that it tries one after the other.
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         return load(*arguments, **options)
     except ModuleNotFoundError as error:

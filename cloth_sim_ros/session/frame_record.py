@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +15,8 @@ from cloth_sim_ros.session.errors import SessionError
 
 #: Made once: it is asked for every frame.
 _ENCODE = json.JSONEncoder(allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode
+#: Largest number of an event: a float holds it.
+_MOST = 1e300
 _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "digest", "paused")
 
 
@@ -105,8 +107,26 @@ def _check_types(content: dict[str, Any]) -> None:
     for key, value in content.items():
         if not isinstance(value, wanted[key]) or (isinstance(value, bool) and key != "paused"):
             raise SessionError(f"a frame record's {key} is {value!r}, expected {wanted[key][0].__name__}")
+    for key in ("frame", "steps"):
+        if not 0 <= content[key] < 1 << 63:
+            raise SessionError(f"a frame record's {key} is out of range; it must be from 0 to 2^63 - 1")
+    for key in ("time", "tolerance"):
+        if content[key] is not None and not abs(content[key]) <= _MOST:
+            raise SessionError(f"a frame record's {key} is out of range; it must be at most {_MOST:g}")
     if not all(isinstance(event, dict) for event in content["events"]):
         raise SessionError("a frame record's events are JSON objects")
+    for event in content["events"]:
+        for name, (kinds, fits, words) in _MEMBERS.items():
+            if event.get("kind") in kinds and not fits(event.get(name)):
+                raise SessionError(f"a frame record's event {str(event)[:200]} has no '{name}' that is {words}")
+
+
+def _is_vector(value: Any, count: int) -> bool:
+    return isinstance(value, list) and len(value) == count and all(map(_is_number, value))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST
 
 
 def _finite(text: str) -> float:
@@ -125,3 +145,16 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(content) != len(pairs):
         raise ValueError(f"a key appears twice among {[key for key, _ in pairs]}")
     return content
+
+
+#: Members of events: the kinds that have each, what it must be, and that in words.
+_MEMBERS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
+    "gripper": (("target", "grasp"), lambda value: isinstance(value, str), "a text"),
+    "obstacle": (("move",), lambda value: isinstance(value, str), "a text"),
+    "position": (("target", "move"), lambda value: _is_vector(value, 3), "three numbers"),
+    "orientation": (("target", "move"), lambda value: value is None or _is_vector(value, 4), "four numbers or null"),
+    "closed": (("grasp",), lambda value: isinstance(value, bool), "true or false"),
+    "values": (("set_parameters",), lambda value: isinstance(value, dict), "an object"),
+    "paused": (("pause",), lambda value: isinstance(value, bool), "true or false"),
+    "factor": (("relax",), _is_number, "a number"),
+}
