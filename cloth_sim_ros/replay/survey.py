@@ -157,7 +157,10 @@ class _Gathered:
     def _note(self, message: Message) -> None:
         if message.topic == f"{self._node}/frame":
             record = read_frame(message)
-            self.grips.extend(list(event["position"]) for event in record.events if event.get("kind") == "target")
+            targets = [list(event["position"]) for event in record.events if event.get("kind") == "target"]
+            if any(len(position) != 3 for position in targets):
+                raise SessionError(f"the record of frame {record.frame} has a target that is not three numbers")
+            self.grips.extend(targets)
             found = list(extra_numbers(record.extras))
         elif message.topic == DIAGNOSTICS_TOPIC:
             found = list(diagnostic_numbers(message.data))

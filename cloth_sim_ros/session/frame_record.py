@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,7 +17,7 @@ from cloth_sim_ros.session.errors import SessionError
 #: Made once: it is asked for every frame.
 _ENCODE = json.JSONEncoder(allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode
 #: Largest number of an event: a float holds it.
-_MOST = 1e300
+_MOST = sys.float_info.max
 _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "digest", "paused")
 
 
@@ -121,8 +122,8 @@ def _check_types(content: dict[str, Any]) -> None:
                 raise SessionError(f"a frame record's event {str(event)[:200]} has no '{name}' that is {words}")
 
 
-def _is_vector(value: Any, count: int) -> bool:
-    return isinstance(value, list) and len(value) == count and all(map(_is_number, value))
+def _is_vector(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_number, value))
 
 
 def _is_number(value: Any) -> bool:
@@ -151,8 +152,8 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 _MEMBERS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
     "gripper": (("target", "grasp"), lambda value: isinstance(value, str), "a text"),
     "obstacle": (("move",), lambda value: isinstance(value, str), "a text"),
-    "position": (("target", "move"), lambda value: _is_vector(value, 3), "three numbers"),
-    "orientation": (("target", "move"), lambda value: value is None or _is_vector(value, 4), "four numbers or null"),
+    "position": (("target", "move"), _is_vector, "a list of numbers"),
+    "orientation": (("target", "move"), lambda value: value is None or _is_vector(value), "numbers or null"),
     "closed": (("grasp",), lambda value: isinstance(value, bool), "true or false"),
     "values": (("set_parameters",), lambda value: isinstance(value, dict), "an object"),
     "paused": (("pause",), lambda value: isinstance(value, bool), "true or false"),
