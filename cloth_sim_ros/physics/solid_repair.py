@@ -70,12 +70,28 @@ def closed_solid(
     lowest = clusters(vertices, limit)
     merged = int(np.sum(lowest != np.arange(len(vertices))))
     triangles = _without_twins(lowest[triangles])
+    notes = []
+    if merged:
+        notes.append(f"{_counted(merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
+    closed, joined = _joined(vertices, triangles, limit, height=0.0)
+    if not is_closed(vertices, closed):
+        # Rounding may leave some triangles of a T-junction flat, and others thin.
+        thinner, further = _joined(vertices, triangles, limit, height=2.0 * limit)
+        if is_closed(vertices, thinner):
+            closed, joined = thinner, further
+    return *used_vertices(vertices, closed), (*notes, *joined)
+
+
+def _joined(
+    vertices: Array, triangles: NDArray[np.int64], limit: float, *, height: float
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Join flat triangles, and those of at most a height [m], to their neighbours; return a sentence on each step."""
     flat = split = 0
     for _ in range(_MAX_ROUNDS):
         if not len(triangles):
             break
-        triangles, needles = _without_needles(vertices, triangles, limit)
-        thin = _flat(vertices, triangles, limit)
+        triangles, needles = _without_needles(vertices, triangles, height)
+        thin = _flat(vertices, triangles, height)
         triangles = triangles[~thin]
         triangles, cuts = _split_edges(vertices, triangles, limit)
         flat += needles + int(thin.sum())
@@ -83,13 +99,11 @@ def closed_solid(
         if not (needles or np.any(thin) or cuts):
             break
     notes = []
-    if merged:
-        notes.append(f"{_counted(merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
     if flat:
         notes.append(f"{_counted(flat, 'triangle', 'triangles')} without area joined to the neighbours")
     if split:
         notes.append(f"{_counted(split, 'edge', 'edges')} split at vertices that lie on it")
-    return *used_vertices(vertices, triangles), tuple(notes)
+    return triangles, notes
 
 
 def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
@@ -100,13 +114,13 @@ def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
     return lengths
 
 
-def _flat(vertices: Array, triangles: NDArray[np.int64], limit: float) -> NDArray[np.bool_]:
-    """Tell which triangles have no area, as `check_closed` does, or none but for rounding, (t,)."""
+def _flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArray[np.bool_]:
+    """Tell which triangles have no area, as `check_closed` does, or at most a height [m], (t,)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     longest = _sides(vertices, triangles).max(axis=1)
-    height = np.maximum(FLATNESS * longest, 2.0 * limit)
-    flat: NDArray[np.bool_] = ~(np.sqrt((across * across).sum(axis=1)) > height * longest)
+    least = np.maximum(FLATNESS * longest, height)
+    flat: NDArray[np.bool_] = ~(np.sqrt((across * across).sum(axis=1)) > least * longest)
     return flat
 
 
@@ -128,10 +142,10 @@ def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     return triangles[keep]
 
 
-def _without_needles(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
+def _without_needles(vertices: Array, triangles: NDArray[np.int64], height: float) -> tuple[NDArray[np.int64], int]:
     """Merge the ends of the short side of flat triangles that have one; return the number of such triangles."""
     sides = _sides(vertices, triangles)
-    needle = _flat(vertices, triangles, limit) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
+    needle = _flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
     count = int(needle.sum())
     if not count:
         return triangles, 0
