@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.fit_held import SPAN, Held, check_distinct, find_held, given_held, rest_held
+from cloth_sim_ros.batch.fit_motion import GripperPath, check_rest
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.batch.fit_recording import Recording, visible
 from cloth_sim_ros.physics.forces.force import Array
@@ -54,6 +55,13 @@ class _Track:
         return pose[:3].tolist(), pose[3:].tolist()
 
 
+def _path(track: _Track, start: int) -> GripperPath:
+    """Where a gripper is over the time from a stamp [ns] on."""
+    order = np.argsort(np.array(track.stamps), kind="stable")
+    times = np.asarray(1e-9 * (np.array(track.stamps, dtype=np.int64)[order] - start), dtype=np.float64)
+    return GripperPath(times=times, places=np.array(track.poses)[order, :3])
+
+
 def is_session(path: Path) -> bool:
     """Return whether a file is a session of this package, whole or damaged; an MCAP of others is none.
 
@@ -81,6 +89,7 @@ def read_bag(
     settle: float = 4.0,
     matched: bool = True,
     held: Mapping[str, str] | None = None,
+    begin: float = 0.0,
 ) -> Recording:
     """Read clouds and gripper poses; the cloth is taken to hang at rest in its grippers at the first cloud.
 
@@ -92,6 +101,7 @@ def read_bag(
         settle: how long the simulated cloth may come to rest before the first cloud [s].
         matched: whether points are particles, in order or by their numbers; else they are bare points of the surface.
         held: by gripper what it holds, such as ``12,13`` or ``top_left``; the clouds tell of the others.
+        begin: leave out clouds before this time from the first one [s].
 
     Raises:
         FitError: naming what is missing, and the remedy.
@@ -114,6 +124,12 @@ def read_bag(
     stamps = np.array([stamp for stamp, _ in seen], dtype=np.int64)
     if not stamps.size:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_topic}")
+    if not (np.isfinite(begin) and 0.0 <= begin <= 1e-9 * (stamps[-1] - stamps[0])):
+        raise FitError(
+            f"--from is {begin:g} s; it must be from 0 to {1e-9 * (stamps[-1] - stamps[0]):.2f}, the last cloud"
+        )
+    late = stamps >= stamps[0] + round(1e9 * begin) - 1_000_000
+    seen, stamps = [one for one, is_late in zip(seen, late, strict=True) if is_late], stamps[late]
     first = np.concatenate([[True], np.diff(stamps) > 0])
     seconds = (stamps[first] - stamps[0]) * 1e-9
     clouds = [cloud for (_, cloud), new in zip(seen, first, strict=True) if new]
@@ -130,18 +146,20 @@ def read_bag(
             )
     lead = max(round(settle * scene.rate), 1)
     frames = lead + seconds * scene.rate
-    begin = int(stamps[0])
-    closed = _closed(scene, tracks, begin)
+    start = int(stamps[0])
+    closed = _closed(scene, tracks, start)
     open_ones = [name for name in given if name not in closed]
     if open_ones:
         raise FitError(f"--held names '{open_ones[0]}', which is open at the first cloud")
-    state, found = _start(scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, begin, given)
+    led = {name: _path(tracks[name], start) for name in closed}
+    check_rest(clouds if matched else (), seconds, scene.sheet.positions(), led)
+    state, found = _start(scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, start, given)
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
         state=state,
         events=tuple(
-            _events(scene, tracks, begin, lead, int(np.ceil(frames[-1] - 1e-9)), [one.gripper for one in found])
+            _events(scene, tracks, start, lead, int(np.ceil(frames[-1] - 1e-9)), [one.gripper for one in found])
         ),
         frames=frames,
         seconds=seconds,

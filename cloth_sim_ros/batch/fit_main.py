@@ -121,6 +121,13 @@ def _add_real(parser: argparse.ArgumentParser) -> None:
         "particle that the clouds show nearest to it, with those within gripper.radius",
     )
     real.add_argument(
+        "--from",
+        dest="begin",
+        type=float,
+        metavar="S",
+        help="leave out clouds before this time from the first one [s]: the cloth must hang at rest at the first used",
+    )
+    real.add_argument(
         "--settle",
         type=float,
         metavar="S",
@@ -169,6 +176,7 @@ def _recording(options: argparse.Namespace) -> Recording:
     poses, held = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     if is_session(options.session[0]):
         given = [name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", held)) if value]
+        given += ["--from"] if options.begin is not None else []
         given += ["--settle"] if options.settle is not None else []
         if given:
             raise FitError(f"{given[0]} is for an MCAP that cloth_sim did not record; a session holds its state")
@@ -186,6 +194,7 @@ def _recording(options: argparse.Namespace) -> Recording:
         topic=options.topic,
         poses=poses,
         held=held,
+        begin=options.begin or 0.0,
         settle=4.0 if options.settle is None else options.settle,
         matched=not options.unordered,
     )

@@ -152,6 +152,9 @@ def write_bag(
     resolution: int = 6,
     see: Callable[[np.ndarray, int], bytes] | None = None,
     poses: tuple[str, str] = ("/robot/left/pose", "/robot/right/pose"),
+    begin: float = 0.0,
+    rate: int = 30,
+    still: float = 0.0,
 ) -> Path:
     """An MCAP as of a real cloth: clouds between frames, poses at 100 Hz, no scene, no state.
 
@@ -164,7 +167,11 @@ def write_bag(
         resolution: particles along an edge.
         see: bytes of a cloud of the particles' positions (n, 3) [m] at a stamp [ns].
         poses: topics of the hands' poses.
+        begin: time from which on anything is recorded [s]; the swing sets in at 0.
+        rate: clouds in a second, 30 or 60.
+        still: for so long before its end the hands stand where they are [s].
     """
+    swing = seconds - still
     from mcap.writer import Writer
 
     scene = cloth({**values, "rate": 60.0}, resolution=resolution)
@@ -178,15 +185,15 @@ def write_bag(
         pose = writer.register_schema("geometry_msgs/msg/PoseStamped", "ros2msg", b"")
         clouds = writer.register_channel("/camera/points", "cdr", cloud)
         hand = [writer.register_channel(topic, "cdr", pose) for topic in poses]
-        for k in range(-20, round(100 * seconds) + 5):
+        for k in range(max(-20, round(100 * begin)), round(100 * seconds) + 5):
             now = EPOCH + k * 10_000_000
-            for channel, place in zip(hand, hands(max(0.01 * k, 0.0)), strict=True):
+            for channel, place in zip(hand, hands(min(max(0.01 * k, 0.0), swing)), strict=True):
                 writer.add_message(channel, now, target_bytes(Target("hand", place, (0.0, 0.0, 0.0, 1.0)), now), now)
         for k in range(round(60 * seconds) + 1):
             if k:
-                left, right = hands(k / 60.0)
+                left, right = hands(min(k / 60.0, swing))
                 simulation.advance([Target("left", left), Target("right", right)])
-            if k % 2 == 0:
+            if k % (60 // rate) == 0 and k >= round(60 * begin):
                 now = EPOCH + round(k / 60.0 * 1e9)
                 x = simulation.positions + off + random.normal(scale=noise, size=(scene.shape[0] * scene.shape[1], 3))
                 data = cloud_bytes(x, now, (1, len(x))) if see is None else see(x, now)

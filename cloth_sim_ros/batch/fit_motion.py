@@ -1,0 +1,202 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motion at the first cloud: a fit of a real cloth's clouds starts from rest, and refuses any other start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.physics.forces.force import Array
+
+#: Length of the beginning that is looked at [s], and the fewest clouds of it.
+SPAN, LEAST_CLOUDS = 0.27, 7
+#: A cloth at rest is said to move once in so many recordings.
+_RARELY = 1e-4
+#: A gripper that moves faster than this at the first cloud moves the cloth, whatever the noise [m/s].
+_SPEED = 0.02
+#: A gripper that gets no further stands still [m].
+_STILL = 1e-3
+#: Powers of time that describe how motion sets in: a cloth at rest has neither velocity nor acceleration.
+_ONSET = (3, 4, 5)
+#: Deviations of the residuals by which a cloth that moves gets further within the span.
+_BEYOND = 2.0
+#: Standard deviations of a gripper's velocity that noise does not exceed.
+_SURE = 4.0
+#: Starts that are tried for a time at which the cloth hangs still.
+_STARTS = 200
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class GripperPath:
+    """Recorded places of a gripper."""
+
+    #: Times from the first cloud on [s], ascending, shape (n,).
+    times: NDArray[np.float64]
+    #: [m], shape (n, 3).
+    places: Array
+
+    def at(self, seconds: float) -> Array:
+        """Return its place [m], shape (3,): linear between poses, the nearest one outside of them."""
+        return np.array([np.interp(seconds, self.times, column) for column in self.places.T])
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a coordinate [m], by third differences of the poses about the first cloud."""
+        near = self.places[np.abs(self.times) <= 2.0 * SPAN]
+        third = np.diff(near, n=3, axis=0)
+        # Of independent numbers with variance 1 it is 1 + 9 + 9 + 1.
+        return float(np.sqrt(np.square(third).mean() / 20.0)) if len(third) else 0.0
+
+
+@attrs.frozen(kw_only=True)
+class _Velocity:
+    """Velocity of the cloth at a cloud."""
+
+    #: Root mean square over the particles [m/s], and its standard deviation from the noise.
+    speed: float
+    error: float
+    #: Whether noise alone explains it.
+    is_noise: bool
+
+
+def check_rest(
+    clouds: Sequence[Array], seconds: NDArray[np.float64], rest: Array, paths: Mapping[str, GripperPath]
+) -> None:
+    """Refuse a recording that begins while the cloth moves.
+
+    Args:
+        clouds: shape (n, 3) each [m]; matched ones, or no cloud for bare points, which show no velocity.
+        seconds: when each was taken, from the first one [s].
+        rest: the particles' places in the rest shape [m], shape (n, 3).
+        paths: of the closed grippers, by name.
+
+    Raises:
+        FitError: with the velocity and the remedy.
+    """
+    for name, path in paths.items():
+        speed, error = _gripper_speed(path)
+        if speed > max(_SPEED, error):
+            raise FitError(
+                f"gripper '{name}' moves at {1e3 * speed:.0f} mm/s at the first cloud, and the fit starts from a cloth "
+                f"at rest. {_remedy(clouds, seconds, rest, paths)}"
+            )
+    if paths and not any(_moves(path, 0.0) for path in paths.values()):
+        found = _velocity(clouds, seconds, 0, rest, (1, 2, *_ONSET))
+        if found is not None and not found.is_noise:
+            raise FitError(
+                f"the cloth moves in the first {SPAN} s though its grippers stand still, and the fit starts from a "
+                f"cloth at rest. {_remedy(clouds, seconds, rest, paths)}"
+            )
+    found = _velocity(clouds, seconds, 0, rest, (1,))
+    if found is not None and not found.is_noise:
+        raise FitError(
+            f"the cloth moves at {1e3 * found.speed:.0f} mm/s at the first cloud (noise explains "
+            f"{1e3 * found.error:.0f} mm/s), and the fit starts from a cloth at rest. "
+            f"{_remedy(clouds, seconds, rest, paths)}"
+        )
+
+
+def _remedy(
+    clouds: Sequence[Array], seconds: NDArray[np.float64], rest: Array, paths: Mapping[str, GripperPath]
+) -> str:
+    begun = "Begin the recording before the robot moves"
+    for first in range(1, min(len(clouds), _STARTS)):
+        start = float(seconds[first])
+        if any(_moves(path, start) for path in paths.values()):
+            continue
+        found = _velocity(clouds, seconds, first, rest, (1, 2, *_ONSET))
+        if found is not None and found.is_noise:
+            return f"{begun}, or take it from where the cloth hangs still: --from {start:.2f}"
+    return f"{begun}: nowhere in this one does the cloth hang still for {SPAN} s"
+
+
+def _gripper_speed(path: GripperPath) -> tuple[float, float]:
+    """Speed at the first cloud [m/s], of a path whose acceleration may begin there, and what noise may make of it."""
+    step = max(0.02, float(np.median(np.diff(path.times))) if len(path.times) > 1 else 0.0)
+    here, near, far = (path.at(share * step) for share in (0.0, 1.0, 2.0))
+    after = (4.0 * near - far - 3.0 * here) / (2.0 * step)
+    # Before its first pose a path stands.
+    before = (here - path.at(-step)) / step
+    error = _SURE * path.noise * math.sqrt(4.0**2 + 1.0 + 3.0**2) / (2.0 * step)
+    return float(max(np.linalg.norm(after), np.linalg.norm(before))), error
+
+
+def _moves(path: GripperPath, start: float) -> bool:
+    """Whether a gripper gets away from where it is at a time, shortly before or within the span."""
+    here, shares = path.at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
+    travel = max(float(np.linalg.norm(path.at(start + share * SPAN) - here)) for share in shares)
+    return travel > max(_STILL, 5.0 * path.noise)
+
+
+def _velocity(
+    clouds: Sequence[Array],
+    seconds: NDArray[np.float64],
+    first: int,
+    rest: Array,
+    tested: Sequence[int],
+) -> _Velocity | None:
+    """Test whether some powers of time are noise in the motion from a cloud on; None if the clouds are too few.
+
+    Each coordinate's displacement is a polynomial of time with coefficients that are linear in the rest shape;
+    particles' places at the first cloud are free.
+    """
+    from scipy.stats import chi2
+
+    last = int(np.searchsorted(seconds, seconds[first] + SPAN + 1e-9, side="right")) if len(seconds) else 0
+    last = max(last, min(first + LEAST_CLOUDS + 1, len(seconds)))
+    used = [k for k in range(first, last) if len(clouds) > k and len(clouds[k]) == len(rest)]
+    if len(used) < LEAST_CLOUDS or seconds[used[-1]] - seconds[first] > 1.0:
+        return None
+    stack = np.array([clouds[k] for k in used])
+    times = np.array([seconds[k] - seconds[first] for k in used])
+    span = float(times[-1])
+    seen = np.isfinite(stack).all(axis=2)
+    modes = _modes(rest)
+    powers = [*tested, *(power for power in _ONSET if power not in tested)]
+    in_time = [np.power(times / span, power) for power in powers]
+    count, coefficients = modes.shape[1], []
+    statistic, squares, freedom, blocks = 0.0, 0.0, 0, []
+    for axis in range(3):
+        design = np.concatenate([column[:, None, None] * modes[None] for column in in_time], axis=2)
+        matrix, values = _centred(design, stack[..., axis], seen)
+        inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-10)
+        solution = inverse @ (matrix.T @ values)
+        squares += float(np.square(values - matrix @ solution).sum())
+        freedom += len(values) - int((seen.sum(axis=0) > 0).sum()) - matrix.shape[1]
+        part = len(tested) * count
+        coefficients.append(solution[:part])
+        blocks.append(inverse[:part, :part])
+        statistic += float(solution[:part] @ np.linalg.pinv(inverse[:part, :part], rcond=1e-10) @ solution[:part])
+    if freedom < 30:
+        return None
+    variance = squares / freedom
+    velocities = np.array([modes @ one[:count] for one in coefficients]) / span
+    errors = sum(variance * np.einsum("im,mk,ik->i", modes, one[:count, :count], modes) for one in blocks) / span**2
+    speed = float(np.sqrt(np.square(velocities).sum(axis=0).mean()))
+    # What moves particles by no more than this description leaves of their motion may be its own fault.
+    is_small = tuple(tested) == (1,) and speed * span < _BEYOND * float(np.sqrt(3.0 * variance))
+    is_likely = chi2.sf(statistic / max(variance, 1e-18), 3 * len(tested) * count) > _RARELY
+    return _Velocity(speed=speed, error=float(np.sqrt(np.mean(errors))), is_noise=bool(is_small or is_likely))
+
+
+def _modes(rest: Array) -> Array:
+    """A constant and the coordinates in the rest shape's plane, in units of its size, shape (n, 3)."""
+    middle = rest - rest.mean(axis=0)
+    flat = middle @ np.linalg.svd(middle, full_matrices=False)[2][:2].T
+    return np.column_stack([np.ones(len(rest)), flat / max(float(np.abs(flat).max()), 1e-12)])
+
+
+def _centred(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Rows of what was seen, less each particle's mean: its place is free."""
+    counts = np.maximum(seen.sum(axis=0), 1)
+    shown = np.where(seen[..., None], design, 0.0)
+    shown = shown - (shown.sum(axis=0) / counts[:, None])[None]
+    told = np.where(seen, values, 0.0)
+    told = told - (told.sum(axis=0) / counts)[None]
+    return shown[seen], told[seen]
