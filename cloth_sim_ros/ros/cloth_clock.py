@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from lifecycle_msgs.msg import State
@@ -40,7 +39,7 @@ class ClothClock:
 
 
 class ClothTime:
-    """Simulated time of the cloth of another node, which goes on between frames.
+    """Simulated time of the cloth of another node, frame by frame.
 
     Args:
         node: a node of the caller's.
@@ -52,8 +51,6 @@ class ClothTime:
         self._newest: int | None = None
         #: Simulated time of one frame [ns]; 0 while it is not known.
         self.period = 0
-        #: When the newest time came, by the steady clock [s].
-        self._came = 0.0
         #: The latest time that was returned [ns].
         self._latest = 0
         self._label = ""
@@ -61,15 +58,14 @@ class ClothTime:
         node.create_subscription(State, f"{target}/state", self._take_state, LATCHED)
 
     def now(self) -> int | None:
-        """Return the time [ns]; None before the first frame. It goes back only where the node was started anew.
+        """Return the time at the end of the frame after the newest [ns]; None before the first.
 
-        Between two frames it goes on with the wall's time, by one frame's time at most.
+        One target a frame, for the frame's very end, leads a gripper evenly, however long frames take. The time goes
+        back only if the node was started anew.
         """
         if self._newest is None:
             return None
-        self._latest = max(
-            self._latest, self._newest + min(round((time.monotonic() - self._came) * SECOND), self.period)
-        )
+        self._latest = max(self._latest, self._newest + self.period)
         return self._latest
 
     def describe(self) -> str:
@@ -82,7 +78,6 @@ class ClothTime:
         before, self._newest = self._newest, read_stamp(message.clock)
         if before == self._newest:
             return
-        self._came = time.monotonic()
         if before is not None and before < self._newest:
             # The least: a message may be lost.
             step = self._newest - before

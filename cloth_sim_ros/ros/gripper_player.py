@@ -187,6 +187,9 @@ class GripperPlayer:
             due = max(due + period, time.monotonic() - period)
             while (left := due - time.monotonic()) > 0.0:
                 self._executor.spin_once(timeout_sec=left)
+            if self._played.period and self._played.now() == self._newest:
+                # The target of the next frame is sent as soon as that is known.
+                self._executor.spin_once(timeout_sec=period)
         return False
 
     def _go_on(self, now: int, elapsed: float, period: float) -> bool:

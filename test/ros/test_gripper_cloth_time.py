@@ -63,7 +63,6 @@ class SlowCloth:
         steady = SimpleNamespace(monotonic=lambda: self.wall)
         monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
         monkeypatch.setattr(gripper_player, "time", steady)
-        monkeypatch.setattr(cloth_clock, "time", steady)
         self.player = gripper_player.GripperPlayer(
             self.node, [SCRIPT], target="/cloth_sim", played=cloth_clock.ClothTime(self.node, "/cloth_sim")
         )
