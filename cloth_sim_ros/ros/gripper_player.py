@@ -170,7 +170,7 @@ class GripperPlayer:
         due = moved = time.monotonic()
         waits = False
         while self._proceed():
-            now = self._played.now()
+            now = self._newest_time()
             if now is not None and now != self._newest:
                 if self._go_on(now, time.monotonic() - moved, period):
                     return True
@@ -191,6 +191,18 @@ class GripperPlayer:
                 # The target of the next frame is sent as soon as that is known.
                 self._executor.spin_once(timeout_sec=period)
         return False
+
+    def _newest_time(self) -> int | None:
+        """Return the time [ns] after all that has arrived: an executor hands over one message of a topic at a time, and
+        a client that was held up would send several targets for one frame.
+        """
+        now = self._played.now()
+        while self._played.period:
+            self._executor.spin_once(timeout_sec=0.0)
+            before, now = now, self._played.now()
+            if now == before:
+                break
+        return now
 
     def _go_on(self, now: int, elapsed: float, period: float) -> bool:
         """Send what is due at a time [ns]; return whether the scripts have ended.
