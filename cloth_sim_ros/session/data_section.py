@@ -44,14 +44,14 @@ _STRING = "std_msgs/msg/String"
 
 
 def covers_all(summary: Summary, data_start: int) -> bool:
-    """Whether the indexes account for every byte of the data section, so that nothing lies beside their chunks."""
+    """True if the indexes account for every byte of the data section, so that nothing lies beside their chunks."""
     indexed = sum(index.chunk_length + index.message_index_length for index in summary.chunks.values())
     indexed += sum(length for _, length in summary.records)
     return indexed == summary.start - data_start - _DATA_END
 
 
 def indexes_contents(summary: Summary | None) -> bool:
-    """Whether the indexes name every metadata record and every attachment of the file."""
+    """True if the indexes name every metadata record and every attachment of the file."""
     statistics = None if summary is None else summary.statistics
     if summary is None or statistics is None:
         return False
@@ -171,7 +171,7 @@ def _check_bare(place: RecordPlace, body: bytes) -> None:
 
 
 def _is_index(body: bytes) -> bool:
-    """Whether it is the body of a message index: one flipped bit makes an index's opcode a message's.
+    """True if it is the body of a message index: one flipped bit makes an index's opcode a message's.
 
     In a message the same bytes are a sequence number, which may be any, and a publish time, which is no offset.
     """

@@ -52,7 +52,6 @@ from cloth_sim_ros.session.writer import (
     metadata_checksum,
 )
 
-#: Attachments without which nothing can be run again.
 _HAS_ALWAYS = frozenset((SCENE_NAME, STATE_NAME))
 #: Messages among which a session's own topics are looked for.
 _LOOKED_AT = 1000
@@ -97,8 +96,7 @@ class SessionPart:
         self._channels: dict[int, Channel] = {}
         self._data_start = 0
         self._at_end = False
-        self._bare = False
-        """Whether messages lie outside of chunks."""
+        self._bare = False  # messages lie outside of chunks
         self._file = open_file(self.path)
         self._search = ChunkSearch(self._file)
         try:
@@ -161,7 +159,7 @@ class SessionPart:
 
     @property
     def indexed(self) -> bool:
-        """Whether the indexes name all that the file holds; else it is read record by record."""
+        """True if the indexes name all that the file holds; else it is read record by record."""
         return self._summary is not None and covers_all(self._summary, self._data_start)
 
     @property

@@ -175,7 +175,7 @@ def counts_of(counts: Mapping[str, int]) -> list[str]:
 
 
 def omissions(verdict: Verdict) -> list[str]:
-    """What was not compared, by topic: how much of it, and why."""
+    """Lists messages that were not compared, by topic: how many, and why."""
     found: dict[str, dict[int, list[str]]] = {}
     for (topic, reason), count in sorted(verdict.not_compared.items()):
         found.setdefault(topic, {}).setdefault(count, []).append(reason)
@@ -187,7 +187,7 @@ def omissions(verdict: Verdict) -> list[str]:
 
 
 def _further(verdict: Verdict) -> str:
-    """What else came out the same."""
+    """Further kinds of messages that came out the same."""
     further = counts_of({kind: count for kind, count in verdict.compared.items() if kind != "cloud"})
     return f", and so did {', '.join(further)}" if further else ""
 

@@ -160,7 +160,7 @@ class _Layout:
         self._gaps = np.zeros(len(self._data), dtype=np.bool_)
 
     def is_same(self, recorded: bytes, poses: Array, stamp: int) -> bool:
-        """Whether a message is that of poses at a ROS time [ns], up to the gaps that are known."""
+        """True if a message is that of poses at a ROS time [ns], up to the gaps that are known."""
         again = self.at(poses, stamp)
         if same_bytes(recorded, again):
             return True

@@ -22,7 +22,7 @@ _WRAP = 0xFFFFFFFF
 
 @dataclass(slots=True)
 class _Topic:
-    """What was read of one topic."""
+    """Messages read of one topic."""
 
     kind: str
     droppable: bool
@@ -52,7 +52,7 @@ class Numbering:
         self._counts = Counter[bool]()
         self._dropped = 0
         self._may_lack = False
-        """Whether a file has no end record that counts what was dropped, or is damaged."""
+        """True if a file has no end record that counts what was dropped, or is damaged."""
         self._gaps: list[tuple[Place, str, int]] = []
         """Messages of droppable topics that are not there: since which frame, of which topic, how many."""
 
@@ -68,7 +68,7 @@ class Numbering:
         self._topics.setdefault(topic, _Topic(kind, droppable))
 
     def is_seen(self, topic: str) -> bool:
-        """Whether a message of the topic was read."""
+        """True if a message of the topic was read."""
         return topic in self._topics and self._topics[topic].count > 0
 
     def last(self, topic: str) -> Message | None:
@@ -76,7 +76,7 @@ class Numbering:
         return self._topics[topic].last if topic in self._topics else None
 
     def is_repeated(self, message: Message) -> bool:
-        """Whether a message is the last one of its topic once more, as a file of a split session begins."""
+        """True if a message is the last one of its topic once more, as a file of a split session begins."""
         last = self.last(message.topic)
         return last is not None and (last.data, last.publish_time, last.sequence) == (
             message.data,
@@ -151,7 +151,7 @@ class Numbering:
             )
 
     def absent(self, topic: str) -> bool:
-        """Whether frames lack messages of a topic, and there is none in the session."""
+        """True if frames lack messages of a topic, and there is none in the session."""
         entry = self._topics[topic]
         return not entry.count and entry.lacking > 0
 
@@ -229,7 +229,7 @@ class Numbering:
         )
 
     def _may_have_dropped(self) -> bool:
-        """Whether a dropped message may have raised the log times of later ones."""
+        """True if a dropped message may have raised the log times of later ones."""
         part = self._part
         return self._is_lenient() or (
             part is not None and (not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0)

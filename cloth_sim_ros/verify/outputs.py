@@ -34,7 +34,7 @@ _NUMBERS = 48
 
 
 def same_bytes(recorded: bytes, again: bytes) -> bool:
-    """Whether two messages are the same, up to what fills up their ends."""
+    """True if two messages are the same, up to what fills up their ends."""
     if recorded == again:
         return True
     short, long = sorted((recorded, again), key=len)
@@ -42,7 +42,7 @@ def same_bytes(recorded: bytes, again: bytes) -> bool:
 
 
 def same_content(recorded: bytes, again: bytes, type_name: str) -> bool:
-    """Whether two messages are the same, up to what fills the gaps between their fields: middlewares leave there what
+    """True if two messages are the same, up to what fills the gaps between their fields: middlewares leave there what
     was in memory before. Raises SessionError if the first one cannot be read.
     """
     if same_bytes(recorded, again):
@@ -96,7 +96,7 @@ class CloudCheck:
         return True
 
     def _is_same(self, recorded: bytes, again: bytes, start: int) -> bool:
-        """Whether two clouds are the same, up to what fills gaps in front of the points, which begin at `start`."""
+        """True if two clouds are the same, up to what fills gaps in front of the points, which begin at `start`."""
         if same_bytes(recorded, again):
             return True
         if not same_bytes(recorded[start:], again[start:]) or recorded[: _CDR + _STAMP] != again[: _CDR + _STAMP]:
@@ -225,7 +225,7 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
 
 
 def wrenches(scene: Scene, frame: Frame) -> list[tuple[str, Array]]:
-    """What the cloth did to each gripper and each obstacle in a frame, by name."""
+    """Wrenches of a frame on each gripper and each obstacle, by name."""
     found = list(zip(scene.gripper_names, frame.wrenches, strict=True))
     return [*found, *zip(scene.obstacle_names, frame.loads, strict=True)]
 
@@ -240,7 +240,7 @@ def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence
 
 
 def _header_difference(header: object, frame_id: str, stamp: int) -> str:
-    """What of a header is not as it must be, in words; empty if nothing."""
+    """The part of a header that is not as it must be, in words; empty if none."""
     time = header.stamp  # type: ignore[attr-defined]
     told = time.sec * 10**9 + time.nanosec
     if told != stamp:

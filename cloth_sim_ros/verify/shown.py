@@ -77,11 +77,11 @@ class ShownCheck:
         self._changed = False
 
     def takes(self, topic: str) -> bool:
-        """Whether messages of a topic are compared here."""
+        """True if messages of a topic are compared here."""
         return topic in self._taken or (topic == _TF and self._simulation.scene.tf.publish)
 
     def is_latched(self, topic: str) -> bool:
-        """Whether a file begins with what was last sent of a topic."""
+        """True if a file begins with what was last sent of a topic."""
         return topic in self._latched
 
     def open_frame(self, frame: Frame, stamp: int) -> None:

@@ -52,7 +52,7 @@ class StateCheck:
             self._findings.not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
 
     def is_due(self, simulation: Simulation) -> bool:
-        """Whether the last state contradicts the frame that was just run, so that another one must follow."""
+        """True if the last state contradicts the frame that was just run, so that another one must follow."""
         if simulation.paused:
             return self._last == _ACTIVE
         return self._last == _INACTIVE and self._explained

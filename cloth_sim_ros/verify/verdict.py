@@ -47,7 +47,7 @@ class Verdict:
     missing: list[str] = field(default_factory=list)
     """What the session lacks, a sentence each."""
     damaged: bool = False
-    """Whether frames are damaged or missing in the middle, so that they could not be compared."""
+    """True if frames are damaged or missing in the middle, so that they could not be compared."""
 
     @property
     def clouds(self) -> int:
@@ -56,7 +56,7 @@ class Verdict:
 
     @property
     def same(self) -> bool:
-        """Whether all that was compared came out the same to the last bit."""
+        """True if all that was compared came out the same to the last bit."""
         return self.first_frame is None
 
 

@@ -167,7 +167,7 @@ def test_copy_without_its_opening_is_told_by_every_command(
         assert "mcap filter --include-metadata --include-attachments" in said
 
 
-def test_copy_without_its_opening_is_told_by_replay_and_initial_state(session: Path, tmp_path: Path) -> None:
+def test_copy_without_its_opening_is_told_by_replay_and_state(session: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     pytest.importorskip("rclpy")
     from cloth_sim_ros.replay.show import save_recording

@@ -39,14 +39,14 @@ class Falsification:
     end: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """What the end record says instead."""
     counted: bool = True
-    """Whether the end record counts the messages that are there; else it is left as it was."""
+    """True if the end record counts the messages that are there; else it is left as it was."""
     listed: str = ""
     """Words of the list, where it can be no more than listed."""
     absent: str = ""
     """A topic that is named as absent, where it can be no more."""
 
     def is_shown(self, verdict: Verdict) -> bool:
-        """Whether a verdict shows it."""
+        """True if a verdict shows it."""
         if self.absent:
             return verdict.same and self.absent in verdict.absent
         if self.listed:

@@ -76,7 +76,7 @@ def check(verdict: Verdict) -> None:
     assert verdict.frames
 
 
-def test_clouds_dropped_by_a_slow_disk_are_told_and_no_difference(session: Path, tmp_path: Path) -> None:
+def test_clouds_dropped_by_a_slow_disk_are_no_difference(session: Path, tmp_path: Path) -> None:
     gate = threading.Event()
 
     class Gated(AppendFile):
