@@ -106,7 +106,7 @@ class Summary:
     records: list[tuple[int, int]]
     """Offset and length of every attachment and metadata record."""
     start: int = 0
-    """Where the summary begins: the data section ends there."""
+    """Offset at which the summary begins and the data section ends."""
 
 
 def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:

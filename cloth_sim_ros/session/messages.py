@@ -61,7 +61,7 @@ class CloudBytes:
 
     @property
     def start(self) -> int:
-        """Where the points begin."""
+        """Offset of the points in the message."""
         return len(_LITTLE) + 8 + len(self._middle)
 
     def at(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:

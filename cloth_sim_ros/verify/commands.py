@@ -44,7 +44,7 @@ class _Waiting(NamedTuple):
     """Its place in the order of arrival."""
     pose: _Pose
     certain: bool
-    """Whether the node must have accepted it, and taken it with the next frame that is due at its stamp or later."""
+    """True if the node must have accepted it, and taken it with the next frame that is due at its stamp or later."""
     topic: str
 
 
@@ -210,7 +210,7 @@ class CommandCheck:
             self._drop([one for one in waiting if one <= max(overdue)], "cleared, or received before the recording")
 
     def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
-        """Whether what was accepted may have been refused in the end: it is gone, or its pads have no place yet."""
+        """True if what was accepted may have been refused in the end: it is gone, or its pads have no place yet."""
         grippers = simulation.grippers
         if name not in self._grippers:
             return simulation.obstacles is None or name not in simulation.obstacles.names
