@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_held import SPAN, Held, check_distinct, find_held, given_held, rest_held
+from cloth_sim_ros.batch.fit_held import SPAN, HeldParticles, check_distinct, find_held, given_held, rest_held
 from cloth_sim_ros.batch.fit_motion import GripperPath, check_rest
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.batch.fit_recording import Recording, visible
@@ -269,7 +269,7 @@ def _start(
     tracks: Mapping[str, _Track],
     begin: int,
     given: Mapping[str, Sequence[int]],
-) -> tuple[State | None, list[Held]]:
+) -> tuple[State | None, list[HeldParticles]]:
     """A start near the first cloud, from which the cloth comes to rest, and what closed grippers hold.
 
     Of a matched cloud gaps are filled; bare points bend the scene's sheet across its plane. What a gripper holds lies
@@ -280,7 +280,7 @@ def _start(
     if not len(seen) or (matched and len(cloud) != len(rest)):
         return None, []
     poses = {name: track.at(begin) for name, track in tracks.items()}
-    found: list[Held] = []
+    found: list[HeldParticles] = []
     if matched:
         x = cloud.copy()
         for name, track in tracks.items():

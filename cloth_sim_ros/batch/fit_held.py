@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.scene.scene import Scene
 
-#: Clouds up to this time from the first one are looked at [s].
+#: Clouds up to this time from the first one are examined [s].
 SPAN = 1.0
 #: Particles that may be held are those nearest to the gripper; the place of a hidden one is extrapolated from so many
 #: seen ones that are nearest to it in the rest shape.
@@ -29,8 +29,8 @@ _CALIBRATION = 0.002
 
 
 @attrs.frozen(kw_only=True)
-class Held:
-    """What one gripper holds from the first cloud on."""
+class HeldParticles:
+    """Particles that one gripper holds from the first cloud on."""
 
     gripper: str
     #: Numbers of the particles, the one in its origin first; of several that were given none is.
@@ -40,7 +40,7 @@ class Held:
     #: The second nearest, which is not held, and its distance [m]; None if all are held.
     other: int | None
     other_distance: float
-    #: Whether any cloud that was looked at shows the first one.
+    #: Whether any examined cloud shows the first one.
     is_seen: bool
     #: Whether --held names them.
     is_given: bool
@@ -82,7 +82,7 @@ def parse_held(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
 
 def find_held(
     scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], given: Sequence[int] = ()
-) -> tuple[Held, Array]:
+) -> tuple[HeldParticles, Array]:
     """Return what a closed gripper holds, and the places of all particles in its frame [m], shape (n, 3).
 
     A hidden particle's place is extrapolated from the seen ones about it, by the linear map of the rest shape that
@@ -112,7 +112,7 @@ def find_held(
     held = tuple(given) or _within(rest, first, radius)
     others = [chosen[k] for k in order if chosen[k] not in held]
     other = others[0] if others else None
-    result = Held(
+    result = HeldParticles(
         gripper=gripper,
         particles=held,
         distance=float(np.linalg.norm(found[first])),
@@ -131,7 +131,7 @@ def find_held(
     return result, found - origin
 
 
-def rest_held(scene: Scene, gripper: str, position: Sequence[float], given: Sequence[int] = ()) -> Held:
+def rest_held(scene: Scene, gripper: str, position: Sequence[float], given: Sequence[int] = ()) -> HeldParticles:
     """Return what a closed gripper holds by the scene's starting shape: for clouds that number no particle.
 
     Raises:
@@ -143,7 +143,7 @@ def rest_held(scene: Scene, gripper: str, position: Sequence[float], given: Sequ
     held = tuple(given) or _within(rest, first, radius)
     others = [int(k) for k in np.argsort(away, kind="stable") if k not in held]
     other = others[0] if others else None
-    result = Held(
+    result = HeldParticles(
         gripper=gripper,
         particles=held,
         distance=float(away[first]),
@@ -161,7 +161,7 @@ def rest_held(scene: Scene, gripper: str, position: Sequence[float], given: Sequ
     return result
 
 
-def describe_held(held: Held, scene: Scene) -> str:
+def describe_held(held: HeldParticles, scene: Scene) -> str:
     """Return in a sentence what a gripper holds, and how certain that is."""
     names = ", ".join(_named(scene, particle) for particle in held.particles[:8])
     more = f" and {len(held.particles) - 8} more" if len(held.particles) > 8 else ""
@@ -171,7 +171,7 @@ def describe_held(held: Held, scene: Scene) -> str:
     return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm off{beside}."
 
 
-def _check(held: Held, found: Array, errors: Array, others: Sequence[int], reach: float) -> None:
+def _check(held: HeldParticles, found: Array, errors: Array, others: Sequence[int], reach: float) -> None:
     first = held.particles[0]
     error = math.hypot(float(errors[first]), _CALIBRATION)
     if not held.distance <= reach + _CERTAIN * error:
@@ -193,7 +193,7 @@ def _check(held: Held, found: Array, errors: Array, others: Sequence[int], reach
             )
 
 
-def _remedy(held: Held) -> str:
+def _remedy(held: HeldParticles) -> str:
     return f"Name what it holds: --held {held.gripper}={held.particles[0]}"
 
 
@@ -294,7 +294,7 @@ def given_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, .
     return found
 
 
-def check_distinct(found: Sequence[Held]) -> None:
+def check_distinct(found: Sequence[HeldParticles]) -> None:
     """Refuse two grippers that hold the same particle.
 
     Raises:

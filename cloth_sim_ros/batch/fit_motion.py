@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.physics.forces.force import Array
 
-#: Length of the beginning that is looked at [s], and the fewest clouds of it.
+#: Length of the beginning that is examined [s], and the fewest clouds of it.
 SPAN, LEAST_CLOUDS = 0.27, 7
 #: A cloth at rest is said to move once in so many recordings.
 _RARELY = 1e-4
@@ -128,7 +128,7 @@ def _gripper_speed(path: GripperPath) -> tuple[float, float]:
 
 
 def _moves(path: GripperPath, start: float) -> bool:
-    """Whether a gripper gets away from where it is at a time, shortly before or within the span."""
+    """Return whether a gripper leaves its place at a time [s], shortly before it or within the span."""
     here, shares = path.at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
     travel = max(float(np.linalg.norm(path.at(start + share * SPAN) - here)) for share in shares)
     return travel > max(_STILL, 5.0 * path.noise)

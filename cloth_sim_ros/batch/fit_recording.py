@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.events import Event, Relax, SetParameters, from_di
 from cloth_sim_ros.simulation.sleep import wake
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.batch.fit_held import Held
+    from cloth_sim_ros.batch.fit_held import HeldParticles
 
 #: Fewer clouds with points tell nothing of a motion.
 LEAST_CLOUDS = 3
@@ -59,7 +59,7 @@ class Recording:
     #: What could not be read of it, in a sentence; empty where nothing is missing.
     lost: str = ""
     #: What each gripper that is closed at the first cloud holds; of a session the state says it.
-    held: tuple[Held, ...] = ()
+    held: tuple[HeldParticles, ...] = ()
 
     def part(self, *, until: float | None = None, every: int = 1) -> Recording:
         """Return the recording up to a time [s], with every so many-th cloud."""

@@ -126,7 +126,7 @@ def test_a_fit_that_ends_by_misfit_identifies_nothing(tmp_path: Path, capsys: py
     assert parameter_file.read(out["yaml"])["material.bending_modulus"] == TRUTH["material.bending_modulus"]
 
 
-def test_a_fit_with_residuals_above_a_given_sigma_identifies_nothing(noisy: Path) -> None:
+def test_residuals_above_a_given_sigma_identify_nothing(noisy: Path) -> None:
     found = fit(read_session([noisy]), ["bending"], start={"bending": 3e-4}, sigma=0.0005, workers=1)
     (estimate,) = found.estimates
     assert estimate.bound < 0.025

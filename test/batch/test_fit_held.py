@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the grippers of a real cloth hold, by clouds in which a hand hides it."""
+"""Particles that the grippers of a real cloth hold, by clouds in which a hand hides them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def hidden(
 
 
 def held(recording: Recording) -> list[list[int]]:
-    """What each gripper holds once the first frame has begun."""
+    """Numbers of the particles that each gripper holds in the first frame."""
     simulation = Simulation(recording.scene, recording.state)
     simulation.advance(recording.events[0])
     return [simulation.grippers.held(k).tolist() for k in range(2)]
