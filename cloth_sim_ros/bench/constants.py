@@ -178,7 +178,7 @@ class Scenes:
 def _driven(name: str, **changes: Any) -> tuple[NDArray[np.float64], int, int]:
     """Positions after each frame, evaluations and flagged frames of one of the scenes that a gripper drives."""
     values, frames, jump = DRIVEN[name]
-    simulation = Simulation(Scene.from_parameters({**values, **changes}))
+    simulation = Simulation(Scene.from_parameters({**values, "gripper.max_speed": 0.0, **changes}))
     corner, places, spent, missed = simulation.positions[-1].copy(), [], 0, 0
     for frame in range(frames):
         aside = np.array([0.0, -1.0, 0.5]) * (jump * frame if jump < 0.1 else jump * (frame % 3))

@@ -16,7 +16,7 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 THICKNESS = 0.01
 #: Of that, the gap with which a cloth starts that is nearly on an obstacle, or on itself, and to which plates crush it.
 NEARLY_ON, FOLDED, CRUSHED = 0.01, 0.3, 0.3
-_COMMON: dict[str, Any] = {"cloth.resolution": [8, 8], "contact.thickness": THICKNESS}
+_COMMON: dict[str, Any] = {"cloth.resolution": [8, 8], "contact.thickness": THICKNESS, "gripper.max_speed": 0.0}
 _PLATE: dict[str, Any] = {"shape": "box", "size": [1.2, 0.1, 1.2], "friction": [0.5, 0.4]}
 
 

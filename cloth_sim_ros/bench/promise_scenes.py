@@ -168,6 +168,7 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
         "material.damping": damping,
         "bending.model": model,
         "cloth.position": rng.uniform(-1.0, 1.0, 3).tolist(),
+        "gripper.max_speed": 0.0,
         "cloth.orientation": _hanging(rng) if calm else rng.normal(size=4).tolist(),
     }
     if model in ("axial", "opposite"):

@@ -69,6 +69,7 @@ def violent_scene(seed: int, index: int) -> tuple[Scene, np.random.Generator, st
         height = float(rng.uniform(0.3, 1.2))
         values: dict[str, Any] = {
             "rate": float(rng.integers(RATES[0], RATES[1] + 1)),
+            "gripper.max_speed": 0.0,
             "tolerance": log_uniform(rng, *TOLERANCES),
             "cloth.size": [height, height * (columns - 1) / (rows - 1)],
             "cloth.resolution": [rows, columns],

@@ -124,6 +124,7 @@ def scene(case: Case) -> Scene:
         "material.damping": case.damping,
         "gripper.stiffness": 1000.0 * min(case.stiffness, 1e4),
         "gripper.radius": _EVERY[case.attack].radius,
+        "gripper.max_speed": 0.0,
         "tolerance": TOLERANCE,
         **_moduli(case),
     }

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Sequence
 
 from cloth_sim_ros.ros.stopping import StopSignals
-from cloth_sim_ros.session.loading import loading
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,6 +23,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
     if any(argument == "--check" or argument.startswith("--check=") for argument in argv):
+        from cloth_sim_ros.session.loading import loading
+
         with loading("cloth_sim"):
             from cloth_sim_ros.ros.check import main as check
         return check(argv[1:])

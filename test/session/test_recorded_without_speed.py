@@ -15,7 +15,7 @@ from support.session_maker import SessionMaker
 
 from cloth_sim_ros import Grasp, Scene, Target
 from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.recorded import recorded_values
+from cloth_sim_ros.scene.recorded import BEFORE, recorded_values
 from cloth_sim_ros.verify.run import verify
 
 
@@ -54,7 +54,8 @@ def test_session_runs_again_with_its_limit(tmp_path: Path, speed: float) -> None
 
 
 def test_only_sessions_lack_the_limit_where_it_is_not_set() -> None:
+    assert BEFORE["gripper.max_speed"] == 0.0
     text = parameter_file.dump({"rate": 60.0})
-    assert recorded_values(text, node="/cloth_sim") == {"rate": 60.0, "gripper.max_speed": 0.0}
+    assert recorded_values(text, node="/cloth_sim") == {"rate": 60.0, **BEFORE}
     assert Scene.from_parameters(parameter_file.parse(text)).gripper.max_speed == 10.0
     assert recorded_values(parameter_file.dump({"gripper.max_speed": 2.0}), node="/a")["gripper.max_speed"] == 2.0
