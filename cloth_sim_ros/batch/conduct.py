@@ -63,11 +63,11 @@ class Conductor:
     say: Callable[[str], None] = print
     _kills: collections.Counter[int] = attrs.field(factory=collections.Counter, init=False)
 
-    def conduct(self, scheduler: cluster.SchedulerAddress, runs: Iterable[int], *, wait: float) -> None:
+    def conduct(self, address: cluster.SchedulerAddress | str, runs: Iterable[int], *, wait: float) -> None:
         """Run some runs on a cluster.
 
         Args:
-            scheduler: of the cluster.
+            address: of the cluster's scheduler; a text such as ``tcp://host:8786`` for one without a certificate.
             runs: their numbers.
             wait: how long a scheduler that is gone is waited for [s].
 
@@ -76,6 +76,7 @@ class Conductor:
             StoppedError: if the scheduler stays away.
             StudyError: if a worker can't work on it.
         """
+        scheduler = cluster.SchedulerAddress(address) if isinstance(address, str) else address
         left = list(runs)
         progressed = time.monotonic()
         while left:
