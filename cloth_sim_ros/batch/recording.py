@@ -109,8 +109,11 @@ class RunRecording:
             "digest": simulation.state.digest(),
             "paused": simulation.paused,
         }
+        extras = frame.extras()
         if advance and advance.flagged:
-            content["extras"] = {"flagged": advance.flagged}
+            extras["flagged"] = advance.flagged
+        if extras:
+            content["extras"] = extras
         cloud = None
         if self._cloud is not None:
             state = simulation.state

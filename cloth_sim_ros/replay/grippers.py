@@ -18,7 +18,8 @@ Floats = NDArray[np.float64]
 class GripperTrack:
     """One gripper over the session.
 
-    A gripper reaches its target by the end of each frame in which time passes. What it holds is found as the
+    A gripper reaches its target by the end of each frame in which time passes, unless the frame's record tells another
+    pose. What it holds is found as the
     simulation finds it: the free particles within its radius when it closes, by the cloud before.
     """
 
@@ -48,6 +49,20 @@ class GripperTrack:
         if orientation is not None:
             self.target[3:] = orientation / np.linalg.norm(orientation)
         if self.pose is None:
+            self.pose = self.target.copy()
+
+    def arrive(self, pose: Floats | None, *, halted: bool) -> None:
+        """Take note of the end of a frame.
+
+        Args:
+            pose: recorded pose at the end, shape (7,); None if none is recorded.
+            halted: the gripper stands there until it has a new target.
+        """
+        if pose is not None:
+            self.pose = pose
+            if halted:
+                self.target = pose.copy()
+        elif self.pose is not None:
             self.pose = self.target.copy()
 
     def close(self, xyz: NDArray[np.floating] | None, free: NDArray[np.bool_], radius: float) -> None:
@@ -123,11 +138,12 @@ class GripperTracks:
             elif kind == "reset":
                 self._reset()
             counts.append(None if track is None or track.held is None else len(track.held))
-        # Of a cloth that sleeps no step is taken, and yet time passes.
-        if record.steps or not record.paused:
-            for track in self.tracks.values():
-                if track.pose is not None:
-                    track.pose = track.target.copy()
+        # A sleeping cloth takes no steps while time passes.
+        if not record.paused or any(event.get("kind") == "step" for event in record.events):
+            poses, halted = record.extras.get("poses", {}), record.extras.get("halted", ())
+            for name, track in self.tracks.items():
+                pose = np.array(poses[name], dtype=np.float64) if name in poses else None
+                track.arrive(pose, halted=name in halted)
         return counts
 
     def _reset(self) -> None:

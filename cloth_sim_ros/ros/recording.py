@@ -241,7 +241,7 @@ class SessionRecording:
             steps=frame.advance.steps if frame.advance else 0,
             digest=self._simulation.state.digest(),
             paused=self._simulation.paused,
-            extras=extras,
+            extras=extras | frame.extras(),
         )
         self._put(
             f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False

@@ -51,7 +51,9 @@ class FrameRecord:
     """Digest of the full state at its end, hexadecimal."""
     paused: bool
     extras: Mapping[str, Any] = field(default_factory=dict)
-    """Anything else worth keeping with the frame; plain JSON values, not needed to run the session again."""
+    """Anything else worth keeping with the frame; plain JSON values, not needed to run the session again. `poses` maps
+    a gripper that did not reach its target to its pose at the end, position [m] and quaternion x, y, z, w; `halted`
+    lists bodies that stand still until a new target."""
 
     def to_json(self) -> str:
         """The exact text: keys in fixed order, floats in the shortest form that reads back to the same bits.
@@ -114,6 +116,9 @@ def _check_types(content: dict[str, Any]) -> None:
     for key in ("time", "tolerance"):
         if content[key] is not None and not abs(content[key]) <= _MOST:
             raise SessionError(f"a frame record's {key} is out of range; it must be at most {_MOST:g}")
+    for name, (fits, words) in _EXTRAS.items():
+        if name in content.get("extras", {}) and not fits(content["extras"][name]):
+            raise SessionError(f"a frame record's extras have '{name}' that is not {words}")
     if not all(isinstance(event, dict) for event in content["events"]):
         raise SessionError("a frame record's events are JSON objects")
     for event in content["events"]:
@@ -128,6 +133,14 @@ def _is_vector(value: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST
+
+
+def _are_poses(value: Any) -> bool:
+    return isinstance(value, dict) and all(_is_vector(pose) and len(pose) == 7 for pose in value.values())
+
+
+def _are_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
 def _finite(text: str) -> float:
@@ -147,6 +160,12 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         raise ValueError(f"a key appears twice among {[key for key, _ in pairs]}")
     return content
 
+
+#: Entries of the extras that are read: what each must be, and that in words.
+_EXTRAS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "poses": (_are_poses, "an object of lists of 7 numbers"),
+    "halted": (_are_names, "a list of texts"),
+}
 
 #: Members of events: the kinds that have each, what it must be, and that in words.
 _MEMBERS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {

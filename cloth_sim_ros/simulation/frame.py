@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import attrs
 
 from cloth_sim_ros.physics.forces.force import Array
@@ -30,6 +32,9 @@ class Frame:
     #: Obstacles, and grippers that pinch, that would have left the cloth no room: they stand still where they were at
     #: the frame's begin until they are commanded anew.
     halted: tuple[str, ...] = ()
+    #: Name and pose at the frame's end, position [m] and quaternion x, y, z, w, of each gripper that did not reach its
+    #: target: its limit of speed held it back, or it is among `halted`.
+    lagging: tuple[tuple[str, tuple[float, ...]], ...] = ()
     #: Whether simulated time passed.
     moved: bool
     #: Name of the integrator that ran; of the one that is chosen where no time passed.
@@ -43,6 +48,19 @@ class Frame:
     wrenches: Array
     #: The same of the cloth on each obstacle about its place, shape (obstacle_count, 6).
     loads: Array
+
+    def extras(self) -> dict[str, Any]:
+        """Return additional entries of the frame's record, plain JSON values; none in a frame that went as commanded.
+
+        Returns:
+            `poses`: `lagging` as lists by name; `halted`: names. Either is absent if empty.
+        """
+        found: dict[str, Any] = {}
+        if self.lagging:
+            found["poses"] = {name: list(pose) for name, pose in self.lagging}
+        if self.halted:
+            found["halted"] = list(self.halted)
+        return found
 
     def again(self, index: int, time: float) -> Frame:
         """Return the frame that a sleeping cloth repeats, without the events that this one had."""

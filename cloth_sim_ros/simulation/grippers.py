@@ -84,6 +84,19 @@ class Grippers:
         """Present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
         return self._state.memory["gripper.pose"].copy()
 
+    def lagging(self, halted: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """Return name and pose, 7 numbers, of each gripper that the newest frame left short of its commanded target.
+
+        Args:
+            halted: names of the bodies that were halted in the newest frame; a halted gripper's target became its pose.
+        """
+        pose, target = self._movers.array("pose"), self._movers.array("target")
+        return tuple(
+            (name, tuple(pose[g].tolist()))
+            for g, name in enumerate(self.names)
+            if name in halted or (name in self.limited and (pose[g] != target[g]).any())
+        )
+
     def is_placed(self, index: int) -> bool:
         """Whether the gripper has had a target, and so has a pose."""
         return bool(self._state.memory["gripper.placed"][index])

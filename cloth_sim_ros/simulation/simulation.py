@@ -259,6 +259,8 @@ class Simulation(ExclusiveAccess):
         moved = stepped or not self.paused
         done = self._move() if moved else None
         pinches = self.pinching.settle(self.plan, self.time) if moved and self.pinching is not None else []
+        halted = self._halted if moved else ()
+        lags = moved and (halted or self.grippers.limited)
         wrenches, loads = booked(self._book if moved else None, self.plan, self.grippers, self.pinching)
         frame = Frame(
             index=self.frame,
@@ -266,7 +268,8 @@ class Simulation(ExclusiveAccess):
             events=tuple(events),
             grasps=tuple(grasps),
             pinches=tuple(pinches),
-            halted=self._halted if moved else (),
+            halted=halted,
+            lagging=self.grippers.lagging(halted) if lags else (),
             moved=moved,
             integrator=done.integrator if done else self._integrator.name,
             tolerance=self._tolerance,

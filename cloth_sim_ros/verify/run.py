@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ __all__ = ["Verdict", "Watch", "verify"]
 
 #: What a frame's record tells that other arithmetic can change: the rest it must get right.
 _OF_ROUNDING = frozenset({"the digest of its state", "its steps", "its integrator"})
+#: Entries of a frame record's extras that `Frame.extras` gives.
+_FRAME_EXTRAS = frozenset({"poses", "halted"})
 #: Topics that the node shares with others, of which it records its own part or what it hears; why they are listed.
 _SHARED = {"/rosout": "texts of the log", "/parameter_events": "changes of parameters, as the node announced them"}
 #: Why a recording ends with a whole frame; after any other end, the last frame may lack messages.
@@ -249,14 +251,20 @@ class _Run:
                     "frame", f"{what} ({recorded} was recorded, {again} came out)", rounding=rounding
                 )
                 return
-        if record.extras:
-            self._compare_extras(record, frame)
+        self._compare_extras(record, frame)
 
     def _compare_extras(self, record: FrameRecord, frame: Frame) -> None:
-        energy = self.simulation.energy_report
+        energy, expected = self.simulation.energy_report, frame.extras()
+        for key in expected:
+            if key not in record.extras:  # older sessions have no such entries
+                self._findings.not_compared(self._frame_topic, f"'{key}', absent from the record")
         for key, recorded in record.extras.items():
-            if key == "flagged":
-                again: float = frame.advance.flagged if frame.advance else 0
+            again: Any
+            if key in _FRAME_EXTRAS:
+                again = expected.get(key)
+                wrong = recorded != again
+            elif key == "flagged":
+                again = frame.advance.flagged if frame.advance else 0
                 wrong = recorded != again
             elif key == "energy" and energy is not None:
                 again = energy.total

@@ -218,7 +218,7 @@ class SessionMaker:
             steps=frame.advance.steps if frame.advance else 0,
             digest=self.simulation.state.digest(),
             paused=self.simulation.paused,
-            extras=dict(extras or {}),
+            extras=frame.extras() | dict(extras or {}),
         )
         self._write(f"{NODE}/frame", _STRING, change, encode_string(record.to_json()))
         scene = self.simulation.scene
