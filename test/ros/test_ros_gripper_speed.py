@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,8 @@ from support.ros_client import Client
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.ros.gripper_speed import GripperSpeedMonitor
 from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.verify.run import verify
 
 CORNER = np.array([0.5, 0.0, 0.5])
 TWO = {"grippers": ["left", "right"]}
@@ -108,6 +111,25 @@ def test_a_wrong_target_is_followed_at_the_limit_and_warned_of(client: Client) -
         assert set_one(cloth, "gripper.max_speed", 0.0).successful
         cloth.tick()
         assert cloth.place("gripper") == pytest.approx(beside(1.0))
+
+
+def test_node_records_pose_of_limited_gripper(client: Client, tmp_path: Path) -> None:
+    with ClockedCloth(client, {"record.enabled": True, "record.folder": str(tmp_path)}) as cloth:
+        cloth.target("gripper", CORNER)
+        cloth.grasp("gripper", True)
+        cloth.tick(2)
+        cloth.target("gripper", beside(0.3))
+        cloth.tick(3)
+        frame = cloth.simulation.frame
+        assert cloth.place("gripper") == pytest.approx(beside(0.3))
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionReader(path) as reader:
+        frames = {shown.frame.frame: shown.frame for shown in reader.clouds() if shown.frame is not None}
+    poses = [frames[k].extras.get("poses") for k in (frame - 2, frame - 1, frame)]
+    assert poses[0]["gripper"] == pytest.approx([*beside(10.0 / 60.0), 0.0, 0.0, 0.0, 1.0])
+    assert poses[1:] == [None, None]
+    verdict = verify([path])
+    assert verdict.same, verdict.first_reason
 
 
 def test_one_grippers_limit_is_set_while_the_cloth_runs(client: Client) -> None:
