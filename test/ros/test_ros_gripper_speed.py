@@ -21,8 +21,6 @@ from support.ros_client import Client
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.ros.gripper_speed import GripperSpeedMonitor
 from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.session.reader import SessionReader
-from cloth_sim_ros.verify.run import verify
 
 CORNER = np.array([0.5, 0.0, 0.5])
 TWO = {"grippers": ["left", "right"]}
@@ -114,6 +112,10 @@ def test_a_wrong_target_is_followed_at_the_limit_and_warned_of(client: Client) -
 
 
 def test_node_records_pose_of_limited_gripper(client: Client, tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+    from cloth_sim_ros.verify.run import verify
+
     with ClockedCloth(client, {"record.enabled": True, "record.folder": str(tmp_path)}) as cloth:
         cloth.target("gripper", CORNER)
         cloth.grasp("gripper", True)
