@@ -55,12 +55,12 @@ class Frame:
         Returns:
             `poses`: `lagging` as lists by name; `halted`: names. Either is absent if empty.
         """
-        found: dict[str, Any] = {}
+        extras: dict[str, Any] = {}
         if self.lagging:
-            found["poses"] = {name: list(pose) for name, pose in self.lagging}
+            extras["poses"] = {name: list(pose) for name, pose in self.lagging}
         if self.halted:
-            found["halted"] = list(self.halted)
-        return found
+            extras["halted"] = list(self.halted)
+        return extras
 
     def again(self, index: int, time: float) -> Frame:
         """Return the frame that a sleeping cloth repeats, without the events that this one had."""
