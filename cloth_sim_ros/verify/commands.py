@@ -180,8 +180,8 @@ class CommandCheck:
             return
         wanted = _pose(event["position"], event.get("orientation"))
         waiting = self._waiting.get(name, [])
-        found = max((one for one in waiting if _same(wanted, one.pose)), default=None)
-        if found is None:
+        same = [one for one in waiting if _same(wanted, one.pose)]
+        if not same:
             if known:
                 self._findings.difference(
                     "command", f"{name} moved to {list(event['position'])}, which was not commanded"
@@ -190,8 +190,11 @@ class CommandCheck:
                 self._leave("events", f"{event['kind']} that may have been commanded before the recording began")
             return
         self._findings.compared("command")
+        # Of the same pose there may be one for a later frame. A frame on wall time that begins late takes what is
+        # stamped later than it was due, so that the later ones may have been taken with it.
+        found = max((one for one in same if one.stamp <= stamp), default=min(same))
         replaced = [one for one in waiting if one < found]
-        self._waiting[name] = [one for one in waiting if one > found]
+        self._waiting[name] = [one._replace(certain=one.certain and one > max(same)) for one in waiting if one > found]
         self._drop(replaced, "replaced by a newer one in the same frame, refused, or too old")
         self._expect_target(name, stamp, None, known=known)
 

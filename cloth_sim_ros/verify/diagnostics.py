@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,8 @@ TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 _SUMS = ("energy_work_j", "energy_wind_j", "energy_dissipated_j", "energy_rubbed_j", "energy_balance_j")
 #: Texts, which another version may put otherwise.
 _TEXTS = ("integrator", "integrator_why", "halted")
+#: Values that nothing rounds but printing.
+_EXACT = frozenset({"frame", "simulated_time", "paused"})
 #: By how much printed numbers may differ: they were rounded, and numpy's sums are the processor's.
 _RELATIVE, _ABSOLUTE = 2e-5, 2e-6
 #: Above this many edges the node measures no strain.
@@ -45,6 +49,7 @@ class DiagnosticsCheck:
         self._advance: Advance | None = None
         self._halted: set[str] | None = set() if from_start else None
         self._gauge: _StrainGauge | None = None
+        self._last = b""
 
     def follow(self, frame: Frame, simulation: Simulation) -> None:
         """Look at a frame that was just run."""
@@ -72,28 +77,49 @@ class DiagnosticsCheck:
             self._findings.difference("diagnostics message", f"the diagnostics cannot be read: {error}")
             return
         own = [status for status in content.status if status.name == self._name]
-        if not own:
+        if len(own) < len(content.status) or not own:
             self._findings.not_compared(message.topic, "of another name than the node's")
+        if not own:
             return
-        stamp = content.header.stamp.sec * 10**9 + content.header.stamp.nanosec
-        if stamp != message.publish_time:
-            self._findings.difference("diagnostics message", "the diagnostics, by their stamp")
+        wrong = self._wrong_frame(content, message, own)
+        if wrong:
+            self._findings.difference("diagnostics message", f"the diagnostics, by {wrong}")
         again = self._again(simulation)
         self._findings.compared("diagnostics message")
-        left = set()
+        keys = {value.key for value in own[0].values}
+        left = {f"{key}, which is not there" for key in again.keys() - keys}
         for value in own[0].values:
-            if value.key not in again or (value.key in _TEXTS and self._findings.verdict.environment):
+            if value.key == "paused" and value.value == "false" != again["paused"]:
+                # A node says whether it was paused by its user.
+                self._findings.not_compared(message.topic, "paused, though not by the user: /clock stands still")
+            elif value.key not in again or (value.key in _TEXTS and self._findings.verdict.environment):
                 left.add(value.key)
-            elif not _same(value.value, again[value.key]):
+            elif value.value != again[value.key] and (value.key in _EXACT or not _same(value.value, again[value.key])):
                 self._findings.difference(
                     "diagnostics message",
                     f"the diagnostics, by {value.key} ({value.value} is recorded, {again[value.key]} came out)",
-                    rounding=value.key not in ("frame", "simulated_time", "paused"),
+                    rounding=value.key not in _EXACT,
                 )
                 break
         for key in sorted(left):
             self._findings.not_compared(message.topic, key)
-        self._findings.not_compared(message.topic, "level and summary")
+        self._findings.not_compared(message.topic, "level, summary and hardware_id")
+        if self._last == message.data:
+            self._findings.not_compared(message.topic, "the same message once more")
+        self._last = message.data
+
+    @staticmethod
+    def _wrong_frame(content: Any, message: Message, own: Sequence[Any]) -> str:
+        """The part of what encloses the values that is not as it must be, in words; empty if none."""
+        if content.header.stamp.sec * 10**9 + content.header.stamp.nanosec != message.publish_time:
+            return "their stamp"
+        if content.header.frame_id:
+            return f"their frame_id ({content.header.frame_id} is recorded, none is due)"
+        if len(own) > 1:
+            return "a second status of the node"
+        keys = [value.key for value in own[0].values]
+        twice = [key for key in keys if keys.count(key) > 1]
+        return f"{twice[0]}, which is there twice" if twice else ""
 
     def _again(self, simulation: Simulation) -> dict[str, str]:
         values = {
@@ -114,7 +140,9 @@ class DiagnosticsCheck:
             return {} if simulation.scene.diagnostics.energy else {"energy_j": "off"}
         found = {"energy_j": f"{energy.total:.9g}"}
         if self._from_start:
-            sums = (energy.work, energy.wind, energy.dissipated, energy.rubbed)
+            contact = simulation.plan.contact
+            layered = contact is not None and contact.force.layered
+            sums = (energy.work, energy.wind, energy.dissipated, *([energy.rubbed] if layered else []))
             # What the balance leaves over is rounding, of sums of numpy's.
             found |= {key: f"{value:.6g}" for key, value in zip(_SUMS, sums, strict=False)}
         return found
@@ -161,8 +189,7 @@ class _StrainGauge:
 
 
 def _same(recorded: str, again: str) -> bool:
-    if recorded == again:
-        return True
+    """True if two printed numbers differ by no more than rounding."""
     try:
         one, other = float(recorded), float(again)
     except ValueError:

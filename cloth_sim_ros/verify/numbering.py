@@ -93,7 +93,7 @@ class Numbering:
             opens: whether it may repeat, as the file begins, what was last sent of a latched topic.
         """
         self._counts[own] += 1
-        topic = self._topics.setdefault(message.topic, _Topic(message.topic, droppable=False))
+        topic = self._topics.setdefault(message.topic, _Topic("other message", droppable=False))
         if own:
             later = opens and self._part is not None and self._part.number > 0
             repeated = later and self.is_repeated(message)
@@ -119,6 +119,10 @@ class Numbering:
         self._dropped += int(dropped) if dropped.isdecimal() else 0
         self._may_lack |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
         told = notes.get("messages", "")
+        if not notes and part.at_end:
+            self._findings.missing(f"{part.path.name}: its end record, which tells how many messages it held")
+        elif notes and not told.isdecimal():
+            self._findings.missing(f"{part.path.name}: the number of its messages in the end record")
         if not whole or part.damage or not told.isdecimal():
             return
         found = self._counts[True]

@@ -27,6 +27,7 @@ from cloth_sim_ros.simulation.environment import differences, recorder_with_othe
 from cloth_sim_ros.simulation.events import Event, from_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.commands import CommandCheck
+from cloth_sim_ros.verify.declarations import compare_declarations
 from cloth_sim_ros.verify.diagnostics import TOPIC as DIAGNOSTICS
 from cloth_sim_ros.verify.diagnostics import DiagnosticsCheck
 from cloth_sim_ros.verify.numbering import Numbering
@@ -43,6 +44,8 @@ _FRAME_EXTRAS = frozenset({"poses", "halted"})
 _SHARED = {"/rosout": "texts of the log", "/parameter_events": "changes of parameters, as the node announced them"}
 #: Why a recording ends with a whole frame; after any other end, the last frame may lack messages.
 _WHOLE_ENDS = frozenset({"stopped", "split", "node stopped", "~/record", "failed"})
+#: Simulated time within which a node's recording has diagnostics [s].
+_REPORTED = 10.0
 
 
 class Watch(Protocol):
@@ -110,6 +113,7 @@ class _Run:
         self._numbering = Numbering(findings)
         self._numbering.declare(self._frame_topic, "frame", droppable=False)
         self._numbering.declare(self._points, "cloud", droppable=True)
+        self._numbering.declare(DIAGNOSTICS, "diagnostics message", droppable=False)
         self._before: Simulation | None = None
         self._commands: CommandCheck | None = None
         self._diagnostics: DiagnosticsCheck | None = None
@@ -134,8 +138,6 @@ class _Run:
             self._node, part=part, opened=opened, simulation=simulation, numbering=self._numbering,
             findings=self._findings,
         )  # fmt: skip
-        for topic in self._commands.topics:
-            self._numbering.declare(topic, "command", droppable=False)
         self._frame: Frame | None = None
         self._frames_before = self._verdict.frames
 
@@ -154,6 +156,7 @@ class _Run:
                 self._show_cloud(message, same)
             return True
         if topic in self._commands.topics:
+            self._numbering.declare(topic, "command", droppable=False)
             self._numbering.add(message, own=True)
             self._commands.receive(message, self.simulation)
         elif topic == DIAGNOSTICS:
@@ -170,6 +173,9 @@ class _Run:
         if self._verdict.frames > self._frames_before:
             self._shown.finish()
         self._numbering.finish(whole=whole)
+        assert self._commands is not None
+        compared = self._shown.topics | self._commands.topics | {self._frame_topic, DIAGNOSTICS}
+        compare_declarations(self._part, self._node, compared, self._findings)
         self._before = self.simulation
 
     def end(self) -> None:
@@ -182,6 +188,12 @@ class _Run:
                 self._findings.missing(f"its last frame, {place.frame}, was recorded without {', '.join(lacking)}")
         self._shown.end()
         self._numbering.end()
+        if (
+            "dropped" in part.end_notes
+            and self._verdict.simulated > _REPORTED
+            and not self._numbering.is_seen(DIAGNOSTICS)
+        ):
+            self._findings.absent(DIAGNOSTICS)
         self._commands.end()
 
     def _leave(self, message: Message) -> None:
@@ -255,7 +267,7 @@ class _Run:
 
     def _compare_extras(self, record: FrameRecord, frame: Frame) -> None:
         energy, expected = self.simulation.energy_report, frame.extras()
-        for key in expected:
+        for key in (*expected, *(("energy",) if energy is not None else ())):
             if key not in record.extras:  # older sessions have no such entries
                 self._findings.not_compared(self._frame_topic, f"'{key}', absent from the record")
         for key, recorded in record.extras.items():

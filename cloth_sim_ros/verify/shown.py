@@ -76,6 +76,11 @@ class ShownCheck:
         self._reasons: dict[str, str] = {}
         self._changed = False
 
+    @property
+    def topics(self) -> frozenset[str]:
+        """The topics whose messages are compared here, or would be."""
+        return self._taken | {_TF}
+
     def takes(self, topic: str) -> bool:
         """True if messages of a topic are compared here."""
         return topic in self._taken or (topic == _TF and self._simulation.scene.tf.publish)
@@ -92,6 +97,7 @@ class ShownCheck:
             if name not in self._wrenches:
                 self._add_wrench(name)
         self._frame, self._stamp = frame, stamp
+        self._states.open_frame()
         self._first = self._first or self._findings.place
         self._got = set()
         self._again = {self._wrenches[name]: wrench for name, wrench in outputs.wrenches(scene, frame)}

@@ -31,6 +31,8 @@ class StateCheck:
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
         self._last: tuple[int, str] | None = None
+        #: Whether that was said before the frame that was run last.
+        self._is_older = False
         #: Whether the frame at which that was said was paused.
         self._explained = False
 
@@ -41,7 +43,9 @@ class StateCheck:
         except SessionError as error:
             self._findings.difference("state", f"the state of the node cannot be read: {error}")
             return
-        self._last, self._explained = (content.id, content.label), simulation.paused
+        if self._last == (content.id, content.label):
+            self._findings.difference("state", f"the state of the node, {content.label}, that is there twice in a row")
+        self._last, self._explained, self._is_older = (content.id, content.label), simulation.paused, False
         if self._last == (_INACTIVE if simulation.paused else _ACTIVE):
             self._findings.compared("state")
         elif self._last == _ACTIVE:
@@ -51,11 +55,15 @@ class StateCheck:
         else:
             self._findings.not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
 
+    def open_frame(self) -> None:
+        """Look at a frame that was just run: what was said before it may be overtaken."""
+        self._is_older = True
+
     def is_due(self, simulation: Simulation) -> bool:
         """True if the last state contradicts the frame that was just run, so that another one must follow."""
         if simulation.paused:
             return self._last == _ACTIVE
-        return self._last == _INACTIVE and self._explained
+        return self._last == _INACTIVE and (self._explained or self._is_older)
 
 
 class GripperStateCheck:
@@ -118,6 +126,9 @@ class GripperStateCheck:
             content = decode(message.data, STATUS)
         except SessionError as error:
             self._findings.difference("gripper state", f"the state of {name} cannot be read: {error}")
+            return None
+        if len({value.key for value in content.values}) < len(content.values):
+            self._findings.difference("gripper state", f"the state of {name}, by a key that is there twice")
             return None
         return {
             "level": _level(content.level),

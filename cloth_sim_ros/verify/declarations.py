@@ -1,0 +1,78 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Declared types of a session's topics against those of the node.
+
+Bytes mean what their channel and schema declare: other tools read a cloud by the fields that the file describes.
+"""
+
+from __future__ import annotations
+
+from cloth_sim_ros.session import messages
+from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, describe
+from cloth_sim_ros.session.part import SessionPart
+from cloth_sim_ros.verify import diagnostics, markers, states
+from cloth_sim_ros.verify.verdict import Findings
+
+#: Message types by the last part of a topic of the node.
+_TYPES = {
+    "frame": messages.STRING,
+    "points": messages.CLOUD,
+    "topology": messages.MESH,
+    "wrench": messages.WRENCH,
+    "obstacles": markers.MARKERS,
+    "state": states.STATUS,
+    "target": messages.POSE,
+    "point": messages.POINT,
+    "grasp": messages.BOOL,
+    "tf": messages.TRANSFORMS,
+    "diagnostics": diagnostics.TYPE,
+}
+#: By how much a definition with comments may be longer than one without.
+_LONGER = 20
+
+
+def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], findings: Findings) -> None:
+    """Compare what a file declares of its topics, once all of it was read.
+
+    Args:
+        part: the file.
+        node: resolved name of the node.
+        topics: the topics whose messages were compared.
+        findings: for what differs.
+    """
+    schemas, channels = part.records()
+    for channel in channels.values():
+        topic, schema = channel.topic, schemas.get(channel.schema_id)
+        if topic not in topics or schema is None:
+            continue
+        wanted = states.STATE if topic == f"{node}/state" else _TYPES[topic.rpartition("/")[2]]
+        compared = (
+            ("type", schema.name, wanted),
+            ("encoding", channel.message_encoding, MESSAGE_ENCODING),
+            ("schema's encoding", schema.encoding, SCHEMA_ENCODING),
+        )
+        for what, recorded, due in compared:
+            if recorded != due:
+                findings.difference("declaration", f"the {what} of {topic} ({recorded} is recorded, {due} is due)")
+                break
+        else:
+            if not _is_same_definition(schema.data, wanted):
+                findings.difference("declaration", f"the message definition of {topic}")
+
+
+def _is_same_definition(recorded: bytes, type_name: str) -> bool:
+    """True if a definition describes the fields of a standard type, whatever its comments are."""
+    wanted = describe(type_name).definition
+    if recorded == wanted.encode():
+        return True
+    if len(recorded) > _LONGER * len(wanted):
+        return False
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    try:
+        found = get_types_from_msg(recorded.decode(), type_name)
+    except (TypesysError, ValueError):
+        return False
+    due = get_types_from_msg(wanted, type_name)
+    # Of each type its constants, which a tool may leave out, and its fields.
+    return {name: fields for name, (_, fields) in found.items()} == {name: fields for name, (_, fields) in due.items()}
