@@ -38,6 +38,10 @@ class Falsification:
     """A topic that the session must have for it."""
     end: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """What the end record says instead."""
+    ended: bool = True
+    """False if the end record is left out."""
+    redefined: tuple[str, str] = ("", "")
+    """Words of the message definitions, and what they are replaced by."""
     counted: bool = True
     """True if the end record counts the messages that are there; else it is left as it was."""
     listed: str = ""
@@ -67,7 +71,7 @@ def falsify(source: Path, target: Path, falsification: Falsification) -> Path:
     channels: dict[str, int] = {}
     for message in messages:
         if message.topic not in channels:
-            definition = describe(message.type_name).definition.encode()
+            definition = describe(message.type_name).definition.replace(*falsification.redefined).encode()
             channels[message.topic] = builder.add_channel(
                 topic=message.topic,
                 schema=(message.type_name, SCHEMA_ENCODING, definition),
@@ -90,6 +94,7 @@ def falsify(source: Path, target: Path, falsification: Falsification) -> Path:
     notes |= falsification.end
     notes["checksum"] = metadata_checksum(notes)
     end = builder.metadata(Metadata(name=END_METADATA_NAME, metadata=notes), len(content))
+    end = end if falsification.ended else b""
     target.write_bytes(content + end + builder.closing(len(content) + len(end)))
     part.close()
     return target
@@ -322,6 +327,19 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         ),
         "last frames cut out": Falsification(cut_frames(5), counted=False),
         "end record of another count": Falsification(end={"messages": "3"}),
+        "end record left out": Falsification(cut_frames(5), ended=False, listed="its end record"),
+        "end record without a count": Falsification(
+            cut_frames(5), end={"messages": "many"}, listed="the number of its messages"
+        ),
+        "clouds declared as another type": Falsification(
+            each(POINTS, lambda one: one._replace(type_name="std_msgs/msg/String"))
+        ),
+        "frames declared as another type": Falsification(
+            each(FRAME, lambda one: one._replace(type_name="std_msgs/msg/Bool"))
+        ),
+        "rows and columns exchanged in the definition": Falsification(
+            redefined=("uint32 height\nuint32 width", "uint32 width\nuint32 height")
+        ),
         "clouds under another topic": Falsification(rename(POINTS, f"{NODE}/pts"), absent=POINTS),
         "wrenches under another topic": Falsification(
             rename(wrench, "/other/wrench"), counted=False, listed="/other/wrench"
@@ -331,7 +349,12 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         ),
         # Of the node alone.
         "state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),
-        "state altered": Falsification(each(STATE, edit(_set("id", 3)), only=[1]), needs=STATE),
+        "state altered": Falsification(each(STATE, edit(_set("id", 2)), only=[-2]), needs=STATE),
+        "first active state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),
+        "state twice": Falsification(renumbered(double(STATE, 1)), needs=STATE),
+        "gripper state with a key twice": Falsification(
+            each(state, edit(lambda one: one.values.append(one.values[0])), only=[1]), needs=state
+        ),
         "states left out": Falsification(drop(STATE), needs=STATE, absent=STATE),
         "gripper state left out": Falsification(renumbered(drop(state, only=[1])), needs=state),
         "gripper states left out": Falsification(drop(state), needs=state, absent=state),
@@ -363,6 +386,25 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         ),
         "diagnostics of another integrator": Falsification(
             each(DIAGNOSTICS, edit(_value("integrator", "other"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics 1 us later": Falsification(
+            each(DIAGNOSTICS, edit(_value("simulated_time", "0.533334"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics of another frame_id": Falsification(
+            each(DIAGNOSTICS, edit(_set("header.frame_id", "map"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics with a key twice": Falsification(
+            each(DIAGNOSTICS, edit(lambda one: one.status[0].values.append(one.status[0].values[0]))),
+            needs=DIAGNOSTICS,
+        ),
+        "diagnostics with a status twice": Falsification(
+            each(DIAGNOSTICS, edit(lambda one: one.status.append(one.status[0]))), needs=DIAGNOSTICS
+        ),
+        "diagnostics without values": Falsification(
+            each(DIAGNOSTICS, edit(lambda one: one.status[0].values.clear())), needs=DIAGNOSTICS, listed="is not there"
+        ),
+        "diagnostics twice": Falsification(
+            renumbered(double(DIAGNOSTICS, 0)), needs=DIAGNOSTICS, listed="the same message once more"
         ),
         "diagnostics of another real-time factor": Falsification(
             each(DIAGNOSTICS, edit(_value("real_time_factor", "99.0"))), needs=DIAGNOSTICS, listed="real_time_factor"
