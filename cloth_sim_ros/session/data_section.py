@@ -43,11 +43,29 @@ _LARGEST_OFFSET = 1 << 31
 _STRING = "std_msgs/msg/String"
 
 
-def covers_all(summary: Summary, data_start: int) -> bool:
-    """True if the indexes account for every byte of the data section, so that nothing lies beside their chunks."""
-    indexed = sum(index.chunk_length + index.message_index_length for index in summary.chunks.values())
-    indexed += sum(length for _, length in summary.records)
-    return indexed == summary.start - data_start - _DATA_END
+def covers_all(file: BinaryIO, summary: Summary, data_start: int) -> bool:
+    """True if the data section holds the chunks and records that the indexes name, message indexes, and nothing else.
+
+    The lengths of indexes are not believed: one that is too large would hide a chunk.
+    """
+    position, end = data_start, summary.start - _DATA_END
+    records = dict(summary.records)
+    while position < end:
+        file.seek(position)
+        head = file.read(RECORD_HEAD)
+        if len(head) < RECORD_HEAD:
+            return False
+        opcode, size = _HEAD.unpack(head)
+        length = RECORD_HEAD + size
+        if opcode == Opcode.CHUNK:
+            index = summary.chunks.get(position)
+            known = index is not None and index.chunk_length == length
+        else:
+            known = opcode == Opcode.MESSAGE_INDEX or (opcode in _CONTENTS and records.get(position) == length)
+        if not known:
+            return False
+        position += length
+    return position == end
 
 
 def indexes_contents(summary: Summary | None) -> bool:

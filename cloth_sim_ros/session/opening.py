@@ -17,6 +17,9 @@ from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.mcap_scan import DamagedRecordError, parse_record, place_at, read_body
 from cloth_sim_ros.session.writer import FORMAT_VERSION, METADATA_NAME, SCENE_NAME, STATE_NAME, metadata_checksum
 
+#: More digits than the number of a file has.
+_DIGITS = 10
+
 
 def open_file(path: Path) -> BinaryIO:
     """Open a file to read. Raises SessionError with the reason where it cannot be."""
@@ -63,6 +66,12 @@ def check_contents(path: Path, metadata: Mapping[str, str], attachments: Contain
         raise NotASessionError(
             f"{path} has session format {metadata.get('format')!r}, this version reads {FORMAT_VERSION!r}; "
             "use the version that recorded it"
+        )
+    number = metadata.get("part", "")
+    if "session" not in metadata or not (number.isascii() and number.isdecimal() and len(number) < _DIGITS):
+        raise DamagedSessionError(
+            f"{path}: the metadata record {METADATA_NAME!r} does not tell which file of which session it is: its part "
+            f"is {number[:_DIGITS]!r}"
         )
     absent = [name for name in (SCENE_NAME, STATE_NAME) if name not in attachments]
     if absent:

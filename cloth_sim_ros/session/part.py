@@ -91,6 +91,7 @@ class SessionPart:
         self._strict = strict
         self._attached = 0
         self._summary: Summary | None = None
+        self._covered: bool | None = None  # the summary names all that the file holds; None if that is not known
         self._summary_damage: list[str] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -160,7 +161,11 @@ class SessionPart:
     @property
     def indexed(self) -> bool:
         """True if the indexes name all that the file holds; else it is read record by record."""
-        return self._summary is not None and covers_all(self._summary, self._data_start)
+        if self._summary is None:
+            return False
+        if self._covered is None:
+            self._covered = covers_all(self._file, self._summary, self._data_start)
+        return self._covered
 
     @property
     def position(self) -> int:

@@ -18,6 +18,8 @@ from cloth_sim_ros.verify.verdict import Findings, Place
 #: A log time that lies back by less is raised to the one before, by the recorder [ns].
 _IN_ORDER = 1_000_000_000
 _WRAP = 0xFFFFFFFF
+#: More digits than any count has.
+_DIGITS = 20
 
 
 @dataclass(slots=True)
@@ -115,21 +117,20 @@ class Numbering:
         part = self._part
         assert part is not None
         notes = part.end_notes
-        dropped = notes.get("dropped", "0")
-        self._dropped += int(dropped) if dropped.isdecimal() else 0
+        self._dropped += _number(notes.get("dropped", "")) or 0
         self._may_lack |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
-        told = notes.get("messages", "")
+        told = _number(notes.get("messages", ""))
         if not notes and part.at_end:
             self._findings.missing(f"{part.path.name}: its end record, which tells how many messages it held")
-        elif notes and not told.isdecimal():
+        elif notes and told is None:
             self._findings.missing(f"{part.path.name}: the number of its messages in the end record")
-        if not whole or part.damage or not told.isdecimal():
+        if not whole or part.damage or told is None:
             return
         found = self._counts[True]
-        if int(told) not in (found, found + self._counts[False]):
+        if told not in (found, found + self._counts[False]):
             self._findings.difference(
                 "message count",
-                f"the end record of {part.path.name}: it counts {counted(int(told), 'message')}, {found} are there",
+                f"the end record of {part.path.name}: it counts {counted(told, 'message')}, {found} are there",
             )
 
     def end(self) -> None:
@@ -238,3 +239,8 @@ class Numbering:
         return self._is_lenient() or (
             part is not None and (not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0)
         )
+
+
+def _number(text: str) -> int | None:
+    """A count of an end record; None if the text is none."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < _DIGITS else None

@@ -4,12 +4,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, IndexType
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, IndexType, Writer
+from support.falsifier import Falsification, falsify
 from support.mcap_copies import copy_by_tool
 from support.session_maker import make_grasp
 
@@ -17,8 +22,11 @@ from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.export import export
 from cloth_sim_ros.session.info import Summarizer, render
 from cloth_sim_ros.session.main import main as session_command
+from cloth_sim_ros.session.mcap_builder import MAGIC
+from cloth_sim_ros.session.part import SessionPart
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.recover import recover
+from cloth_sim_ros.session.writer import metadata_checksum
 from cloth_sim_ros.verify.main import main as verify_command
 from cloth_sim_ros.verify.run import verify
 
@@ -106,6 +114,64 @@ def test_messages_beside_chunks_are_read(session: Path, tmp_path: Path) -> None:
     both.write_bytes(chunked[:data_end] + bare[first:end] + bare[end:])
     with SessionReader(both) as reader:
         assert len(list(reader.messages())) == 2 * len(messages)
+
+
+def records(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Opcode and bytes of each record of a file."""
+    data, position = path.read_bytes(), len(MAGIC)
+    while position < len(data) - len(MAGIC):
+        opcode, size = struct.unpack_from("<BQ", data, position)
+        yield opcode, data[position : position + 9 + size]
+        position += 9 + size
+
+
+def test_chunk_that_the_indexes_hide_is_read(session: Path, tmp_path: Path) -> None:
+    copy = copy_by_tool(session, tmp_path / "copy.mcap", compression=CompressionType.NONE)
+    clouds = copy_by_tool(session, tmp_path / "clouds.mcap", topics=lambda topic: topic.endswith("/points"))
+    hidden = next(record for opcode, record in records(clouds) if opcode == Opcode.CHUNK)
+    content, summary = bytearray(MAGIC), b""
+    for opcode, record in records(copy):
+        if opcode == Opcode.DATA_END:
+            content += hidden + record
+            summary = bytes(content)
+        elif opcode == Opcode.CHUNK_INDEX:
+            # The bytes of the hidden chunk are passed off as message indexes.
+            length = 9 + 36 + int.from_bytes(record[9 + 32 : 9 + 36], "little")
+            claimed = int.from_bytes(record[length : length + 8], "little") + len(hidden)
+            content += record[:length] + claimed.to_bytes(8, "little") + record[length + 8 :]
+        elif opcode not in (Opcode.SUMMARY_OFFSET, Opcode.FOOTER):
+            content += record
+    content += struct.pack("<BQQQI", Opcode.FOOTER, 20, len(summary), 0, 0) + MAGIC
+    copy.write_bytes(content)
+    verdict = verify([copy])
+    assert verdict.differing["cloud"] >= FRAMES
+
+
+@pytest.mark.parametrize("key", ["messages", "dropped"])
+@pytest.mark.parametrize("value", ["9" * 5000, "many", "-1"])
+def test_end_record_of_no_number_is_no_traceback(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, value: str
+) -> None:
+    copy = falsify(session, tmp_path / "copy.mcap", Falsification(end={key: value}))
+    assert verify_command([str(copy)]) == 0
+    assert "Not all of it is there" in capsys.readouterr().out
+    # A file that lacks messages is told by the status.
+    assert session_command(["info", str(copy)]) == (key == "dropped")
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "first", "-1", ""])
+def test_part_of_no_number_is_refused(session: Path, tmp_path: Path, value: str) -> None:
+    copy = tmp_path / "copy.mcap"
+    with contextlib.closing(SessionPart(session)) as part, copy.open("wb") as stream:
+        metadata = {**part.metadata, "part": value}
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        writer.add_metadata("cloth_sim", {**metadata, "checksum": metadata_checksum(metadata)})
+        for name, attachment in part.attachments.items():
+            writer.add_attachment(0, 0, name, attachment.media_type, attachment.data)
+        writer.finish()
+    with pytest.raises(SessionError, match="does not tell which file"):
+        SessionReader(copy)
 
 
 def test_flipped_bit_of_a_bare_message_is_found(session: Path, tmp_path: Path) -> None:
