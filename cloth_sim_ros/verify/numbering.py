@@ -124,7 +124,9 @@ class Numbering:
             self._findings.missing(f"{part.path.name}: its end record, which tells how many messages it held")
         elif notes and told is None:
             self._findings.missing(f"{part.path.name}: the number of its messages in the end record")
-        if not whole or part.damage or told is None:
+        if notes.get("reason") == "recovered":
+            self._findings.missing(f"{part.path.name}: recovered, {notes.get('missing') or 'nothing was lost'}")
+        if not whole or part.damage or told is None or not part.at_end:
             return
         found = self._counts[True]
         if told not in (found, found + self._counts[False]):

@@ -195,6 +195,10 @@ def test_copy_without_chunks_that_was_cut_off_is_recovered(session: Path, tmp_pa
     found = contents(recovery.path)
     assert found == whole[: len(found)]
     assert recovery.messages == len(found) > len(whole) // 2
+    for path in (copy, recovery.path):
+        verdict = verify([path])
+        assert verdict.same, verdict.first_reason
+        assert verdict.missing
 
 
 LEFT_OUT = {
