@@ -47,7 +47,7 @@ def cores() -> int:
 def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator[SchedulerAddress]:
     """Start a scheduler and a worker process a core on this machine.
 
-    Its connections are encrypted and need a certificate that exists in these processes alone: a scheduler runs what it
+    Its connections are encrypted and need a certificate that exists in these processes alone. A scheduler runs what it
     is sent, and every account of the machine reaches its port.
     """
     import dask

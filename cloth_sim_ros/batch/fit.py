@@ -190,7 +190,7 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
 
 
 def _doubt(problem: Problem, run: Run, rms: float) -> str:
-    """What speaks against the bounds though all clouds of the last window were followed; empty if nothing does."""
+    """Reason to doubt the bounds of a fit whose last window was followed to its end; empty if there is none."""
     if problem.sigma is not None and rms > WORSE * problem.sigma:
         return (
             f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "

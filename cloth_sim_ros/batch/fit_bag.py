@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_held import SPAN, HeldParticles, check_distinct, find_held, given_held, rest_held
+from cloth_sim_ros.batch.fit_held import SPAN, HeldParticles, check_distinct, find_held, parse_all_held, rest_held
 from cloth_sim_ros.batch.fit_motion import GripperPath, check_rest
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.batch.fit_recording import Recording, visible
@@ -56,7 +56,7 @@ class _Track:
 
 
 def _path(track: _Track, start: int) -> GripperPath:
-    """Where a gripper is over the time from a stamp [ns] on."""
+    """Path of a gripper over the time from a stamp [ns] on."""
     order = np.argsort(np.array(track.stamps), kind="stable")
     times = np.asarray(1e-9 * (np.array(track.stamps, dtype=np.int64)[order] - start), dtype=np.float64)
     return GripperPath(times=times, places=np.array(track.poses)[order, :3])
@@ -106,7 +106,7 @@ def read_bag(
     Raises:
         FitError: naming what is missing, and the remedy.
     """
-    given = given_held(scene, held or {})
+    named = parse_all_held(scene, held or {})
     if not (np.isfinite(settle) and 0.0 <= settle <= LONGEST):
         raise FitError(f"--settle is {settle:g} s; it must be from 0 to {LONGEST:g}")
     heard = _heard(paths)
@@ -119,7 +119,7 @@ def read_bag(
         raise FitError(f"--pose names '{unknown[0]}'; the scene's grippers are {', '.join(tracks) or 'none'}")
     count = len(scene.initial_positions())
     seen = sorted(
-        (_cloud(data, time, scene, count, matched) for time, data in heard[cloud_topic][1]), key=lambda one: one[0]
+        (_cloud(data, time, scene, count, matched) for time, data in heard[cloud_topic][1]), key=lambda entry: entry[0]
     )
     stamps = np.array([stamp for stamp, _ in seen], dtype=np.int64)
     if not stamps.size:
@@ -129,7 +129,7 @@ def read_bag(
             f"--from is {begin:g} s; it must be from 0 to {1e-9 * (stamps[-1] - stamps[0]):.2f}, the last cloud"
         )
     late = stamps >= stamps[0] + round(1e9 * begin) - 1_000_000
-    seen, stamps = [one for one, is_late in zip(seen, late, strict=True) if is_late], stamps[late]
+    seen, stamps = [entry for entry, is_late in zip(seen, late, strict=True) if is_late], stamps[late]
     first = np.concatenate([[True], np.diff(stamps) > 0])
     seconds = (stamps[first] - stamps[0]) * 1e-9
     clouds = [cloud for (_, cloud), new in zip(seen, first, strict=True) if new]
@@ -148,18 +148,22 @@ def read_bag(
     frames = lead + seconds * scene.rate
     start = int(stamps[0])
     closed = _closed(scene, tracks, start)
-    open_ones = [name for name in given if name not in closed]
+    open_ones = [name for name in named if name not in closed]
     if open_ones:
         raise FitError(f"--held names '{open_ones[0]}', which is open at the first cloud")
     led = {name: _path(tracks[name], start) for name in closed}
     check_rest(clouds if matched else (), seconds, scene.sheet.positions(), led)
-    state, found = _start(scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, start, given)
+    state, held_particles = _start(
+        scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, start, named
+    )
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
         state=state,
         events=tuple(
-            _events(scene, tracks, start, lead, int(np.ceil(frames[-1] - 1e-9)), [one.gripper for one in found])
+            _events(
+                scene, tracks, start, lead, int(np.ceil(frames[-1] - 1e-9)), [entry.gripper for entry in held_particles]
+            )
         ),
         frames=frames,
         seconds=seconds,
@@ -167,7 +171,7 @@ def read_bag(
         matched=matched,
         lead=lead,
         shifted=matched,
-        held=tuple(found),
+        held=tuple(held_particles),
     )
 
 
@@ -268,7 +272,7 @@ def _start(
     matched: bool,
     tracks: Mapping[str, _Track],
     begin: int,
-    given: Mapping[str, Sequence[int]],
+    named: Mapping[str, Sequence[int]],
 ) -> tuple[State | None, list[HeldParticles]]:
     """A start near the first cloud, from which the cloth comes to rest, and what closed grippers hold.
 
@@ -280,36 +284,36 @@ def _start(
     if not len(seen) or (matched and len(cloud) != len(rest)):
         return None, []
     poses = {name: track.at(begin) for name, track in tracks.items()}
-    found: list[HeldParticles] = []
+    selected: list[HeldParticles] = []
     if matched:
         x = cloud.copy()
         for name, track in tracks.items():
             used = _held_clouds(clouds, seconds, track, begin)
-            at = [[number for part in track.at(begin + 1e9 * seconds[k]) for number in part] for k in used]
-            one, local = find_held(scene, name, [clouds[k] for k in used], at, given.get(name, ()))
+            at = [[value for part in track.at(begin + 1e9 * seconds[k]) for value in part] for k in used]
+            selection, local = find_held(scene, name, [clouds[k] for k in used], at, named.get(name, ()))
             position, turn = poses[name]
-            particles = list(one.particles)
+            particles = list(selection.particles)
             x[particles] = np.array(position) + local[particles] @ np.array(rotation_matrix(np.array(turn))).T
-            found.append(one)
+            selected.append(selection)
         anchors = scene.anchored_particles()
         x[anchors] = rest[anchors]
         x = _filled(x, scene.sheet.triangles())
     else:
-        found = [rest_held(scene, name, poses[name][0], given.get(name, ())) for name in tracks]
-        x = _bent(rest, seen, {one.particles[0]: np.array(poses[one.gripper][0]) for one in found})
+        selected = [rest_held(scene, name, poses[name][0], named.get(name, ())) for name in tracks]
+        x = _bent(rest, seen, {selection.particles[0]: np.array(poses[selection.gripper][0]) for selection in selected})
         anchors = scene.anchored_particles()
         x[anchors] = rest[anchors]
     state = State(x, cloth=scene.starting_state().cloth)
-    check_distinct(found)
+    check_distinct(selected)
     grippers = Grippers(scene.gripper_names, state)
-    for one in found:
-        grippers.set_target(Target(one.gripper, *poses[one.gripper]))
-        grippers.take(one.gripper, np.setdiff1d(one.particles, anchors))
-    return state, found
+    for selection in selected:
+        grippers.set_target(Target(selection.gripper, *poses[selection.gripper]))
+        grippers.take(selection.gripper, np.setdiff1d(selection.particles, anchors))
+    return state, selected
 
 
 def _held_clouds(clouds: Sequence[Array], seconds: NDArray[np.float64], track: _Track, begin: int) -> NDArray[np.int64]:
-    """Which clouds show what a gripper holds at the first one: those of the first second, before it opens."""
+    """Numbers of the clouds of the first second before a gripper opens: they show what it held at the first one."""
     opens = [1e-9 * (time - begin) for time, closed in track.grasps if time > begin and not closed]
     whole = [len(cloud) == len(clouds[0]) for cloud in clouds]
     return np.flatnonzero((seconds <= SPAN) & (seconds < min(opens, default=np.inf)) & np.array(whole))
@@ -329,8 +333,8 @@ def _bent(rest: Array, points: Array, places: Mapping[int, Array]) -> Array:
     _, near = cKDTree(points).query(x, k=min(8, len(points)))
     about = points[np.asarray(near).reshape(len(x), -1)].mean(axis=1)
     x = np.asarray(x + ((about - x) @ across)[:, None] * across)
-    for particle, place in places.items():
-        x[particle] = place
+    for particle, position in places.items():
+        x[particle] = position
     return x
 
 

@@ -38,12 +38,12 @@ class HeldParticles:
     #: How far the first is from the gripper's origin by the clouds [m].
     distance: float
     #: The second nearest, which is not held, and its distance [m]; None if all are held.
-    other: int | None
-    other_distance: float
+    neighbour: int | None
+    neighbour_distance: float
     #: Whether any examined cloud shows the first one.
     is_seen: bool
     #: Whether --held names them.
-    is_given: bool
+    is_named: bool
 
 
 @attrs.frozen(kw_only=True)
@@ -64,24 +64,24 @@ def parse_held(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
     Raises:
         FitError: for a name that is no particle, edge or corner.
     """
-    sheet, count, found = scene.sheet, len(scene.initial_positions()), list[int]()
+    sheet, count, particles = scene.sheet, len(scene.initial_positions()), list[int]()
     for name in (part.strip() for part in text.split(",")):
         if name.isdecimal() and len(name) < 12 and int(name) < count:
-            found.append(int(name))
+            particles.append(int(name))
             continue
         if name.isdecimal():
             raise FitError(f"--held {gripper} names particle {name[:20]}; there are {count}, counted from 0")
         try:
             if not isinstance(sheet, GridSheet):
                 raise ValueError(f"'{name}' is no particle's number, and only a grid has edges and corners")
-            found += sheet.edge(name).tolist()
+            particles += sheet.edge(name).tolist()
         except ValueError as error:
             raise FitError(f"--held {gripper}: {error}") from error
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(particles))
 
 
 def find_held(
-    scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], given: Sequence[int] = ()
+    scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], known: Sequence[int] = ()
 ) -> tuple[HeldParticles, Array]:
     """Return what a closed gripper holds, and the places of all particles in its frame [m], shape (n, 3).
 
@@ -93,70 +93,70 @@ def find_held(
         gripper: its name.
         clouds: matched ones, NaN where a particle was not seen, shape (n, 3) each [m].
         poses: the gripper's when each was taken: position [m] and quaternion x, y, z, w.
-        given: particles that it is known to hold; then the clouds do not choose.
+        known: particles that it is known to hold; then the clouds do not choose.
 
     Raises:
         FitError: if the clouds don't tell which particle it holds.
     """
-    rest, radius = scene.sheet.positions(), scene.gripper.radius
+    rest_shape, radius = scene.sheet.positions(), scene.gripper.radius
     places = _places(clouds, poses)
-    order = np.argsort(np.linalg.norm(_near(rest, places), axis=1), kind="stable")
-    chosen = list(dict.fromkeys([*given, *order[:_CANDIDATES].tolist()]))
-    found = places.mean.copy()
-    errors = np.full(len(rest), np.inf)
+    order = np.argsort(np.linalg.norm(_rough_places(rest_shape, places), axis=1), kind="stable")
+    chosen = list(dict.fromkeys([*known, *order[:_CANDIDATES].tolist()]))
+    local = places.mean.copy()
+    errors = np.full(len(rest_shape), np.inf)
     for particle in chosen:
-        found[particle], errors[particle] = _place(rest, places, particle)
-    away = np.linalg.norm(found[chosen], axis=1)
+        local[particle], errors[particle] = _extrapolated_place(rest_shape, places, particle)
+    away = np.linalg.norm(local[chosen], axis=1)
     order = np.argsort(away, kind="stable")
-    first = given[0] if given else chosen[int(order[0])]
-    held = tuple(given) or _within(rest, first, radius)
-    others = [chosen[k] for k in order if chosen[k] not in held]
-    other = others[0] if others else None
+    first = known[0] if known else chosen[int(order[0])]
+    held = tuple(known) or _within(rest_shape, first, radius)
+    free_particles = [chosen[k] for k in order if chosen[k] not in held]
+    neighbour = free_particles[0] if free_particles else None
     result = HeldParticles(
         gripper=gripper,
         particles=held,
-        distance=float(np.linalg.norm(found[first])),
-        other=other,
-        other_distance=math.inf if other is None else float(np.linalg.norm(found[other])),
+        distance=float(np.linalg.norm(local[first])),
+        neighbour=neighbour,
+        neighbour_distance=math.inf if neighbour is None else float(np.linalg.norm(local[neighbour])),
         is_seen=bool(places.count[first]),
-        is_given=bool(given),
+        is_named=bool(known),
     )
-    if not given:
-        _check(result, found, errors, others, radius + _spacing(rest, first))
+    if not known:
+        _check(result, local, errors, free_particles, radius + _spacing(rest_shape, first))
     # The origin lies in the particle that is held, or amid those that were given.
-    origin = np.mean([found[particle] for particle in given], axis=0) if given else found[first]
+    origin = np.mean([local[particle] for particle in known], axis=0) if known else local[first]
     for particle in held:
         if particle not in chosen:
-            found[particle] = _place(rest, places, particle)[0]
-    return result, found - origin
+            local[particle] = _extrapolated_place(rest_shape, places, particle)[0]
+    return result, local - origin
 
 
-def rest_held(scene: Scene, gripper: str, position: Sequence[float], given: Sequence[int] = ()) -> HeldParticles:
+def rest_held(scene: Scene, gripper: str, position: Sequence[float], known: Sequence[int] = ()) -> HeldParticles:
     """Return what a closed gripper holds by the scene's starting shape: for clouds that number no particle.
 
     Raises:
         FitError: if two particles of it are about as near.
     """
-    start, rest, radius = scene.initial_positions(), scene.sheet.positions(), scene.gripper.radius
+    start, rest_shape, radius = scene.initial_positions(), scene.sheet.positions(), scene.gripper.radius
     away = np.linalg.norm(start - np.asarray(position), axis=1)
-    first = given[0] if given else int(np.argmin(away))
-    held = tuple(given) or _within(rest, first, radius)
-    others = [int(k) for k in np.argsort(away, kind="stable") if k not in held]
-    other = others[0] if others else None
+    first = known[0] if known else int(np.argmin(away))
+    held = tuple(known) or _within(rest_shape, first, radius)
+    free_particles = [int(k) for k in np.argsort(away, kind="stable") if k not in held]
+    neighbour = free_particles[0] if free_particles else None
     result = HeldParticles(
         gripper=gripper,
         particles=held,
         distance=float(away[first]),
-        other=other,
-        other_distance=math.inf if other is None else float(away[other]),
+        neighbour=neighbour,
+        neighbour_distance=math.inf if neighbour is None else float(away[neighbour]),
         is_seen=False,
-        is_given=bool(given),
+        is_named=bool(known),
     )
-    if not given and result.other_distance < 2.0 * result.distance:
+    if not known and result.neighbour_distance < 2.0 * result.distance:
         raise FitError(
             f"points carry no numbers, and gripper '{gripper}' is {1e3 * result.distance:.0f} mm from particle {first} "
-            f"and {1e3 * result.other_distance:.0f} mm from particle {other} of the scene's starting shape: which one "
-            f"it holds can't be told. {_remedy(result)}"
+            f"and {1e3 * result.neighbour_distance:.0f} mm from particle {neighbour} of the scene's starting shape: "
+            f"the choice is uncertain. {_remedy(result)}"
         )
     return result
 
@@ -165,13 +165,15 @@ def describe_held(held: HeldParticles, scene: Scene) -> str:
     """Return in a sentence what a gripper holds, and how certain that is."""
     names = ", ".join(_named(scene, particle) for particle in held.particles[:8])
     more = f" and {len(held.particles) - 8} more" if len(held.particles) > 8 else ""
-    how = "as given" if held.is_given else "by its place" if held.is_seen else "hidden, by the places about it"
-    beside = "" if held.other is None else f"; the next, {held.other}, at {1e3 * held.other_distance:.0f} mm"
+    how = "as given" if held.is_named else "by its place" if held.is_seen else "hidden, by the places about it"
+    next_text = (
+        "" if held.neighbour is None else f"; the next, {held.neighbour}, at {1e3 * held.neighbour_distance:.0f} mm"
+    )
     kind = "particle" if len(held.particles) == 1 else "particles"
-    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm off{beside}."
+    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm off{next_text}."
 
 
-def _check(held: HeldParticles, found: Array, errors: Array, others: Sequence[int], reach: float) -> None:
+def _check(held: HeldParticles, local: Array, errors: Array, free_particles: Sequence[int], reach: float) -> None:
     first = held.particles[0]
     error = math.hypot(float(errors[first]), _CALIBRATION)
     if not held.distance <= reach + _CERTAIN * error:
@@ -180,16 +182,16 @@ def _check(held: HeldParticles, found: Array, errors: Array, others: Sequence[in
             f"are not where it holds the cloth. Give those of its fingertips, in the clouds' frame and by their clock. "
             f"{_remedy(held)}"
         )
-    for other in others:
-        apart = float(np.linalg.norm(found[other] - found[first]))
+    for candidate in free_particles:
+        apart = float(np.linalg.norm(local[candidate] - local[first]))
         # How far the gripper is on this side of the plane amid the two.
-        inside = (float(found[other] @ found[other]) - held.distance**2) / (2.0 * apart) if apart > 0.0 else 0.0
-        unknown = math.hypot(error, 0.5 * float(errors[other]) if math.isfinite(errors[other]) else 0.0)
+        inside = (float(local[candidate] @ local[candidate]) - held.distance**2) / (2.0 * apart) if apart > 0.0 else 0.0
+        unknown = math.hypot(error, 0.5 * float(errors[candidate]) if math.isfinite(errors[candidate]) else 0.0)
         if inside < _CERTAIN * unknown:
             raise FitError(
-                f"gripper '{held.gripper}' may hold particle {first} or {other}: by the clouds they are "
-                f"{1e3 * held.distance:.0f} and {1e3 * float(np.linalg.norm(found[other])):.0f} mm from its origin, "
-                f"known to {1e3 * unknown:.1f} mm. {_remedy(held)}"
+                f"gripper '{held.gripper}' may hold particle {first} or {candidate}: by the clouds they are "
+                f"{1e3 * held.distance:.0f} and {1e3 * float(np.linalg.norm(local[candidate])):.0f} mm from its "
+                f"origin, known to {1e3 * unknown:.1f} mm. {_remedy(held)}"
             )
 
 
@@ -215,32 +217,32 @@ def _places(clouds: Sequence[Array], poses: Sequence[Sequence[float]]) -> _Place
     return _Places(mean=mean, count=count, noise=noise)
 
 
-def _near(rest: Array, places: _Places) -> Array:
+def _rough_places(rest_shape: Array, places: _Places) -> Array:
     """Rough places of all particles: of a hidden one that of the nearest seen one in the rest shape, moved as there."""
     from scipy.spatial import cKDTree
 
     seen = np.flatnonzero(places.count)
     if not seen.size:
-        return np.full(rest.shape, np.nan)
+        return np.full(rest_shape.shape, np.nan)
     hidden = np.flatnonzero(places.count == 0)
-    found = places.mean.copy()
+    rough = places.mean.copy()
     if hidden.size:
-        _, near = cKDTree(rest[seen]).query(rest[hidden])
-        found[hidden] = places.mean[seen[np.asarray(near)]]
-    return found
+        _, nearest = cKDTree(rest_shape[seen]).query(rest_shape[hidden])
+        rough[hidden] = places.mean[seen[np.asarray(nearest)]]
+    return rough
 
 
-def _place(rest: Array, places: _Places, particle: int) -> tuple[Array, float]:
+def _extrapolated_place(rest_shape: Array, places: _Places, particle: int) -> tuple[Array, float]:
     """A particle's place in the gripper's frame [m], and the standard deviation of a coordinate [m]."""
     noise = places.noise
     if places.count[particle]:
         return places.mean[particle], noise / math.sqrt(places.count[particle])
     seen = np.flatnonzero(places.count)
-    away = np.linalg.norm(rest[seen] - rest[particle], axis=1)
+    away = np.linalg.norm(rest_shape[seen] - rest_shape[particle], axis=1)
     about = np.argsort(away, kind="stable")[:_ABOUT]
     seen, away = seen[about], away[about]
     weights = np.sqrt(places.count[seen]) / np.maximum(away, 1e-9)
-    design = np.column_stack([np.ones(len(seen)), rest[seen] - rest[particle]])
+    design = np.column_stack([np.ones(len(seen)), rest_shape[seen] - rest_shape[particle]])
     # Rest shapes that are flat have a column of zeros: the pseudo-inverse leaves it out.
     inverse = np.linalg.pinv(design * weights[:, None], rcond=1e-6) * weights
     map_ = inverse @ places.mean[seen]
@@ -252,15 +254,15 @@ def _place(rest: Array, places: _Places, particle: int) -> tuple[Array, float]:
     return map_[0], float(np.sqrt((np.square(inverse[0]) * variance).sum()))
 
 
-def _within(rest: Array, first: int, radius: float) -> tuple[int, ...]:
-    away = np.linalg.norm(rest - rest[first], axis=1)
+def _within(rest_shape: Array, first: int, radius: float) -> tuple[int, ...]:
+    away = np.linalg.norm(rest_shape - rest_shape[first], axis=1)
     order = np.argsort(away, kind="stable")
     return tuple(int(k) for k in order if away[k] <= radius)
 
 
-def _spacing(rest: Array, particle: int) -> float:
+def _spacing(rest_shape: Array, particle: int) -> float:
     """Distance of a particle to the nearest other one in the rest shape [m]."""
-    away = np.linalg.norm(rest - rest[particle], axis=1)
+    away = np.linalg.norm(rest_shape - rest_shape[particle], axis=1)
     away[particle] = np.inf
     return float(away.min())
 
@@ -272,11 +274,11 @@ def _named(scene: Scene, particle: int) -> str:
 def _corners(scene: Scene) -> Iterator[tuple[str, int]]:
     if isinstance(scene.sheet, GridSheet):
         for row in ("top", "bottom"):
-            for side in ("left", "right"):
-                yield f"{row}_{side}", int(scene.sheet.edge(f"{row}_{side}")[0])
+            for column in ("left", "right"):
+                yield f"{row}_{column}", int(scene.sheet.edge(f"{row}_{column}")[0])
 
 
-def given_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
+def parse_all_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
     """Return particles by gripper, of texts such as ``12,13`` or ``top_left``.
 
     Raises:
@@ -284,28 +286,28 @@ def given_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, .
     """
     unknown = [name for name in texts if name not in scene.gripper_names]
     if unknown:
-        there = ", ".join(scene.gripper_names) or "none"
-        raise FitError(f"--held names '{unknown[0]}'; the scene's grippers are {there}")
+        known_names = ", ".join(scene.gripper_names) or "none"
+        raise FitError(f"--held names '{unknown[0]}'; the scene's grippers are {known_names}")
     pinching = [name for name in texts if scene.pinches(name)]
     if pinching:
         raise FitError(f"--held names '{pinching[0]}', which pinches: its pads hold what is between them")
-    found = {name: parse_held(scene, name, text) for name, text in texts.items()}
-    _check_distinct(found)
-    return found
+    particles = {name: parse_held(scene, name, text) for name, text in texts.items()}
+    _check_distinct(particles)
+    return particles
 
 
-def check_distinct(found: Sequence[HeldParticles]) -> None:
+def check_distinct(grippers: Sequence[HeldParticles]) -> None:
     """Refuse two grippers that hold the same particle.
 
     Raises:
         FitError: naming both.
     """
-    _check_distinct({one.gripper: one.particles for one in found})
+    _check_distinct({gripper.gripper: gripper.particles for gripper in grippers})
 
 
-def _check_distinct(found: Mapping[str, Sequence[int]]) -> None:
+def _check_distinct(particles_of: Mapping[str, Sequence[int]]) -> None:
     owners: dict[int, str] = {}
-    for name, particles in found.items():
+    for name, particles in particles_of.items():
         for particle in particles:
             if owners.setdefault(particle, name) != name:
                 raise FitError(

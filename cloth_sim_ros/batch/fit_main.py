@@ -175,11 +175,15 @@ def _recording(options: argparse.Namespace) -> Recording:
     scene = None if options.scene is None else Scene.from_file(options.scene)
     poses, held = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     if is_session(options.session[0]):
-        given = [name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", held)) if value]
-        given += ["--from"] if options.begin is not None else []
-        given += ["--settle"] if options.settle is not None else []
-        if given:
-            raise FitError(f"{given[0]} is for an MCAP that cloth_sim did not record; a session holds its state")
+        session_options = [
+            name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", held)) if value
+        ]
+        session_options += ["--from"] if options.begin is not None else []
+        session_options += ["--settle"] if options.settle is not None else []
+        if session_options:
+            raise FitError(
+                f"{session_options[0]} is for an MCAP that cloth_sim did not record; a session holds its state"
+            )
         return read_session(options.session, scene=scene, matched=not options.unordered)
     if scene is None:
         raise FitError(

@@ -15,7 +15,7 @@ from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.physics.forces.force import Array
 
 #: Length of the beginning that is examined [s], and the fewest clouds of it.
-SPAN, LEAST_CLOUDS = 0.27, 7
+SPAN, MIN_CLOUDS = 0.27, 7
 #: A cloth at rest is said to move once in so many recordings.
 _RARELY = 1e-4
 #: A gripper that moves faster than this at the first cloud moves the cloth, whatever the noise [m/s].
@@ -27,7 +27,7 @@ _ONSET = (3, 4, 5)
 #: Deviations of the residuals by which a cloth that moves gets further within the span.
 _BEYOND = 2.0
 #: Standard deviations of a gripper's velocity that noise does not exceed.
-_SURE = 4.0
+_SPEED_DEVIATIONS = 4.0
 #: Starts that are tried for a time at which the cloth hangs still.
 _STARTS = 200
 
@@ -48,8 +48,8 @@ class GripperPath:
     @property
     def noise(self) -> float:
         """Standard deviation of a coordinate [m], by third differences of the poses about the first cloud."""
-        near = self.places[np.abs(self.times) <= 2.0 * SPAN]
-        third = np.diff(near, n=3, axis=0)
+        early = self.places[np.abs(self.times) <= 2.0 * SPAN]
+        third = np.diff(early, n=3, axis=0)
         # Of independent numbers with variance 1 it is 1 + 9 + 9 + 1.
         return float(np.sqrt(np.square(third).mean() / 20.0)) if len(third) else 0.0
 
@@ -66,14 +66,14 @@ class _Velocity:
 
 
 def check_rest(
-    clouds: Sequence[Array], seconds: NDArray[np.float64], rest: Array, paths: Mapping[str, GripperPath]
+    clouds: Sequence[Array], seconds: NDArray[np.float64], rest_shape: Array, paths: Mapping[str, GripperPath]
 ) -> None:
     """Refuse a recording that begins while the cloth moves.
 
     Args:
         clouds: shape (n, 3) each [m]; matched ones, or no cloud for bare points, which show no velocity.
         seconds: when each was taken, from the first one [s].
-        rest: the particles' places in the rest shape [m], shape (n, 3).
+        rest_shape: the particles' places in the rest shape [m], shape (n, 3).
         paths: of the closed grippers, by name.
 
     Raises:
@@ -84,34 +84,34 @@ def check_rest(
         if speed > max(_SPEED, error):
             raise FitError(
                 f"gripper '{name}' moves at {1e3 * speed:.0f} mm/s at the first cloud, and the fit starts from a cloth "
-                f"at rest. {_remedy(clouds, seconds, rest, paths)}"
+                f"at rest. {_remedy(clouds, seconds, rest_shape, paths)}"
             )
     if paths and not any(_moves(path, 0.0) for path in paths.values()):
-        found = _velocity(clouds, seconds, 0, rest, (1, 2, *_ONSET))
-        if found is not None and not found.is_noise:
+        velocity = _velocity(clouds, seconds, 0, rest_shape, (1, 2, *_ONSET))
+        if velocity is not None and not velocity.is_noise:
             raise FitError(
                 f"the cloth moves in the first {SPAN} s though its grippers stand still, and the fit starts from a "
-                f"cloth at rest. {_remedy(clouds, seconds, rest, paths)}"
+                f"cloth at rest. {_remedy(clouds, seconds, rest_shape, paths)}"
             )
-    found = _velocity(clouds, seconds, 0, rest, (1,))
-    if found is not None and not found.is_noise:
+    velocity = _velocity(clouds, seconds, 0, rest_shape, (1,))
+    if velocity is not None and not velocity.is_noise:
         raise FitError(
-            f"the cloth moves at {1e3 * found.speed:.0f} mm/s at the first cloud (noise explains "
-            f"{1e3 * found.error:.0f} mm/s), and the fit starts from a cloth at rest. "
-            f"{_remedy(clouds, seconds, rest, paths)}"
+            f"the cloth moves at {1e3 * velocity.speed:.0f} mm/s at the first cloud (noise explains "
+            f"{1e3 * velocity.error:.0f} mm/s), and the fit starts from a cloth at rest. "
+            f"{_remedy(clouds, seconds, rest_shape, paths)}"
         )
 
 
 def _remedy(
-    clouds: Sequence[Array], seconds: NDArray[np.float64], rest: Array, paths: Mapping[str, GripperPath]
+    clouds: Sequence[Array], seconds: NDArray[np.float64], rest_shape: Array, paths: Mapping[str, GripperPath]
 ) -> str:
     begun = "Begin the recording before the robot moves"
     for first in range(1, min(len(clouds), _STARTS)):
         start = float(seconds[first])
         if any(_moves(path, start) for path in paths.values()):
             continue
-        found = _velocity(clouds, seconds, first, rest, (1, 2, *_ONSET))
-        if found is not None and found.is_noise:
+        velocity = _velocity(clouds, seconds, first, rest_shape, (1, 2, *_ONSET))
+        if velocity is not None and velocity.is_noise:
             return f"{begun}, or take it from where the cloth hangs still: --from {start:.2f}"
     return f"{begun}: nowhere in this one does the cloth hang still for {SPAN} s"
 
@@ -119,18 +119,18 @@ def _remedy(
 def _gripper_speed(path: GripperPath) -> tuple[float, float]:
     """Speed at the first cloud [m/s], of a path whose acceleration may begin there, and what noise may make of it."""
     step = max(0.02, float(np.median(np.diff(path.times))) if len(path.times) > 1 else 0.0)
-    here, near, far = (path.at(share * step) for share in (0.0, 1.0, 2.0))
-    after = (4.0 * near - far - 3.0 * here) / (2.0 * step)
+    start, middle, end = (path.at(share * step) for share in (0.0, 1.0, 2.0))
+    after = (4.0 * middle - end - 3.0 * start) / (2.0 * step)
     # Before its first pose a path stands.
-    before = (here - path.at(-step)) / step
-    error = _SURE * path.noise * math.sqrt(4.0**2 + 1.0 + 3.0**2) / (2.0 * step)
+    before = (start - path.at(-step)) / step
+    error = _SPEED_DEVIATIONS * path.noise * math.sqrt(4.0**2 + 1.0 + 3.0**2) / (2.0 * step)
     return float(max(np.linalg.norm(after), np.linalg.norm(before))), error
 
 
 def _moves(path: GripperPath, start: float) -> bool:
     """Return whether a gripper leaves its place at a time [s], shortly before it or within the span."""
-    here, shares = path.at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
-    travel = max(float(np.linalg.norm(path.at(start + share * SPAN) - here)) for share in shares)
+    origin, shares = path.at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
+    travel = max(float(np.linalg.norm(path.at(start + share * SPAN) - origin)) for share in shares)
     return travel > max(_STILL, 5.0 * path.noise)
 
 
@@ -138,7 +138,7 @@ def _velocity(
     clouds: Sequence[Array],
     seconds: NDArray[np.float64],
     first: int,
-    rest: Array,
+    rest_shape: Array,
     tested: Sequence[int],
 ) -> _Velocity | None:
     """Test whether some powers of time are noise in the motion from a cloud on; None if the clouds are too few.
@@ -149,15 +149,15 @@ def _velocity(
     from scipy.stats import chi2
 
     last = int(np.searchsorted(seconds, seconds[first] + SPAN + 1e-9, side="right")) if len(seconds) else 0
-    last = max(last, min(first + LEAST_CLOUDS + 1, len(seconds)))
-    used = [k for k in range(first, last) if len(clouds) > k and len(clouds[k]) == len(rest)]
-    if len(used) < LEAST_CLOUDS or seconds[used[-1]] - seconds[first] > 1.0:
+    last = max(last, min(first + MIN_CLOUDS + 1, len(seconds)))
+    used = [k for k in range(first, last) if len(clouds) > k and len(clouds[k]) == len(rest_shape)]
+    if len(used) < MIN_CLOUDS or seconds[used[-1]] - seconds[first] > 1.0:
         return None
     stack = np.array([clouds[k] for k in used])
     times = np.array([seconds[k] - seconds[first] for k in used])
     span = float(times[-1])
     seen = np.isfinite(stack).all(axis=2)
-    modes = _modes(rest)
+    modes = _modes(rest_shape)
     powers = [*tested, *(power for power in _ONSET if power not in tested)]
     in_time = [np.power(times / span, power) for power in powers]
     count, coefficients = modes.shape[1], []
@@ -176,8 +176,8 @@ def _velocity(
     if freedom < 30:
         return None
     variance = squares / freedom
-    velocities = np.array([modes @ one[:count] for one in coefficients]) / span
-    errors = sum(variance * np.einsum("im,mk,ik->i", modes, one[:count, :count], modes) for one in blocks) / span**2
+    velocities = np.array([modes @ block[:count] for block in coefficients]) / span
+    errors = sum(variance * np.einsum("im,mk,ik->i", modes, block[:count, :count], modes) for block in blocks) / span**2
     speed = float(np.sqrt(np.square(velocities).sum(axis=0).mean()))
     # What moves particles by no more than this description leaves of their motion may be its own fault.
     is_small = tuple(tested) == (1,) and speed * span < _BEYOND * float(np.sqrt(3.0 * variance))
@@ -185,11 +185,11 @@ def _velocity(
     return _Velocity(speed=speed, error=float(np.sqrt(np.mean(errors))), is_noise=bool(is_small or is_likely))
 
 
-def _modes(rest: Array) -> Array:
+def _modes(rest_shape: Array) -> Array:
     """A constant and the coordinates in the rest shape's plane, in units of its size, shape (n, 3)."""
-    middle = rest - rest.mean(axis=0)
+    middle = rest_shape - rest_shape.mean(axis=0)
     flat = middle @ np.linalg.svd(middle, full_matrices=False)[2][:2].T
-    return np.column_stack([np.ones(len(rest)), flat / max(float(np.abs(flat).max()), 1e-12)])
+    return np.column_stack([np.ones(len(rest_shape)), flat / max(float(np.abs(flat).max()), 1e-12)])
 
 
 def _centred(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -197,6 +197,6 @@ def _centred(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Arr
     counts = np.maximum(seen.sum(axis=0), 1)
     shown = np.where(seen[..., None], design, 0.0)
     shown = shown - (shown.sum(axis=0) / counts[:, None])[None]
-    told = np.where(seen, values, 0.0)
-    told = told - (told.sum(axis=0) / counts)[None]
-    return shown[seen], told[seen]
+    measured = np.where(seen, values, 0.0)
+    measured = measured - (measured.sum(axis=0) / counts)[None]
+    return shown[seen], measured[seen]

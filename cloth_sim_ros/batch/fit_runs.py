@@ -157,8 +157,8 @@ class Runs:
                     self._pool = ProcessPoolExecutor(
                         self.workers, initializer=_begin, initargs=(self.recording, self.fitted), env=overrides()
                     )
-                made = self._pool.map(_work, runs)
-            return list(made)
+                results = self._pool.map(_work, runs)
+            return list(results)
         except BrokenProcessPool as error:
             raise FitError("a worker process was ended, perhaps for want of memory; take --workers 1") from error
 

@@ -32,7 +32,7 @@ _HIDDEN = ".unfinished-"
 #: What to do about a file without which nothing can be gone on with.
 _BROKEN = "; nothing can be gone on with by it: put back the file as it was, or start in another folder"
 #: Longest text of all runs' values [bytes].
-_MOST_SAMPLES = 1 << 26
+_MAX_SAMPLES = 1 << 26
 #: What a row has, and of what types.
 _ROW: dict[str, type | tuple[type, ...]] = {
     "run": int,
@@ -131,7 +131,7 @@ class StudyFolder:
         """
         try:
             text = input_file.read_text(self.study_file)
-            named = dict(plain_json.loads(text, most=input_file.MOST_TEXT)["files"])
+            named = dict(plain_json.loads(text, most=input_file.MAX_TEXT)["files"])
             files = {name: self._file(held) for name, held in named.items()}
             return Study.from_json(text, files)
         except StudyError:
@@ -171,7 +171,7 @@ class StudyFolder:
     def _content(self, path: Path, kind: type) -> Any:
         """What one of the study's own files holds."""
         try:
-            content = plain_json.loads(input_file.read_text(path, most=_MOST_SAMPLES), most=_MOST_SAMPLES)
+            content = plain_json.loads(input_file.read_text(path, most=_MAX_SAMPLES), most=_MAX_SAMPLES)
         except (OSError, ValueError) as error:
             raise StudyError(f"{path} can't be read: {error}{_BROKEN}") from error
         if not isinstance(content, kind):

@@ -33,7 +33,7 @@ COLUMNS = {
 #: Before the names of outcomes, so that none can be taken for a parameter.
 OUTCOME = "outcome."
 #: Most bytes of an index once it is read, and most cells: a cell that repeats the one before takes nothing on the disk.
-_MOST_BYTES, _MOST_CELLS = 256 << 20, 20_000_000
+_MAX_BYTES, _MAX_CELLS = 256 << 20, 20_000_000
 
 
 def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
@@ -100,7 +100,7 @@ def _column(values: list[Any]) -> pa.Array:
         return pa.array([None if value is None else json.dumps(value) for value in values])
 
 
-def _check_size(place: StudyFolder) -> None:
+def _check_size(folder: StudyFolder) -> None:
     """Refuse an index that would take too much memory.
 
     Raises:
@@ -108,11 +108,11 @@ def _check_size(place: StudyFolder) -> None:
     """
     import pyarrow.parquet as pq
 
-    held = pq.read_metadata(place.index)
+    held = pq.read_metadata(folder.index)
     size = sum(held.row_group(k).total_byte_size for k in range(held.num_row_groups))
     cells = held.num_rows * held.num_columns
-    if size > _MOST_BYTES or cells > _MOST_CELLS:
-        raise ValueError(f"it has {cells} cells and {size} bytes; the limits are {_MOST_CELLS} and {_MOST_BYTES}.")
+    if size > _MAX_BYTES or cells > _MAX_CELLS:
+        raise ValueError(f"it has {cells} cells and {size} bytes; the limits are {_MAX_CELLS} and {_MAX_BYTES}.")
 
 
 def _checked(table: pa.Table) -> pa.Table:
@@ -122,7 +122,7 @@ def _checked(table: pa.Table) -> pa.Table:
         ValueError: if it lacks a column, or has one of another type or with values missing.
     """
     for name, kind in COLUMNS.items():
-        found = str(table.schema.field(name).type) if name in table.column_names else "none"
-        if found not in (kind, "double" if kind == "float64" else kind):
-            raise ValueError(f"its column '{name}' is of type {found}, not {kind}.")
+        column_type = str(table.schema.field(name).type) if name in table.column_names else "none"
+        if column_type not in (kind, "double" if kind == "float64" else kind):
+            raise ValueError(f"its column '{name}' is of type {column_type}, not {kind}.")
     return table

@@ -58,7 +58,7 @@ class Study:
     @classmethod
     def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
         """Read what `to_json` gave."""
-        content = plain_json.loads(text, most=input_file.MOST_TEXT)
+        content = plain_json.loads(text, most=input_file.MAX_TEXT)
         if content.pop("version", None) != VERSION:
             raise StudyError(f"the study has another version than {VERSION}; use the package that made it")
         content["parameters"] = _tuples(content["parameters"])

@@ -125,8 +125,8 @@ def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
         axes.set_xscale("log")
     axes.set(xlabel=along, ylabel=name.removeprefix(index.OUTCOME))
     axes.grid(alpha=0.3)
-    with written_whole(file) as place:
-        figure.savefig(place, dpi=120, format=file.suffix.removeprefix(".") or "png")
+    with written_whole(file) as output:
+        figure.savefig(output, dpi=120, format=file.suffix.removeprefix(".") or "png")
 
 
 def _replay(place: StudyFolder, run: int, save: Path | None) -> int:

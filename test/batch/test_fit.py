@@ -127,11 +127,11 @@ def test_a_fit_that_ends_by_misfit_identifies_nothing(tmp_path: Path, capsys: py
 
 
 def test_residuals_above_a_given_sigma_identify_nothing(noisy: Path) -> None:
-    found = fit(read_session([noisy]), ["bending"], start={"bending": 3e-4}, sigma=0.0005, workers=1)
-    (estimate,) = found.estimates
+    result = fit(read_session([noisy]), ["bending"], start={"bending": 3e-4}, sigma=0.0005, workers=1)
+    (estimate,) = result.estimates
     assert estimate.bound < 0.025
     assert not estimate.told
-    assert "times the deviation that --sigma gives" in describe(found)
+    assert "times the deviation that --sigma gives" in describe(result)
 
 
 def test_a_real_cloths_recording(bag: Path) -> None:

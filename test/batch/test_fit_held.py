@@ -65,8 +65,8 @@ def test_held_corners_that_hands_hide_are_found(tmp_path: Path, noise: float) ->
     path = write_bag(tmp_path / "hidden.mcap", TRUTH, seconds=0.4, see=hidden(1, noise=noise))
     recording = read_bag([path], scene_of())
     assert held(recording) == [[0], [LAST]]
-    assert [one.particles for one in recording.held] == [(0,), (LAST,)]
-    assert not any(one.is_seen for one in recording.held)
+    assert [selection.particles for selection in recording.held] == [(0,), (LAST,)]
+    assert not any(selection.is_seen for selection in recording.held)
     left = describe_held(recording.held[0], recording.scene)
     assert left.startswith("Gripper 'left' holds particle 0 (top_left) (hidden, by the places about it): ")
 
@@ -93,11 +93,11 @@ def test_no_hidden_particle_is_mistaken_for_another(noise: float, grip: int) -> 
             clouds.append(cloud)
         pose = [*(x[grip] + random.normal(scale=0.001, size=3)).tolist(), 0.0, 0.0, 0.0, 1.0]
         try:
-            found, places = find_held(scene, "left", clouds, [pose] * 8)
+            selection, places = find_held(scene, "left", clouds, [pose] * 8)
         except FitError as error:
             refused += "--held left=" in str(error)
             continue
-        assert found.particles == (grip,)
+        assert selection.particles == (grip,)
         assert places[grip] == pytest.approx([0.0, 0.0, 0.0])
     assert refused <= (5 if noise == 0.002 else 40)
 
@@ -110,7 +110,7 @@ def test_what_can_not_be_told_is_refused(tmp_path: Path) -> None:
         read_bag([path], scene_of())
     recording = read_bag([path], scene_of(), held={"left": "0", "right": "top_right"})
     assert held(recording) == [[0], [LAST]]
-    assert all(one.is_given for one in recording.held)
+    assert all(selection.is_named for selection in recording.held)
 
 
 def test_given_particles_are_held(bag: Path) -> None:
@@ -135,7 +135,7 @@ def test_poses_away_from_the_cloth_are_refused(bag: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("known", "words"),
     [
         ("left=36", "names particle 36; there are 36"),
         ("left=top_middle", "no edge or corner"),
@@ -144,12 +144,12 @@ def test_poses_away_from_the_cloth_are_refused(bag: Path) -> None:
     ],
 )
 def test_wrong_held_particles_are_refused(
-    bag: Path, tmp_path: Path, given: str, words: str, capsys: pytest.CaptureFixture[str]
+    bag: Path, tmp_path: Path, known: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from cloth_sim_ros.scene import parameter_file
 
     scene = tmp_path / "scene.yaml"
     scene.write_text(parameter_file.dump(scene_of().parameters()))
-    options = ["--scene", str(scene), "--parameters", "stretch", "--held", given]
+    options = ["--scene", str(scene), "--parameters", "stretch", "--held", known]
     assert fit_main.main([str(bag), *options]) == fit_main.REFUSED
     assert words in capsys.readouterr().err

@@ -122,7 +122,7 @@ def test_an_end_by_steepness_is_doubted_only_by_what_follows(jump: float, doubte
 
 def test_a_search_that_does_not_settle_is_doubted(decay: Decay, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit_solver, "MOST_ITERATIONS", 1)
-    decay.fitted = [attrs.evolve(one, start=0.05) for one in decay.fitted]
+    decay.fitted = [attrs.evolve(parameter, start=0.05) for parameter in decay.fitted]
     windows = solve(problem_of(decay), decay.times[:30])
     assert "the search did not settle" in windows.doubt
 
