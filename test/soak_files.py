@@ -105,8 +105,8 @@ def damaged_bytes(data: bytes, rng: random.Random) -> bytes:
             out[at:at] = out[: rng.choice((1, 9, 200))]
         elif kind == 3:
             size = rng.choice((1, 2, 4, 8))
-            number = rng.choice(NUMBERS) % (1 << 8 * size)
-            out[at : at + size] = number.to_bytes(size, rng.choice(("little", "big")))
+            integer = rng.choice(NUMBERS) % (1 << 8 * size)
+            out[at : at + size] = integer.to_bytes(size, rng.choice(("little", "big")))
         elif kind == 4 and out:
             out[at] ^= 1 << rng.randrange(8)
         elif kind == 5:
@@ -144,16 +144,16 @@ def damaged_json(text: str, rng: random.Random) -> str:
     places: list[tuple[Any, Any]] = []
     waiting = [content]
     while waiting:
-        here = waiting.pop()
-        for key in list(here) if isinstance(here, dict) else range(len(here)):
-            places.append((here, key))
-            if isinstance(here[key], dict | list):
-                waiting.append(here[key])
-    here, key = rng.choice(places)
+        node = waiting.pop()
+        for key in list(node) if isinstance(node, dict) else range(len(node)):
+            places.append((node, key))
+            if isinstance(node[key], dict | list):
+                waiting.append(node[key])
+    node, key = rng.choice(places)
     if rng.random() < 0.15:
-        del here[key]
+        del node[key]
         return json.dumps(content)
-    here[key] = "REPLACED"
+    node[key] = "REPLACED"
     return json.dumps(content).replace('"REPLACED"', rng.choice((*JSON_WORDS, *JSON_WORDS, *DEEP)))
 
 
@@ -196,12 +196,12 @@ class Samples:
         from cloth_sim_ros.batch.study_run import perform
 
         study = study_file.read(self.folder / "study.yaml")
-        place = StudyFolder(self.study)
+        study_folder = StudyFolder(self.study)
         samples, _ = draw(study, 1)
-        place.create(study, samples, STUDY)
+        study_folder.create(study, samples, STUDY)
         for run, values in enumerate(samples):
-            perform(place, study, run, values)
-        index.write(place, place.rows())
+            perform(study_folder, study, run, values)
+        index.write(study_folder, study_folder.rows())
 
 
 def frames_damaged(session: Path, target: Path, rng: random.Random) -> None:
@@ -242,7 +242,7 @@ class TooLong(BaseException):
     """A command that did not end in time."""
 
 
-def _too_long(_number: int, _frame: FrameType | None) -> None:
+def _too_long(_signal_number: int, _frame: FrameType | None) -> None:
     raise TooLong
 
 
@@ -254,7 +254,7 @@ def run(command: str, arguments: Sequence[str]) -> str:
         "script": "simulation.gripper_script",
     }[command]  # fmt: skip
     said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
-    found = ""
+    trouble = ""
     signal.alarm(LIMIT)
     try:
         loaded = importlib.import_module(f"cloth_sim_ros.{module}")
@@ -268,15 +268,15 @@ def run(command: str, arguments: Sequence[str]) -> str:
     except SystemExit:
         pass
     except TooLong:
-        found = f"took longer than {LIMIT} s"
+        trouble = f"took longer than {LIMIT} s"
     except BaseException:
-        found = traceback.format_exc()
+        trouble = traceback.format_exc()
     finally:
         signal.alarm(0)
     with contextlib.suppress(ValueError, AttributeError):
         if "Traceback (most recent call last)" in said.buffer.getvalue().decode(errors="replace"):  # type: ignore[attr-defined]
-            found = found or said.buffer.getvalue().decode(errors="replace")  # type: ignore[attr-defined]
-    return found
+            trouble = trouble or said.buffer.getvalue().decode(errors="replace")  # type: ignore[attr-defined]
+    return trouble
 
 
 def cases(samples: Samples, folder: Path, rng: random.Random) -> Iterator[tuple[str, list[tuple[str, list[str]]]]]:
@@ -342,30 +342,30 @@ def cases(samples: Samples, folder: Path, rng: random.Random) -> Iterator[tuple[
 
 
 def _study_folder(samples: Samples, folder: Path, rng: random.Random) -> list[tuple[str, list[str]]]:
-    place = folder / "study"
-    shutil.rmtree(place, ignore_errors=True)
-    shutil.copytree(samples.study, place)
+    study_folder = folder / "study"
+    shutil.rmtree(study_folder, ignore_errors=True)
+    shutil.copytree(samples.study, study_folder)
     (folder / "study.yaml").write_text(STUDY)
-    files = sorted(path for path in place.rglob("*") if path.is_file() and path.name != ".lock")
+    files = sorted(path for path in study_folder.rglob("*") if path.is_file() and path.name != ".lock")
     path = rng.choice(files)
     if path.suffix == ".json" and rng.random() < 0.7:
         path.write_text(damaged_json(path.read_text(), rng))
     else:
         path.write_bytes(damaged_bytes(path.read_bytes(), rng))
     if path.suffix == ".json" and "rows" in path.parts:
-        (place / "index.parquet").unlink()
+        (study_folder / "index.parquet").unlink()
     commands = [
-        ("cloth_batch", ["view", str(place)]),
-        ("cloth_batch", ["view", str(place), "--outcome", "mean_height"]),
-        ("cloth_batch", ["view", str(place), "--run", "0", "--save", str(folder / "run.rrd")]),
-        ("cloth_batch", ["export", str(place), "--zarr", str(folder / "out.zarr")]),
-        ("cloth_batch", ["export", str(place), "--mcap", str(folder / "out_mcap")]),
-        ("cloth_batch", [str(folder / "study.yaml"), "--out", str(place)]),
+        ("cloth_batch", ["view", str(study_folder)]),
+        ("cloth_batch", ["view", str(study_folder), "--outcome", "mean_height"]),
+        ("cloth_batch", ["view", str(study_folder), "--run", "0", "--save", str(folder / "run.rrd")]),
+        ("cloth_batch", ["export", str(study_folder), "--zarr", str(folder / "out.zarr")]),
+        ("cloth_batch", ["export", str(study_folder), "--mcap", str(folder / "out_mcap")]),
+        ("cloth_batch", [str(folder / "study.yaml"), "--out", str(study_folder)]),
     ]
     return [commands[0], *rng.sample(commands[1:], 2)]
 
 
-def soak(count: int, seed: int, say: Callable[[str], None]) -> list[str]:
+def soak(count: int, seed: int, report: Callable[[str], None]) -> list[str]:
     """Damage so many files; the troubles that commands had, each with what was damaged."""
     rng = random.Random(seed)
     troubles: list[str] = []
@@ -374,23 +374,23 @@ def soak(count: int, seed: int, say: Callable[[str], None]) -> list[str]:
     with tempfile.TemporaryDirectory(prefix="soak_files_") as name:
         samples = Samples(Path(name) / "whole")
         folder = Path(name) / "damaged"
-        for kind, commands in cases(samples, folder := _made(folder), rng):
+        for kind, commands in cases(samples, folder := _created_folder(folder), rng):
             kinds[kind] += 1
             for command, arguments in commands:
                 trouble = run(command, arguments)
                 if trouble:
                     troubles.append(f"{kind} {kinds[kind]}: {command} {' '.join(arguments)}\n{trouble}")
-                    say(troubles[-1])
+                    report(troubles[-1])
                 for left in ("out.npz", "mended.mcap", "out.rrd", "run.rrd", "out.zarr", "out_mcap"):
                     _remove(folder / left)
             _remove(folder / "written.mcap")
             if sum(kinds.values()) >= count:
                 break
-    say(f"{sum(kinds.values())} files: {', '.join(f'{kind} {n}' for kind, n in kinds.items())}")
+    report(f"{sum(kinds.values())} files: {', '.join(f'{kind} {n}' for kind, n in kinds.items())}")
     return troubles
 
 
-def _made(folder: Path) -> Path:
+def _created_folder(folder: Path) -> Path:
     folder.mkdir()
     return folder
 

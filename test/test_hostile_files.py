@@ -48,7 +48,7 @@ def at_rest(command: str) -> float:
 
 
 def refused(command: list[str], folder: Path) -> str:
-    """What a command says of a file; it must take little, and end as commands end."""
+    """Refusal of a file by a command, which must take little and end as commands end."""
     done = bombs.measure(command, folder, limit=SECONDS)
     assert "Traceback" not in done.said, done.said[-2000:]
     assert done.status in (0, 1, 2), done.said[-2000:]

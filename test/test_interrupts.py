@@ -39,17 +39,17 @@ COMMANDS: dict[str, tuple[str, str, list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("number", [1, 40, 500])
+@pytest.mark.parametrize("import_count", [1, 40, 500])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_interrupt_leaves_no_traceback(
-    command: str, number: int, ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+    command: str, import_count: int, ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     module, needed, arguments = COMMANDS[command]
     if importlib.util.find_spec(needed) is None:
         pytest.skip(f"{needed} is not there")
     (tmp_path / "scene.yaml").write_text("/**: {ros__parameters: {rate: 60.0}}\n")
     filled = [argument.format(folder=tmp_path) for argument in arguments]
-    program = PROGRAM.format(module=module, number=number, arguments=filled)
+    program = PROGRAM.format(module=module, number=import_count, arguments=filled)
     process = start_process([sys.executable, "-c", program], cwd=tmp_path)
     status = process.wait()
     assert "Traceback" not in process.output

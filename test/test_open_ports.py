@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What commands listen on: this machine alone, and a study's scheduler takes nothing without the run's certificate."""
+"""Ports of commands: they listen on this machine alone, and a scheduler requires its certificate."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ LOOPBACK = ("127.0.0.1", "::1")
 def listening(pid: int) -> list[tuple[str, int]]:
     """Addresses and ports that a process and its descendants listen on."""
     root = psutil.Process(pid)
-    found = []
+    addresses = []
     for process in (root, *root.children(recursive=True)):
         try:
             connections = process.net_connections(kind="inet")
         except psutil.NoSuchProcess:
             continue
-        found += [tuple(each.laddr) for each in connections if each.status == psutil.CONN_LISTEN]
-    return found
+        addresses += [tuple(connection.laddr) for connection in connections if connection.status == psutil.CONN_LISTEN]
+    return addresses
 
 
 def test_study_scheduler_refuses_client_without_certificate() -> None:
@@ -44,8 +44,8 @@ def test_study_scheduler_refuses_client_without_certificate() -> None:
         finally:
             client.close()
         assert {address for address, _ in listening(os.getpid())} <= set(LOOPBACK)
-        place = scheduler.address.partition("://")[2]
-        for address, security in ((f"tcp://{place}", None), (f"tls://{place}", Security.temporary())):
+        host_port = scheduler.address.partition("://")[2]
+        for address, security in ((f"tcp://{host_port}", None), (f"tls://{host_port}", Security.temporary())):
             with pytest.raises((OSError, TimeoutError, RuntimeError)):
                 Client(address, security=security, timeout="5s", set_as_default=False)
 
@@ -55,10 +55,10 @@ def screen(start_process: Callable[..., Any], wait_until: Callable[..., Any]) ->
     """A screen that nobody sees."""
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed")
-    number = 1000 + os.getpid() % 50000
-    server = start_process([shutil.which("Xvfb"), f":{number}", "-screen", "0", "640x480x24", "-nolisten", "tcp"])
-    wait_until(lambda: Path(f"/tmp/.X11-unix/X{number}").exists(), what="the screen")
-    yield f":{number}"
+    display = 1000 + os.getpid() % 50000
+    server = start_process([shutil.which("Xvfb"), f":{display}", "-screen", "0", "640x480x24", "-nolisten", "tcp"])
+    wait_until(lambda: Path(f"/tmp/.X11-unix/X{display}").exists(), what="the screen")
+    yield f":{display}"
     server.kill()
 
 
@@ -84,9 +84,9 @@ def test_viewer_window_listens_on_loopback_only(
     viewers = [child for child in psutil.Process().children(recursive=True) if "rerun" in child.name()]
     try:
         assert viewers
-        found = [address for viewer in viewers for address, _ in listening(viewer.pid)]
-        assert found
-        assert set(found) <= set(LOOPBACK)
+        addresses = [address for viewer in viewers for address, _ in listening(viewer.pid)]
+        assert addresses
+        assert set(addresses) <= set(LOOPBACK)
     finally:
         for viewer in viewers:
             viewer.kill()

@@ -14,8 +14,8 @@ import zlib
 import numpy as np
 
 #: Most bytes of all arrays together, whatever they are compressed to.
-MOST_BYTES = 128 << 20
-_MOST_ARRAYS = 1000
+MAX_BYTES = 128 << 20
+_MAX_ARRAYS = 1000
 #: Begins the entry of each array in the archive's directory.
 _ENTRY = b"PK\x01\x02"
 #: What numpy's and Python's readers raise for damaged archives: numpy parses an array's header as Python text.
@@ -47,8 +47,8 @@ def read(data: bytes) -> dict[str, np.ndarray]:
     if data[:2] != b"PK":
         raise ValueError("it is no .npz file: it does not start as one")
     arrays: dict[str, np.ndarray] = {}
-    if data.count(_ENTRY) > _MOST_ARRAYS:
-        raise ValueError(f"it has more than {_MOST_ARRAYS} arrays; that is the limit")
+    if data.count(_ENTRY) > _MAX_ARRAYS:
+        raise ValueError(f"it has more than {_MAX_ARRAYS} arrays; that is the limit")
     try:
         _check_sizes(data)
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
@@ -67,10 +67,10 @@ def _check_sizes(data: bytes) -> None:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
     size = sum(entry.file_size for entry in entries)
-    if size > MOST_BYTES:
-        raise ValueError(f"its arrays have {size} bytes, the limit is {MOST_BYTES}")
-    other = [
+    if size > MAX_BYTES:
+        raise ValueError(f"its arrays have {size} bytes, the limit is {MAX_BYTES}")
+    unsupported = [
         entry.filename for entry in entries if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
     ]
-    if other:
-        raise ValueError(f"its entry '{other[0]}' is compressed otherwise than numpy does")
+    if unsupported:
+        raise ValueError(f"its entry '{unsupported[0]}' is compressed otherwise than numpy does")

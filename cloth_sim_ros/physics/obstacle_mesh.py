@@ -35,7 +35,7 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
     flat = np.flatnonzero(~(area2 > FLATNESS * longest * longest))
     if flat.size:
         raise ValueError(
-            f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()} at {_place(a[flat[0]])} m, has no area: "
+            f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()} at {_point(a[flat[0]])} m, has no area: "
             f"its height is at most {FLATNESS:g} of its longest side. To leave it out opens the mesh: merge its "
             "vertices, or give the mesh as a file, where such triangles are joined to their neighbours"
         )
@@ -53,7 +53,7 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
     if open_ways.size:
         first, second = divmod(int(open_ways[0]), count)
         raise ValueError(
-            f"the mesh is open: the edge from vertex {first} to {second}, at {_place(vertices[first])} m, is in one "
+            f"the mesh is open: the edge from vertex {first} to {second}, at {_point(vertices[first])} m, is in one "
             f"triangle alone, as are {open_ways.size - 1} others; "
             + _gap(vertices, triangles, np.stack(np.divmod(open_ways, count), axis=1))
             + "close it, or give a solid shape instead"
@@ -68,7 +68,7 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
             )
 
 
-def _place(vertex: Array) -> str:
+def _point(vertex: Array) -> str:
     return "[" + ", ".join(f"{value:.6g}" for value in vertex) + "]"
 
 
@@ -79,7 +79,7 @@ def _gap(vertices: Array, triangles: NDArray[np.int64], border: NDArray[np.int64
         return ""
     return (
         f"parts of its border nearly meet, the closest {seam.distance:.3g} m apart, at "
-        f"{_place(vertices[seam.vertex])} m: merge by distance in the program that made it; or "
+        f"{_point(vertices[seam.vertex])} m: merge by distance in the program that made it; or "
     )
 
 

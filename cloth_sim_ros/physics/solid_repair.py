@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repair of triangle meshes that enclose a volume but for their rounding and their flat triangles.
 
-CAD programs cut each face of a solid on its own. Where one face has a vertex in the middle of another's edge (a
-T-junction), the edge stays whole on one side, or a triangle without area fills the gap of no width. Such a mesh is
-closed in four steps, which move its surface by no more than the flatness of the triangles that they take out:
+CAD programs cut each face of a solid on its own. At a T-junction one face has a
+vertex in the middle of another's edge. The edge stays whole on one side, or a triangle without area fills the gap.
+Four steps close such a mesh. They move its surface by no more than the flatness of the triangles that they remove:
 
 1. Vertices that are copies of one, up to rounding, are merged. So are the ends of a side that is short beside the
    longest side of a flat triangle.
@@ -46,10 +46,10 @@ def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     """Leave out the vertices (m, 3) that no triangle (t, 3) has."""
-    kept = np.unique(triangles)
-    number = np.zeros(len(vertices), dtype=np.int64)
-    number[kept] = np.arange(len(kept))
-    return np.ascontiguousarray(vertices[kept]), number[triangles]
+    used = np.unique(triangles)
+    new_index = np.zeros(len(vertices), dtype=np.int64)
+    new_index[used] = np.arange(len(used))
+    return np.ascontiguousarray(vertices[used]), new_index[triangles]
 
 
 def closed_solid(
@@ -126,8 +126,10 @@ def _flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArr
 
 def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     """Leave out triangles with a repeated corner, pairs that lie back to back, and second copies."""
-    one, two, three = triangles.T
-    triangles = triangles[(one != two) & (two != three) & (three != one)]
+    first_corner, second_corner, third_corner = triangles.T
+    triangles = triangles[
+        (first_corner != second_corner) & (second_corner != third_corner) & (third_corner != first_corner)
+    ]
     # The lowest corner first, as they run.
     first = np.argmin(triangles, axis=1)
     turned = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
@@ -206,12 +208,12 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
         if left[owner[edge]]:
             left[owner[edge]] = False
             chain = [int(tails[edge]), *(vertex for _, vertex in sorted(cuts[edge])), int(heads[edge])]
-            further.extend((one, two, int(thirds[edge])) for one, two in pairwise(chain))
+            further.extend((tail, head, int(thirds[edge])) for tail, head in pairwise(chain))
             done += 1
     if not done:
         return triangles, 0
     return np.concatenate((triangles[left], np.array(further, dtype=np.int64))), done
 
 
-def _counted(count: int, one: str, several: str) -> str:
-    return f"{count} {one if count == 1 else several}"
+def _counted(count: int, singular: str, plural: str) -> str:
+    return f"{count} {singular if count == 1 else plural}"

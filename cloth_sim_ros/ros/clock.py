@@ -34,7 +34,7 @@ CATCH_UP = 1.0
 #: [s].
 STANDS_AFTER, _INTERVALS, _MAX_STANDS_AFTER = 2.0, 3.0, 4.0
 #: Longest time between two looks at /clock that counts: what lies beyond it the executor was busy [s].
-_MAX_LOOK = 0.5
+_MAX_INTERVAL = 0.5
 #: Shortest period of frames while /clock stands [s]: they only take commands.
 _MIN_STANDING_PERIOD = 0.01
 
@@ -144,9 +144,9 @@ class WallPacer:
             if self._ended.acquire(timeout=max(0, wait) / _SECOND):
                 return
             self._rung = self._number()
-            beside = not late and self._beside and self._settled()
+            is_concurrent = not late and self._beside and self._settled()
             # While a frame is under way in the executor that one takes no commands, and this one will be late.
-            if not beside or not self._running.acquire(blocking=False):
+            if not is_concurrent or not self._running.acquire(blocking=False):
                 self._guard.trigger()
                 continue
             try:
@@ -260,7 +260,7 @@ class ClockPacer:
     @property
     def has_clock(self) -> bool:
         """Whether /clock has said anything yet."""
-        return self._next is not None or self._node.has_heard_clock
+        return self._next is not None or self._node.has_clock_time
 
     def describe(self) -> tuple[bytes, str] | None:
         """Return level and summary of diagnostics while /clock does not move; None while it does."""
@@ -270,11 +270,11 @@ class ClockPacer:
             return None
         return DiagnosticStatus.OK, f"/clock stands at {self._reached / _SECOND:.3f} s"
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Notice that /clock stands; call it some times a second, from the executor that hears /clock."""
         now = time.monotonic()
         # What an executor that was busy has not taken yet is no sign that nothing came.
-        since, self._looked = min(now - self._looked, _MAX_LOOK), now
+        elapsed, self._looked = min(now - self._looked, _MAX_INTERVAL), now
         if not self.has_clock:
             self._silence.look()
             return
@@ -282,7 +282,7 @@ class ClockPacer:
             self._interval = max(self._idle, 0.5 * self._interval)
             self._changed, self._idle = False, 0.0
             return
-        self._idle += since
+        self._idle += elapsed
         patience = min(max(STANDS_AFTER, _INTERVALS * self._interval), _MAX_STANDS_AFTER)
         if self._standing is None and self._jump is not None and self._idle >= patience:
             period = max(self.period / _SECOND, _MIN_STANDING_PERIOD)
@@ -315,7 +315,7 @@ class ClockPacer:
 
     def _serve(self) -> None:
         now = self._node.get_clock().now().nanoseconds
-        if now == 0 and not self._node.has_heard_clock:
+        if now == 0 and not self._node.has_clock_time:
             return
         if now != self._now:
             if self._next is None or self._due(self._next) > self._now:

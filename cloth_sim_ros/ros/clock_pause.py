@@ -44,6 +44,6 @@ class ClockPause:
             self._holds = False
             return
         pauses = [event.paused for event in frame.events if isinstance(event, Pause)]
-        theirs = pauses[:-1] if self._added else pauses
-        self._user = theirs[-1] if theirs else self._before
+        user_pauses = pauses[:-1] if self._added else pauses
+        self._user = user_pauses[-1] if user_pauses else self._before
         self._holds = True

@@ -24,11 +24,11 @@ class ClothClock:
 
     Args:
         node: the cloth's node.
-        tape: what records other outputs.
+        sink: what records other outputs.
     """
 
-    def __init__(self, node: Node, tape: Tape) -> None:
-        self._output = Output(node, Clock, f"~/{TOPIC}", tape)
+    def __init__(self, node: Node, sink: Tape) -> None:
+        self._output = Output(node, Clock, f"~/{TOPIC}", sink)
 
     def send(self, seconds: float) -> None:
         """Publish the time at the end of a frame [s]."""
@@ -61,7 +61,7 @@ class ClothTime:
         """Return the time at the end of the frame after the newest [ns]; None before the first.
 
         One target a frame, for the frame's very end, leads a gripper evenly, however long frames take. The time goes
-        back only if the node was started anew.
+        back only if the node was restarted.
         """
         if self._newest is None:
             return None

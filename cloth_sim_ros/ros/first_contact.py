@@ -19,27 +19,27 @@ class FirstContact:
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._touched: set[str] = set()
+        self._reported: set[str] = set()
 
-    def look(self, frame: Frame) -> str:
+    def new_contacts(self, frame: Frame) -> str:
         """Return what the cloth has begun to touch in a frame, for the first time, in words; empty if nothing."""
         contact = self._simulation.plan.contact
         if contact is None or not frame.moved or frame.advance is None or not frame.advance.steps:
             return ""
         scene = self._simulation.scene
         loads = zip(scene.obstacle_names, frame.loads, strict=False)
-        pressed = [name for name, load in loads if name not in self._touched and load.any()]
-        if len(self._touched) < len(scene.pinching) + len(scene.obstacle_names):
+        pressed = [name for name, load in loads if name not in self._reported and load.any()]
+        if len(self._reported) < len(scene.pinching) + len(scene.obstacle_names):
             wrenches = zip(scene.gripper_names, frame.wrenches, strict=True)
             pressed += [name for name, load in wrenches if self._is_pinched(name) and load.any()]
         new = [f"'{name}'" for name in pressed]
         # It takes longer to look for: once a second.
-        looks = contact.force.surface is not None and not frame.index % max(1, round(scene.rate))
-        if looks and _ITSELF not in self._touched and contact.own_gaps(self._simulation.state.x)[0]:
+        is_sampled = contact.force.surface is not None and not frame.index % max(1, round(scene.rate))
+        if is_sampled and _ITSELF not in self._reported and contact.own_gaps(self._simulation.state.x)[0]:
             pressed.append(_ITSELF)
             new.append(_ITSELF)
-        self._touched.update(pressed)
+        self._reported.update(pressed)
         return ", ".join(new)
 
     def _is_pinched(self, name: str) -> bool:
-        return name not in self._touched and self._simulation.scene.pinches(name)
+        return name not in self._reported and self._simulation.scene.pinches(name)

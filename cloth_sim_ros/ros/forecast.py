@@ -22,7 +22,7 @@ ROOM = 0.8
 #: How many times as long as at best frames take while an obstacle or the cloth itself touches it, and while pads press
 #: it: stiffer springs, smaller errors, evaluations that look for contact. Measured with the package's scene pinch:
 #: 6 on the table, 12 to 20 between pads.
-_TOUCHED, _PINCHED = 6.0, 15.0
+_CONTACT_FACTOR, _PINCH_FACTOR = 6.0, 15.0
 #: Told again where the factor has changed by more than this share.
 _NEWS = 0.2
 
@@ -116,8 +116,8 @@ class Forecaster:
         self.newest = self._expected()
         if self.newest is None:
             return
-        touched = self._touched(self.newest.factor)
-        factor, told = min([self.newest.factor, *touched.values()]), self._told
+        in_contact = self._contact_factors(self.newest.factor)
+        factor, told = min([self.newest.factor, *in_contact.values()]), self._told
         if told is not None and (factor < 1.0) == (told < 1.0) and abs(factor - told) <= _NEWS * told:
             return
         self._told = factor
@@ -125,14 +125,14 @@ class Forecaster:
         bound = "as the step is fixed" if scene.step else "by the stability limit"
         words = (
             f"expected real-time factor: {self.newest.factor:.2g} at best"
-            + "".join(f", about {slower:.1g} {when}" for when, slower in touched.items())
+            + "".join(f", about {slower:.1g} {when}" for when, slower in in_contact.items())
             + f" ({self.newest.steps} steps a frame {bound}, {self.newest.seconds * 1e3:.2g} ms of "
             f"{scene.period * 1e3:.3g} ms; accuracy may ask for more)"
         )
         if factor >= 1.0:
             self._logger.info(words)
         else:
-            when = "" if self.newest.factor < 1.0 else f" {next(when for when in touched if touched[when] < 1.0)}"
+            when = "" if self.newest.factor < 1.0 else f" {next(when for when in in_contact if in_contact[when] < 1.0)}"
             self._logger.warning(f"{words}. Real time is not held{when}: {self._remedy(factor)}")
 
     def describe(self) -> dict[str, str]:
@@ -151,7 +151,7 @@ class Forecaster:
             cost=self._share * self._cost,
         )
 
-    def _touched(self, factor: float) -> dict[str, float]:
+    def _contact_factors(self, factor: float) -> dict[str, float]:
         """Return the factors that are expected where contact is at work, by the condition in words.
 
         A fixed step stays as it is, and what contact adds to it is counted already.
@@ -159,12 +159,12 @@ class Forecaster:
         scene = self._simulation.scene
         if scene.step:
             return {}
-        found = {}
+        factors = {}
         if scene.obstacle_names or scene.contact.self_ or scene.pinching:
-            found["in contact"] = factor / _TOUCHED
+            factors["in contact"] = factor / _CONTACT_FACTOR
         if scene.pinching:
-            found["while a gripper pinches"] = factor / _PINCHED
-        return found
+            factors["while a gripper pinches"] = factor / _PINCH_FACTOR
+        return factors
 
     @property
     def _cost(self) -> float:

@@ -39,7 +39,7 @@ class PlayedTime(Protocol):
     period: int
 
     def now(self) -> int | None:
-        """Return the time [ns]; None where it is not known yet."""
+        """Return the time [ns]; None if it is not known yet."""
 
     def describe(self) -> str:
         """Return what is known of a cloth whose time stands, as the end of a sentence."""
@@ -96,7 +96,7 @@ class GripperPlayer:
         #: Of the time in which scripts are played [ns]: the scripts' start, delays included, and the newest.
         self._start = 0
         self._newest: int | None = None
-        self._made_up_for: GraspAt | None = None
+        self._compensated: GraspAt | None = None
         #: The grippers, in the order of the scripts.
         self.hands = [Hand(node, script, self._target) for script in scripts]
         self._executor = SingleThreadedExecutor()
@@ -157,8 +157,8 @@ class GripperPlayer:
         """Play the scripts from beginning to end, in the time of the cloth; False if told to end early.
 
         A script does not leave the place of a closing before it is known what the gripper holds. If that is late, or
-        if this process was held up over a grasp, everything after it is delayed as well, for all grippers: otherwise a
-        gripper would close where the cloth no longer is. Nothing is sent while the time stands.
+        if this process was held up over a grasp, all scripts are delayed by as much. A gripper would otherwise close
+        where the cloth no longer is. Nothing is sent while the time stands.
 
         Args:
             standing: how long the time may stand [s].
@@ -193,8 +193,10 @@ class GripperPlayer:
         return False
 
     def _newest_time(self) -> int | None:
-        """Return the time [ns] after all that has arrived: an executor hands over one message of a topic at a time, and
-        a client that was held up would send several targets for one frame.
+        """Return the time [ns] after all messages that have arrived.
+
+        An executor hands over one message of a topic at a time: a client that was held up would send several targets
+        for one frame.
         """
         now = self._played.now()
         while self._played.period:
@@ -218,14 +220,14 @@ class GripperPlayer:
         if self._newest is None:
             self._start = self._newest = now
         if now < self._newest:
-            raise GripperError(f"the time of {self._target} went back: it was started anew; play the script again")
+            raise GripperError(f"the time of {self._target} went back: it was restarted; play the script again")
         played, seconds = (now - self._start) * 1e-9, now * 1e-9
         late = self._held_up((now - self._newest) * 1e-9, elapsed, period)
         late = max(late, played - min(hand.stay(played, seconds) for hand in self.hands))
         first = min((grasp for hand in self.hands for grasp in hand.waiting[:1]), key=_time_of, default=None)
-        if first is not None and played - late > first.time + _HELD_UP and first is not self._made_up_for:
+        if first is not None and played - late > first.time + _HELD_UP and first is not self._compensated:
             # Once for each: the steps of a simulated clock may be longer.
-            self._made_up_for = first
+            self._compensated = first
             late = played - max(first.time - _HELD_UP, 0.0)
         self._newest = now
         self._start += int(late * 1e9)

@@ -31,13 +31,13 @@ class GripperSpeedMonitor:
             self._log.warn(f"speed {name}", self._warning(name, limited[name]))
         self._limited = set(limited)
 
-    def _warning(self, name: str, asked: float) -> str:
+    def _warning(self, name: str, requested: float) -> str:
         scene, grippers = self._simulation.scene, self._simulation.grippers
-        parameter = own if (own := f"{name}.max_speed") in scene.individual else "gripper.max_speed"
+        parameter = individual if (individual := f"{name}.max_speed") in scene.individual else "gripper.max_speed"
         speed = scene.of_gripper(name, "max_speed")
         limit = grippers.max_speed(grippers.names.index(name), speed)
         why, remedy = (parameter, f", or raise {parameter}") if limit == speed else ("the limit of pads", "")
         return (
-            f"'{name}' follows its target at {limit:g} m/s, {why}: the target asks for {asked:.3g} m/s; send targets "
-            f"that are nearer to each other{remedy}"
+            f"'{name}' follows its target at {limit:g} m/s, {why}: the target asks for {requested:.3g} m/s; send "
+            f"targets that are nearer to each other{remedy}"
         )

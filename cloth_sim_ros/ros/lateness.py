@@ -19,7 +19,7 @@ AGAIN = 30
 CALM = 5
 #: Above this share of the period it is computing that takes the time.
 BUSY = 0.9
-#: A contact that begins is told of where it makes the real-time factor smaller than this share of what was told.
+#: A contact that begins is reported if it makes the real-time factor smaller than this share of the last one reported.
 WORSE = 0.8
 #: What makes frames cheaper.
 REMEDY = "a smaller cloth.resolution, a lower rate, a larger tolerance, or overload: relax gives it less to do"
@@ -41,13 +41,13 @@ class Lateness:
         self._windows = 0
         self._calm = 0
         self._sum = 0
-        #: Real-time factor that was told last.
-        self._told = 1.0
+        #: Real-time factor reported last.
+        self._reported = 1.0
         self._since = ""
         self._begin()
 
     def begin_contact(self, names: str) -> None:
-        """Measure anew from now on, because the cloth has begun to touch something.
+        """Restart the measurement, because the cloth has begun to touch something.
 
         Args:
             names: of what it touches, as the end of a sentence.
@@ -98,7 +98,7 @@ class Lateness:
             self._calm = 0
             self._sum += self._late
             factor = len(self._taken) / self._due
-            if self._windows % AGAIN == 0 or (self._since and factor < WORSE * self._told):
+            if self._windows % AGAIN == 0 or (self._since and factor < WORSE * self._reported):
                 self._tell(factor)
                 self._windows = 0
             self._windows += 1
@@ -106,7 +106,7 @@ class Lateness:
             self._sum += self._late
             self._calm += 1
             if self._calm == CALM:
-                self._is_late, self._told = False, 1.0
+                self._is_late, self._reported = False, 1.0
                 self._log.info("in time", f"frames come in time again; {counted(self._sum, 'frame')} late or left out")
         self._since = ""
 
@@ -121,10 +121,10 @@ class Lateness:
             f"frames come late: {self._late} of {self._due} were not there a period after they were due; one takes "
             f"{middle * 1e3:.1f} ms of {period * 1e3:.1f} ms: {why}{self._describe(factor, middle)}",
         )
-        self._told = factor
+        self._reported = factor
 
     def _describe(self, factor: float, middle: float) -> str:
-        """Return the real-time factor, where it is below 1, and what would raise it, as the end of a sentence."""
+        """Return the real-time factor, if it is below 1, and what would raise it, as the end of a sentence."""
         if factor > 1.0 - MANY:
             return ""
         remedy = f": {REMEDY}" if middle > BUSY * self._period else ""

@@ -361,8 +361,8 @@ class ClothNode:
         taken = time.monotonic() - begun
         self.tally.add(moved=frame.moved, seconds=taken)
         self._relief.add(frame, taken)
-        if not self._follows_clock and (touched := self._first_contact.look(frame)):
-            self._lateness.begin_contact(touched)
+        if not self._follows_clock and (contacts := self._first_contact.new_contacts(frame)):
+            self._lateness.begin_contact(contacts)
         self.tally.late += self._lateness.count(
             lateness=due.lateness, skipped=due.skipped, seconds=taken, follows_clock=self._follows_clock
         )
@@ -416,4 +416,4 @@ class ClothNode:
             self.node.get_logger().error(trouble)
         self._failure.check_exit()
         if isinstance(self._pacer, ClockPacer):
-            self._pacer.look()
+            self._pacer.check()

@@ -69,7 +69,7 @@ class ObstacleTopics:
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record what a frame did to them."""
         self._follow_halted(frame)
-        self._tell_halted(frame)
+        self._warn_of_stops(frame)
         obstacles = self._simulation.obstacles
         solids, poses = self._solids()
         if [solid.name for solid in solids] != self._drawn:
@@ -101,7 +101,7 @@ class ObstacleTopics:
             said |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
         return said
 
-    def _tell_halted(self, frame: Frame) -> None:
+    def _warn_of_stops(self, frame: Frame) -> None:
         """Warn once of a stop, although commands that go on ask for it again in each frame."""
         latest = self._stopped
         self._stopped = {name: index for name, index in latest.items() if frame.index - index <= self._calm}
@@ -110,10 +110,10 @@ class ObstacleTopics:
         if not new:
             return
         names = ", ".join(f"'{name}'" for name in new)
-        each = ("is", "it would", "it stands still until it is") if len(new) == 1 else _SEVERAL
+        words = ("is", "it would", "it stands still until it is") if len(new) == 1 else _SEVERAL
         self._log.warn(
             f"halted {names}",
-            f"{names} {each[0]} stopped: with what else is there {each[1]} have left the cloth no room; {each[2]} "
+            f"{names} {words[0]} stopped: with what else is there {words[1]} have left the cloth no room; {words[2]} "
             "commanded anew",
         )
 

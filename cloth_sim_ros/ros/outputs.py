@@ -93,10 +93,10 @@ class Output:
         """Publish bytes; a warning tells if the middleware kept the node waiting."""
         begun = time.monotonic()
         self._publisher.publish(data)
-        if (taken := time.monotonic() - begun) > _LONG_PUBLICATION:
+        if (elapsed := time.monotonic() - begun) > _LONG_PUBLICATION:
             self._log.warn(
                 "slow",
-                f"{self.topic}: publishing took {taken:.2g} s, and the frame waited for the middleware: a subscriber "
+                f"{self.topic}: publishing took {elapsed:.2g} s, and the frame waited for the middleware: a subscriber "
                 f"starts, is suspended, or was killed; if this comes again, resume or end it",
             )
 

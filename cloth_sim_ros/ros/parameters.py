@@ -116,10 +116,10 @@ class SceneNode(SimTimeNode):
         unknown = [name for name in names if name not in known and not self.has_parameter(name)]
         if unknown:
             raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
-        for given in parameter_list:
-            bounds = self.entries.get(given.name)
-            if bounds is not None and bounds.kind == "double" and bounds.open_least and given.value == bounds.least:
-                return SetParametersResult(successful=False, reason=_reason(bounds, given.value))
+        for parameter in parameter_list:
+            bounds = self.entries.get(parameter.name)
+            if bounds is not None and bounds.kind == "double" and bounds.open_least and parameter.value == bounds.least:
+                return SetParametersResult(successful=False, reason=_reason(bounds, parameter.value))
         self.declaring = True
         try:
             for entry in new:
@@ -139,11 +139,11 @@ def _reason(entry: Parameter, value: Any) -> str:
     return "; ".join(refused.sentences)
 
 
-def _empty_lists(given: Mapping[str, Any]) -> list[str]:
+def _empty_lists(values: Mapping[str, Any]) -> list[str]:
     """Say which of the given parameters are [], and what to write instead."""
-    if not (empty := [name for name, value in given.items() if value is None]):
+    if not (empty := [name for name, value in values.items() if value is None]):
         return []
-    kinds = {entry.name: entry.kind for entry in Scene.declared_for(given)} | {SIM_TIME: "bool"}
+    kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {SIM_TIME: "bool"}
 
     def remedy(name: str) -> str:
         if name not in kinds:
@@ -153,14 +153,14 @@ def _empty_lists(given: Mapping[str, Any]) -> list[str]:
     return [f"{name} is an empty list, [], whose type ROS can't know; {remedy(name)}" for name in empty]
 
 
-def _check_values(given: Mapping[str, Any], refused: Faults) -> dict[str, Any]:
+def _check_values(overrides: Mapping[str, Any], refused: Faults) -> dict[str, Any]:
     """Return the values of a scene's parameters among the given ones, and add the faults of all given ones."""
     values: dict[str, Any] = {}
-    for entry in Scene.declared_for(given):
-        if entry.name in given:
-            values[entry.name] = refused.attempt(partial(entry.check, _plain(given[entry.name])))
-    refused.add(frame_ids.faults(given))
-    refused.add(qos_rules.faults(given))
+    for entry in Scene.declared_for(overrides):
+        if entry.name in overrides:
+            values[entry.name] = refused.attempt(partial(entry.check, _plain(overrides[entry.name])))
+    refused.add(frame_ids.faults(overrides))
+    refused.add(qos_rules.faults(overrides))
     return values
 
 
@@ -170,16 +170,16 @@ def declare(node: Node) -> Scene:
     Raises:
         ParameterError: for a value that makes no scene; the message says which and why.
     """
-    given = {name: node.get_parameter(name).value for name in node.list_parameters([], 0).names}
+    overrides = {name: node.get_parameter(name).value for name in node.list_parameters([], 0).names}
     refused = Faults()
     # Declared by the override, of whatever type that has: checked here, where the message says what to do.
-    values = _check_values(given, refused)
+    values = _check_values(overrides, refused)
     refused.refuse()
     for name in values:
         node.undeclare_parameter(name)
     silence_reader()
     scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
-    known = Scene.declared_for(given)
+    known = Scene.declared_for(overrides)
     for entry in known:
         declare_one(node, entry, values.get(entry.name, entry.default))
     _warn_of_unknown(node, scene, [entry.name for entry in known])
@@ -272,7 +272,7 @@ class LiveParameters:
         """Show the values of a scene: a change that was accepted could not take effect after all."""
         before, now = self._accepted.parameters(), scene.parameters()
         gone = self._accepted.entries
-        kept = {entry.name for entry in scene.entries}
+        remaining = {entry.name for entry in scene.entries}
         self._accepted = scene
         self._returning = True
         try:
@@ -284,7 +284,7 @@ class LiveParameters:
                 ]
             )
             for entry in gone:
-                if entry.name not in kept:
+                if entry.name not in remaining:
                     self._node.undeclare_parameter(entry.name)
         finally:
             self._returning = False
@@ -343,12 +343,12 @@ class LiveParameters:
 
 def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
     """Warn of overrides that nothing looks at: a typing error in a parameter file is easily overlooked."""
-    there = node.list_parameters([], 0).names
+    names = node.list_parameters([], 0).names
     full, resolve = node.get_fully_qualified_name(), node.resolve_topic_name
     looked_at = {Override(resolve(topic), kind, policy).name for kind, topic, policy in overridable(scene)}
-    for sentence in unknown_sentences(there, known, scene, node=full, resolve=resolve):
+    for sentence in unknown_sentences(names, known, scene, node=full, resolve=resolve):
         node.get_logger().warning(sentence)
-    for name in there:
+    for name in names:
         if name not in looked_at and name not in known and name not in FOREIGN:
             node.undeclare_parameter(name)
 

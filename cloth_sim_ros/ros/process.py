@@ -20,8 +20,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.aside import Aside
+from cloth_sim_ros.ros.command_line_parameters import command_line_parameters
 from cloth_sim_ros.ros.failure import NodeFailedError
-from cloth_sim_ros.ros.given_parameters import given_parameters
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.options import parser
@@ -54,10 +54,10 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
         failed and `on_failure` is `exit`.
     """
     aside = Aside(signals.name)
-    # Until the node has joined the graph; whoever is started later finds the environment as it was.
+    # Until the node has joined the graph; processes that start later find the environment as it was.
     joining = contextlib.ExitStack()
     try:
-        warning = joining.enter_context(cloud_transports(given_parameters(argv)))
+        warning = joining.enter_context(cloud_transports(command_line_parameters(argv)))
         read_and_start(parser(), argv)
         status = _run(argv, signals, aside, joining, warning)
     except ArgumentsError as error:

@@ -93,8 +93,8 @@ def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None)
             yield f"{name} is {value!r}; it must be {words}"
         elif isinstance(value, str):
             endpoints.setdefault(override.endpoint, {})[override.policy] = value.lower()
-    for endpoint, given in endpoints.items():
-        policies = {**(defaults or {}), **given}
+    for endpoint, chosen in endpoints.items():
+        policies = {**(defaults or {}), **chosen}
         if policies.get("reliability") == "best_effort" and policies.get("durability") == "transient_local":
             yield (
                 f"{endpoint} has reliability best_effort and durability transient_local; what is published by best "
@@ -111,14 +111,14 @@ def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> di
         node: its full name.
     """
     leaves = [topic.removeprefix(node) for topic in topics if topic.startswith(f"{node}/")]
-    found: dict[str, list[str]] = {}
+    owned: dict[str, list[str]] = {}
     for name in names:
         topic = override.topic if (override := read_name(name)) is not None else ""
         # The longest leaf leaves the shortest name of a node: that of ~/left/wrench, not that of a node 'left'.
         owners = sorted((topic.removesuffix(leaf) for leaf in leaves if topic.endswith(leaf)), key=len)
         if owners and owners[0] not in ("", node):
-            found.setdefault(owners[0], []).append(name)
-    return found
+            owned.setdefault(owners[0], []).append(name)
+    return owned
 
 
 def _wrong(override: Override, value: Any) -> str:

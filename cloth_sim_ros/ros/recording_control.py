@@ -36,12 +36,12 @@ class RecordingControl:
         self,
         node: Node,
         recording: SessionRecording,
-        overheard: Overheard,
+        log_recorder: Overheard,
         *,
         latched: Sequence[Callable[[int], None]],
         refusal: Callable[[], str],
     ) -> None:
-        self._node, self._recording, self._overheard = node, recording, overheard
+        self._node, self._recording, self._log_recorder = node, recording, log_recorder
         self._latched, self._refusal = latched, refusal
         self._resumes = False
 
@@ -57,7 +57,7 @@ class RecordingControl:
             # A robot that lacks the libraries has its cloth all the same.
             self._node.get_logger().error(f"nothing is recorded: {error}")
             return
-        self._overheard.listen()
+        self._log_recorder.listen()
         path = self._recording.wait_until_open()
         self._node.get_logger().info(f"recording into {path}")
 

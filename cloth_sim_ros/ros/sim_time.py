@@ -42,18 +42,18 @@ class SimTimeNode(Node):
     """
 
     #: Whether a time has come on /clock: 0 is one, and rclpy's before the first as well.
-    has_heard_clock = False
+    has_clock_time = False
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
         """As rclpy's; it subscribes to /clock by this method too."""
         if msg_type is Clock and not options.get("raw"):
             take = callback
 
-            def heard(message: Clock) -> Any:
-                self.has_heard_clock = True
+            def accept(message: Clock) -> Any:
+                self.has_clock_time = True
                 return take(message)
 
-            callback = _only_times(heard, ThrottledLog(self.get_logger(), seconds=_AGAIN))
+            callback = _only_times(accept, ThrottledLog(self.get_logger(), seconds=_AGAIN))
         return super().create_subscription(msg_type, topic, callback, *arguments, **options)
 
 

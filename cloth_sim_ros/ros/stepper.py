@@ -38,7 +38,7 @@ class Stepper:
         #: Why parameters that were accepted could not take effect, in the newest frame; empty if they did.
         self.refused_parameters = ""
         #: Events of a frame that are not answered yet.
-        self._taken: list[Entry] = []
+        self._entries: list[Entry] = []
         self._outcomes: list[tuple[Entry, Outcome]] = []
 
     def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
@@ -47,21 +47,21 @@ class Stepper:
         self.answer()
         return frame
 
-    def advance(self, due: int, own: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame:
+    def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame:
         """Compute the frame that is due at a ROS time [ns], with the events that wait for it.
 
         Args:
-            due: ROS time [ns]; events stamped later go on waiting.
-            own: events of the node itself, applied first.
+            stamp: ROS time [ns]; events stamped later go on waiting.
+            first: events of the node itself, applied first.
             last: events of the node itself, applied last.
 
         If the motion becomes unstable, the commands take effect but no time passes. `trouble` says why, and so does the
         answer to a service that asked for time to pass.
         """
         self._outcomes = []
-        self._taken = entries = self._queue.take(due)
-        if own or last:
-            entries = [*(Entry(event=event) for event in own), *entries, *(Entry(event=event) for event in last)]
+        self._entries = entries = self._queue.take(stamp)
+        if first or last:
+            entries = [*(Entry(event=event) for event in first), *entries, *(Entry(event=event) for event in last)]
         self.refused_parameters = ""
         refused: list[tuple[Entry, str]] = []
         stopped = False
@@ -98,15 +98,15 @@ class Stepper:
 
     def answer(self) -> None:
         """Answer the events of the newest frame."""
-        outcomes, self._outcomes, self._taken = self._outcomes, [], []
+        outcomes, self._outcomes, self._entries = self._outcomes, [], []
         for entry, outcome in outcomes:
             if entry.answer is not None:
                 entry.answer(outcome)
 
     def refuse(self, reason: str) -> None:
         """Answer the events of a frame that failed."""
-        taken, self._taken, self._outcomes = self._taken, [], []
-        for entry in taken:
+        entries, self._entries, self._outcomes = self._entries, [], []
+        for entry in entries:
             if entry.answer is not None:
                 entry.answer(Outcome(frame=None, reason=reason))
 

@@ -16,7 +16,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 #: A subscriber that is suspended is given up by Fast DDS after so long [s].
-_GIVEN_UP_AFTER = 3.0
+_LEASE = 3.0
 #: Buffers that wait for one subscriber at most, and the size of the largest [bytes]: a longer message is cut into such.
 _QUEUE, _LARGEST_BUFFER = 512, 65_500
 #: Room for all that is small: wrenches, states, diagnostics, discovery [bytes].
@@ -64,9 +64,9 @@ def segment_bytes(parameters: Mapping[str, Any]) -> int:
         parameters: by full name; what is left out, or refused by the node, has its default.
     """
     cloud, mesh, rate = _output_bytes(parameters)
-    pinned = min(_GIVEN_UP_AFTER * rate * (cloud + mesh), _QUEUE * _LARGEST_BUFFER)
-    wanted = int(pinned) + 2 * (cloud + mesh) + _SMALL
-    return min(max(wanted, _MIN_SEGMENT), _MAX_SEGMENT)
+    pinned = min(_LEASE * rate * (cloud + mesh), _QUEUE * _LARGEST_BUFFER)
+    size = int(pinned) + 2 * (cloud + mesh) + _SMALL
+    return min(max(size, _MIN_SEGMENT), _MAX_SEGMENT)
 
 
 def _output_bytes(parameters: Mapping[str, Any]) -> tuple[int, int, float]:
@@ -101,14 +101,14 @@ def _has_users_transports() -> bool:
     return not skipped and any(os.path.exists(name) for name in _USERS_FILES)
 
 
-def _enter(stack: contextlib.ExitStack, wanted: int) -> str:
+def _enter(stack: contextlib.ExitStack, requested: int) -> str:
     """Set the environment for a segment, or for UDP without room for one; return a warning or an empty text."""
-    wanted = min(wanted, _MAX_SEGMENT)
+    requested = min(requested, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)
         free = status.f_bavail * status.f_frsize
-        size = min(wanted, int(free * _SHARE_OF_ROOM))
-        if size >= _MIN_SHARE * wanted:
+        size = min(requested, int(free * _SHARE_OF_ROOM))
+        if size >= _MIN_SHARE * requested:
             text = config_file(_PROFILE).read_text().replace(_PROFILE_SEGMENT, str(size))
             _set(stack, {_PROFILES_FILE: _write(stack, text)})
             return ""
@@ -119,7 +119,7 @@ def _enter(stack: contextlib.ExitStack, wanted: int) -> str:
             f"others: give {_PROFILES_FILE} a profile"
         )
     return (
-        f"{_SHARED_MEMORY} has {free / 1e6:.3g} MB free, clouds need a segment of {wanted / 1e6:.3g} MB and as much "
+        f"{_SHARED_MEMORY} has {free / 1e6:.3g} MB free, clouds need a segment of {requested / 1e6:.3g} MB and as much "
         f"for others: they go by UDP, which loses clouds above 200 kB; enlarge {_SHARED_MEMORY} (docker: --shm-size), "
         f"or remove what ended processes left there (fastrtps_*)"
     )

@@ -40,12 +40,15 @@ def unknown_sentences(
     declared = [*known, *FOREIGN, *profiles]
     unknown = [name for name in names if name not in set(declared)]
     owners = foreign_owners(unknown, topics, node)
-    dumps = {owner: found for owner, found in owners.items() if len(found) > _SINGLE}
-    grouped = {name for found in dumps.values() for name in found}
+    dumps = {owner: overrides for owner, overrides in owners.items() if len(overrides) > _SINGLE}
+    grouped = {name for overrides in dumps.values() for name in overrides}
     single = [name for name in unknown if name not in grouped]
     if resolve is None:
         single = [name for name in single if not name.startswith(PROFILES)]
-    return [*(_of_dump(owner, len(found), node) for owner, found in dumps.items()), *_of_names(single, declared)]
+    return [
+        *(_of_dump(owner, len(overrides), node) for owner, overrides in dumps.items()),
+        *_of_names(single, declared),
+    ]
 
 
 def _of_dump(owner: str, count: int, node: str) -> str:

@@ -72,4 +72,4 @@ def value(values: Mapping[str, Any], section: sections.Gripper, gripper: str, le
         gripper: its name.
         leaf: last part of the parameter's name, one of `LEAVES`.
     """
-    return values[own] if (own := f"{gripper}.{leaf}") in values else getattr(section, leaf)
+    return values[full_name] if (full_name := f"{gripper}.{leaf}") in values else getattr(section, leaf)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 #: Most bytes of a configuration: a scene, a study, a script, code that a study names.
-MOST_TEXT = 1 << 24
+MAX_TEXT = 1 << 24
 #: What is read at a time where a file holds more than it claims [bytes].
 _PIECE = 1 << 20
 
@@ -18,7 +18,7 @@ class InputFileError(ValueError):
     """A file that is not read; the message says why."""
 
 
-def read_bytes(path: str | Path, *, most: int = MOST_TEXT) -> bytes:
+def read_bytes(path: str | Path, *, most: int = MAX_TEXT) -> bytes:
     """Return the content of a file on disk.
 
     Args:
@@ -44,7 +44,7 @@ def read_bytes(path: str | Path, *, most: int = MOST_TEXT) -> bytes:
     return content
 
 
-def read_text(path: str | Path, *, most: int = MOST_TEXT) -> str:
+def read_text(path: str | Path, *, most: int = MAX_TEXT) -> str:
     """Return the text of a file on disk, in UTF-8; see `read_bytes`."""
     try:
         return read_bytes(path, most=most).decode()

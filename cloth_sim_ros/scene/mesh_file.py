@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 @attrs.frozen(eq=False, kw_only=True)
 class _Content:
-    """What a mesh file holds."""
+    """Content of a mesh file."""
 
     points: NDArray[np.float64]
     """Vertices as they are in the file, (n, 3)."""
@@ -97,8 +97,8 @@ def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, s
 def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
     """Return the mesh of a file's content that is to be a solid.
 
-    Vertices at one place are made one, those of no triangle left out. If the mesh is not closed then, copies of
-    vertices are merged, flat triangles joined to their neighbours, and edges split at vertices that lie on them.
+    Vertices at one place are made one, those of no triangle left out. A mesh that is still open is repaired. Copies of
+    vertices are merged and flat triangles joined to neighbours. Edges are split at vertices that lie on them.
 
     Args:
         data: the content.

@@ -24,7 +24,7 @@ _SECTION = "section"
 #: Whole numbers of a parameter are those of 64 bits, as ROS has them.
 _INT_END = 1 << 63
 #: Most characters of a value that a message quotes.
-_MOST_SHOWN = 200
+_MAX_SHOWN = 200
 
 #: ROS parameter types by name, as Python types.
 KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": str}
@@ -295,4 +295,4 @@ def _suggestion(name: str, known: dict[str, Parameter]) -> str:
 def _shown(value: Any) -> str:
     """A value as a message quotes it: the beginning of one that would fill a screen."""
     text = repr(value)
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}... ({len(text)} characters)"
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}... ({len(text)} characters)"

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extent and mass of a scene's cloth, and the resolution of its clouds.
 
-A file in millimetres makes a cloth of hundreds of metres that runs like any other; a cloth at map coordinates has
-clouds whose single precision is coarser than the motion. Neither is an error, and both are mostly a mistake.
+A file in millimetres makes a cloth of hundreds of metres, which runs like any other. At map coordinates the single
+precision of clouds is coarser than the motion. Neither is an error, and both are mostly a mistake.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 """Vertices and faces of PLY files, as scanners and modelling programs write them.
 
 plyfile reads the rows; those of a binary file whose rows all have one length are an array as they are. Before that the
-header is read here: it is written anew without comments, its counts are held against the length of the file, and the
-values of an ASCII file are laid out a row a line, because programs break lines where they like.
+header is read here: comments are removed, and its counts are compared with the length of the file. The values of an
+ASCII file are arranged one row a line, because programs break lines where they like.
 """
 
 from __future__ import annotations
@@ -245,17 +245,17 @@ def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[byt
     """Lay out the values of an ASCII file a row a line."""
     at = 0
     for element in elements:
-        for number in range(element.count):
+        for row in range(element.count):
             begin = at
             for name, length, _ in element.properties:
                 at += 1
                 if length and at <= len(values):
-                    at += _list_length(values[at - 1], f"{element.name} {number}", name)
+                    at += _list_length(values[at - 1], f"{element.name} {row}", name)
             if at > len(values):
-                there = len(values) - begin
-                if number + 1 < element.count or not there:
-                    raise ValueError(f"it ends after {number + bool(there)} of {element.count} {element.plural}")
-                raise ValueError(f"{element.name} {number} has {there} of {at - begin} values")
+                n_values = len(values) - begin
+                if row + 1 < element.count or not n_values:
+                    raise ValueError(f"it ends after {row + bool(n_values)} of {element.count} {element.plural}")
+                raise ValueError(f"{element.name} {row} has {n_values} of {at - begin} values")
             yield b" ".join(values[begin:at])
     if at < len(values):
         raise ValueError(f"{len(values) - at} values follow its last row: a count in its header is wrong")
@@ -274,6 +274,6 @@ def _triangles(strip: list[int]) -> Iterator[list[int]]:
             continue
         corners = list(run)
         for k in range(len(corners) - 2):
-            one, two, three = corners[k : k + 3]
-            if len({one, two, three}) == 3:
-                yield [one, two, three] if k % 2 == 0 else [two, one, three]
+            first, second, third = corners[k : k + 3]
+            if len({first, second, third}) == 3:
+                yield [first, second, third] if k % 2 == 0 else [second, first, third]

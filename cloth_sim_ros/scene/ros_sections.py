@@ -97,8 +97,8 @@ class _Reader:
     def _next(self) -> Any:
         self._event = next(self._events)
         self._count += 1
-        if self._count > ros_yaml.MOST_NODES:
-            raise self._trouble(f"more than {ros_yaml.MOST_NODES} values and names; that is the limit")
+        if self._count > ros_yaml.MAX_NODES:
+            raise self._trouble(f"more than {ros_yaml.MAX_NODES} values and names; that is the limit")
         if self._is("Alias"):
             raise self._trouble("an alias, which ROS does not read: write out what it stands for")
         return self._event

@@ -27,7 +27,7 @@ _DECIMAL = re.compile(r"[-+]?[0-9]+(?:[eE][-+]?[0-9]+)?")
 _HEXADECIMAL = re.compile(r"[-+]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][-+]?[0-9]+)?")
 _NAMED = re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE)
 #: Most values and keys of a file, those that aliases repeat included, and the deepest nesting.
-MOST_NODES, _DEEPEST = 250_000, 100
+MAX_NODES, _DEEPEST = 250_000, 100
 #: Longest value of a study, a script or a table [characters].
 _LONGEST = 10_000
 _INT_END = 1 << 63
@@ -57,7 +57,7 @@ def load(text: str) -> Any:
 
 
 def parser() -> Any:
-    """Return PyYAML's loader that turns a text into events one after another, of C where it is there.
+    """Return PyYAML's loader that turns a text into events one after another: the C one if it is installed.
 
     Its events take neither memory nor recursion; what follows them may.
     """
@@ -66,7 +66,7 @@ def parser() -> Any:
     return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def check_size(text: str, *, most: int = MOST_NODES) -> None:
+def check_size(text: str, *, most: int = MAX_NODES) -> None:
     """Refuse a text that would take long, or much memory, once it is read.
 
     An alias is a few bytes and stands for what may hold aliases in turn.

@@ -243,8 +243,8 @@ class Scene:
             ParameterError: as `from_parameters`, or if the file can't be read, or holds other nodes' parameters alone.
         """
         values = parameter_file.read(path, node=node, strict=True)
-        own = {name: value for name, value in values.items() if not is_of_ros(name)}
-        return cls.from_parameters(own, folder=Path(path).parent)
+        cloth_values = {name: value for name, value in values.items() if not is_of_ros(name)}
+        return cls.from_parameters(cloth_values, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
         """Every parameter's value by full name."""
@@ -292,7 +292,7 @@ class Scene:
         return bool(self.of_gripper(gripper, "mode") == PINCH)
 
     def of_gripper(self, gripper: str, leaf: str) -> Any:
-        """Value of `<gripper>.<leaf>` where it is set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""
+        """Value of `<gripper>.<leaf>` if it is set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""
         return gripper_parameters.value(self.individual, self.gripper, gripper, leaf)
 
     @property

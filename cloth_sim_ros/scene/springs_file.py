@@ -11,7 +11,7 @@ from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.scene import ros_yaml
 
 #: Most values of a YAML file; larger tables are for an .npz.
-_MOST_VALUES = 500_000
+_MAX_VALUES = 500_000
 
 
 def parse(data: bytes) -> RawSprings:
@@ -29,7 +29,7 @@ def _yaml(data: bytes) -> dict[str, Any]:
 
     try:
         text = data.decode()
-        ros_yaml.check_size(text, most=_MOST_VALUES)
+        ros_yaml.check_size(text, most=_MAX_VALUES)
         tree = yaml.load(text, Loader=ros_yaml.parser())
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError) as error:
         raise ValueError(f"it is no YAML: {error}") from error

@@ -141,9 +141,9 @@ def from_dict(data: dict[str, Any]) -> Event:
     kind = fields.pop("kind", None)
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"event of unknown kind {kind!r}; known are {', '.join(_KINDS)}")
-    for name, wanted in _TYPES.items():
-        if name in fields and not isinstance(fields[name], wanted):
-            raise ValueError(f"event {data} does not fit '{kind}': {name} must be of type {wanted.__name__}")
+    for name, expected in _TYPES.items():
+        if name in fields and not isinstance(fields[name], expected):
+            raise ValueError(f"event {data} does not fit '{kind}': {name} must be of type {expected.__name__}")
     try:
         event: Event = _KINDS[kind](**fields)
     except (TypeError, OverflowError) as error:

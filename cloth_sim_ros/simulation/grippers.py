@@ -238,8 +238,8 @@ class Grippers:
     def _within(
         self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
     ) -> Sequence[float]:
-        """Where a gripper is at a frame's end: at its target, or, if it holds cloth, as near to it as its speed lets.
-        Pads never follow faster than obstacles, lest they jump through the cloth.
+        """Pose of a gripper at a frame's end: its target, or, if it holds cloth, as near to it as its speed lets.
+        Pads never follow faster than obstacles: they would jump through the cloth.
         """
         if pose == target:
             return target

@@ -47,17 +47,17 @@ def within(pose: Sequence[float], target: Sequence[float], reach: float, most: f
     if needed <= most:
         return target
     share = most / needed
-    way = [target[i] - pose[i] for i in range(3)]
+    displacement = [target[i] - pose[i] for i in range(3)]
     turn = rotation_vector(pose[3:], target[3:])
     turned = turned_by(pose[3:], [share * angle for angle in turn])
-    return [*(pose[i] + share * way[i] for i in range(3)), *turned]
+    return [*(pose[i] + share * displacement[i] for i in range(3)), *turned]
 
 
 def travel(pose: Sequence[float], target: Sequence[float], reach: float) -> float:
     """Return the furthest that a point within a reach [m] of a body's origin goes from a pose to a target [m]."""
-    way = [target[i] - pose[i] for i in range(3)]
+    displacement = [target[i] - pose[i] for i in range(3)]
     # The turn costs a call of the engine; a body without extent needs none.
-    return _length(way) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
+    return _length(displacement) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
 
 
 def _length(vector: Sequence[float]) -> float:

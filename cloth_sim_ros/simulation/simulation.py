@@ -197,7 +197,7 @@ class Simulation(ExclusiveAccess):
         self._slept = None
         in_order = ordered(list(events))
         check_all(in_order, self._scene, self.state, self._initial)
-        before = self._taken()
+        before = self._snapshot()
         try:
             return self._advance(in_order)
         except BaseException:
@@ -207,9 +207,9 @@ class Simulation(ExclusiveAccess):
     @exclusive
     def snapshot(self) -> Snapshot:
         """Return all that later frames read: restored, the same events give the same bits. It takes microseconds."""
-        return self._taken()
+        return self._snapshot()
 
-    def _taken(self) -> Snapshot:
+    def _snapshot(self) -> Snapshot:
         return taken(
             scene=self._scene,
             state=self.state,

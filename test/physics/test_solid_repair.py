@@ -54,7 +54,7 @@ def with_junctions(kind: str, edges: int, corners: int, *, filled: bool) -> tupl
         chain = [a, *range(len(vertices), len(vertices) + corners), c]
         vertices += [((1.0 - s) * points[a] + s * points[c]).tolist() for s in shares]
         faces.remove(face)
-        faces += [(one, two, d) for one, two in pairwise(chain)]
+        faces += [(first, second, d) for first, second in pairwise(chain)]
         if filled:
             faces += [(a, chain[k + 1], chain[k]) for k in range(1, len(chain) - 1)]
     assert done == edges

@@ -73,7 +73,7 @@ def test_what_happened_is_shown(tmp_path: Path) -> None:
     assert spheres[-1] == [[0.0, 0.0, 0.0]]
 
 
-def told(session: Path, out: Path) -> list[str]:
+def messages(session: Path, out: Path) -> list[str]:
     """The events that a session's recording lists."""
     assert main([str(session), "--save", str(out)]) == 0
     return [line for lines in rows(out, "/log", "TextLog:text")[1] for line in lines]
@@ -91,7 +91,7 @@ def test_each_grasp_of_a_frame_is_told_with_its_own_count(tmp_path: Path) -> Non
     count = held[-1]
     assert count > 0
     closes = f"gripper closes, holds {count} particles"
-    assert told(maker.finish(), tmp_path / "out.rrd") == [
+    assert messages(maker.finish(), tmp_path / "out.rrd") == [
         closes, "gripper opens", closes, "reset", closes, closes, "gripper opens", closes,
     ]  # fmt: skip
 
@@ -99,18 +99,18 @@ def test_each_grasp_of_a_frame_is_told_with_its_own_count(tmp_path: Path) -> Non
 @pytest.mark.parametrize("drops", ["all clouds", "the last cloud"])
 def test_no_count_is_told_where_no_cloud_shows_it(tmp_path: Path, drops: str) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL))
-    place = np.array([0.0, 0.0, 0.0])
+    position = np.array([0.0, 0.0, 0.0])
 
     def without(topic: str, data: bytes) -> bytes | None:
         return None if topic.endswith("/points") else data
 
     for k in range(8):
-        place = maker.simulation.positions[-1]
+        position = maker.simulation.positions[-1]
         leave_out = drops == "all clouds" or k == 7
-        events = [Target("gripper", tuple(place.tolist()))]
+        events = [Target("gripper", tuple(position.tolist()))]
         maker.add(events, change=without) if leave_out else maker.add(events)
     maker.add([Grasp("gripper", True)])
-    assert told(maker.finish(), tmp_path / "out.rrd") == ["gripper closes"]
+    assert messages(maker.finish(), tmp_path / "out.rrd") == ["gripper closes"]
 
 
 def test_what_the_node_says_a_gripper_holds_is_told(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_what_the_node_says_a_gripper_holds_is_told(tmp_path: Path) -> None:
     maker.add([Grasp("gripper", False)], states=True)
     maker.add([Grasp("gripper", True), Reset()], states=True)
     expected = ["gripper closes, holds 1 particles", "gripper opens"]
-    assert told(maker.finish(), tmp_path / "out.rrd")[:2] == expected
+    assert messages(maker.finish(), tmp_path / "out.rrd")[:2] == expected
 
 
 def test_a_gripper_that_comes_while_the_cloth_sleeps_is_seen_to_hold_what_it_holds(tmp_path: Path) -> None:

@@ -52,11 +52,11 @@ class SlowCloth:
         #: Simulated time of what was sent, and what: x of targets, and grasps.
         self.sent: list[tuple[float, float | bool]] = []
         self._closed: float | None = None
-        self._hear: dict[str, Callable[[Any], None]] = {}
+        self._callbacks: dict[str, Callable[[Any], None]] = {}
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.wall * 1e9)))
         self.node: Any = SimpleNamespace(
             create_publisher=lambda *_: SimpleNamespace(publish=self._publish, wait_for_all_acked=lambda _: True),
-            create_subscription=lambda _kind, topic, hear, _qos: self._hear.update({topic: hear}),
+            create_subscription=lambda _kind, topic, hear, _qos: self._callbacks.update({topic: hear}),
             get_clock=lambda: clock,
         )
         executor = SimpleNamespace(add_node=lambda _: None, spin_once=self._spin_once)
@@ -69,11 +69,11 @@ class SlowCloth:
 
     def targets(self) -> list[tuple[float, float]]:
         """Simulated time and x of targets."""
-        return [(when, what) for when, what in self.sent if not isinstance(what, bool)]
+        return [(when, message) for when, message in self.sent if not isinstance(message, bool)]
 
     def grasps(self) -> list[float]:
         """Simulated times of grasps."""
-        return [when for when, what in self.sent if isinstance(what, bool)]
+        return [when for when, message in self.sent if isinstance(message, bool)]
 
     def _spin_once(self, timeout_sec: float) -> None:
         self.wall += timeout_sec
@@ -84,11 +84,11 @@ class SlowCloth:
     def _frame(self) -> None:
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(round(self.simulated * SECOND), SECOND)
-        self._hear["/cloth_sim/clock"](message)
+        self._callbacks["/cloth_sim/clock"](message)
         if self._closed is not None and self.simulated > self._closed + self._answer:
             self._closed = None
             values = [KeyValue(key="closed", value="true"), KeyValue(key="held", value="9")]
-            self._hear["/cloth_sim/gripper/state"](DiagnosticStatus(values=values))
+            self._callbacks["/cloth_sim/gripper/state"](DiagnosticStatus(values=values))
 
     def _publish(self, message: Any) -> None:
         if not hasattr(message, "data"):
@@ -146,7 +146,7 @@ def test_cloth_that_was_started_anew_ends_the_script(monkeypatch: pytest.MonkeyP
             cloth._frame()
 
     monkeypatch.setattr(cloth.player._executor, "spin_once", spin_once)
-    with pytest.raises(gripper_player.GripperError, match="went back: it was started anew"):
+    with pytest.raises(gripper_player.GripperError, match="went back: it was restarted"):
         cloth.player.play()
 
 

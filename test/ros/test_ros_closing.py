@@ -51,26 +51,26 @@ def test_closed_nodes_leave_nothing_behind(
     logs: list[Log] = []
     client.node.create_subscription(Log, "/rosout", logs.append, 100)
     before = (0, 0)
-    for number in range(5):
+    for attempt in range(5):
         context = rclpy.Context()
         context.init()
         with make(context, use_sim_time=sim_time, **{"record.folder": str(tmp_path)}) as cloth:
             cloth.start()
-            if number % 2:
+            if attempt % 2:
                 client.executor.add_node(cloth.node)
                 client.executor.spin_once(timeout_sec=0.1)
                 client.executor.remove_node(cloth.node)
             logs.clear()
 
-            def heard(cloth: ClothNode = cloth, number: int = number) -> bool:
-                cloth.node.get_logger().info(f"node {number}")
-                return any(log.msg == f"node {number}" for log in logs)
+            def is_published(cloth: ClothNode = cloth, attempt: int = attempt) -> bool:
+                cloth.node.get_logger().info(f"node {attempt}")
+                return any(log.msg == f"node {attempt}" for log in logs)
 
-            client.spin_until(heard, what=f"/rosout of node {number}")
+            client.spin_until(is_published, what=f"/rosout of node {attempt}")
         client.spin_until(lambda: "cloth_sim" not in client.node.get_node_names(), what="its end in the graph")
         context.shutdown()
-        del cloth, heard
-        if number == 0:
+        del cloth, is_published
+        if attempt == 0:
             before = count("fd"), count("task")
         most = before
         wait_until(

@@ -23,7 +23,7 @@ RANGED = [name for name, entry in DECLARED.items() if entry.kind in ("double", "
 ARRAYS = [name for name, entry in DECLARED.items() if entry.is_array and entry.element in ("double", "int")]
 NUMBERS = itertools.count()
 #: Other parameters by which a parameter has the whole of its range.
-BESIDE: dict[str, dict[str, Any]] = {
+REQUIRED: dict[str, dict[str, Any]] = {
     "material.bending_modulus": {"bending.model": "crossed"},
     "material.stretch_modulus": {"material.shear_modulus": 0.0, "bending.stiffness": 0.0},
     "bending.stiffness": {"material.stretch_modulus": 1e9},
@@ -46,9 +46,9 @@ def ends(entry: Parameter) -> tuple[Any, Any]:
 
 def is_accepted(entry: Parameter, value: Any) -> bool:
     """True if a cloth of some grid takes a value."""
-    for beside in ({}, BESIDE.get(entry.name, {})):
+    for required in ({}, REQUIRED.get(entry.name, {})):
         with contextlib.suppress(ParameterError):
-            Scene.from_parameters({"cloth.resolution": [5, 5], **beside, entry.name: value})
+            Scene.from_parameters({"cloth.resolution": [5, 5], **required, entry.name: value})
             return True
     return False
 

@@ -55,8 +55,8 @@ def test_dump_for_every_node_warns_once(client: Client, capfd: pytest.CaptureFix
     capfd.readouterr()
     with ClockedCloth(client, values, name="towel") as cloth:
         cloth.tick()
-        there = cloth.node.node.list_parameters([], 0).names
-        assert not [name for name in there if "/cloth_sim/" in name]
+        names = cloth.node.node.list_parameters([], 0).names
+        assert not [name for name in names if "/cloth_sim/" in name]
     (line,) = warnings_in(capfd.readouterr().err)
     assert f"{len(profiles)} parameters qos_overrides./cloth_sim/... are of topics of /cloth_sim" in line
     assert "write /towel/ for /cloth_sim/ in their names, or leave them out" in line
@@ -125,7 +125,7 @@ def test_node_says_once_that_a_file_is_anothers(
 
 
 def test_many_unknown_parameters_share_a_warning(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
-    with ClockedCloth(client, {f"foreign.p{number}": 1.0 for number in range(20)}):
+    with ClockedCloth(client, {f"foreign.p{index}": 1.0 for index in range(20)}):
         pass
     (line,) = warnings_in(capfd.readouterr().err)
     assert "there are no parameters 'foreign.p0', 'foreign.p1', 'foreign.p2' and 17 more" in line

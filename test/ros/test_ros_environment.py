@@ -48,21 +48,23 @@ def test_security_without_a_keystore_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentFaultError, match="ROS_SECURITY_KEYSTORE is not set"):
         check_environment(secure, [])
     keys = tmp_path / "keys"
-    kept = {**secure, "ROS_SECURITY_KEYSTORE": str(keys)}
+    with_keys = {**secure, "ROS_SECURITY_KEYSTORE": str(keys)}
     with pytest.raises(EnvironmentFaultError, match="there is no enclave '/towel', which would be in "):
-        check_environment(kept, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
+        check_environment(with_keys, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
     (keys / "enclaves" / "towel").mkdir(parents=True)
-    check_environment(kept, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
-    check_environment({**kept, "ROS_SECURITY_ENCLAVE_OVERRIDE": "/towel"}, ["cloth_sim"])
+    check_environment(with_keys, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
+    check_environment({**with_keys, "ROS_SECURITY_ENCLAVE_OVERRIDE": "/towel"}, ["cloth_sim"])
     # rcl itself goes on without security, or does not look at any of it.
     for variables in ({"ROS_SECURITY_STRATEGY": "Permissive"}, {"ROS_SECURITY_ENABLE": "false"}):
         check_environment({**secure, **variables}, [])
 
 
 def test_middleware_without_security_is_explained() -> None:
-    told = explain("error creating node: This Fast DDS version doesn't have the security libraries, Please compile")
-    assert "ROS_SECURITY_ENABLE is true, and the Fast DDS of this environment was built without security" in told
-    assert "unset ROS_SECURITY_ENABLE" in told
+    explanation = explain(
+        "error creating node: This Fast DDS version doesn't have the security libraries, Please compile"
+    )
+    assert "ROS_SECURITY_ENABLE is true, and the Fast DDS of this environment was built without security" in explanation
+    assert "unset ROS_SECURITY_ENABLE" in explanation
     assert explain("failed to parse arguments") == ""
 
 
@@ -79,8 +81,8 @@ def test_secured_environment_gives_no_traceback(
     (tmp_path / "enclaves").mkdir()
     process = start_process(["-m", COMMANDS[command]], env={**variables, "ROS_SECURITY_KEYSTORE": str(tmp_path)})
     assert process.wait() == 1
-    own = [line for line in process.output.strip().splitlines() if line.startswith(f"{command}: ")]
-    assert len(own) == 1
+    lines = [line for line in process.output.strip().splitlines() if line.startswith(f"{command}: ")]
+    assert len(lines) == 1
     assert "Traceback" not in process.output
     assert "RuntimeWarning" not in process.output
 

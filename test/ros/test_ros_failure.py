@@ -59,7 +59,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 class Witness:
-    """What a node says of itself, as others hear it."""
+    """States and diagnostics that a node publishes."""
 
     def __init__(self, client: Client) -> None:
         self.client = client
@@ -84,9 +84,9 @@ class Witness:
 
 
 @contextlib.contextmanager
-def running(client: Client, beside: bool = False, **values: Any) -> Iterator[ClothNode]:
+def running(client: Client, concurrent: bool = False, **values: Any) -> Iterator[ClothNode]:
     overrides = [Parameter(name, value=value) for name, value in (SMALL | values).items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if beside else None)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if concurrent else None)
     client.executor.add_node(cloth.node)
     cloth.warm_up()
     cloth.start()
@@ -112,20 +112,20 @@ def poke(client: Client) -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "beside"),
+    ("point", "concurrent"),
     [("integrate", False), ("event", False), ("record", False), ("publish", True), ("state", False)],
 )
 def test_exception_in_a_frame_is_a_state_left_by_reset(
-    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], place: str,
-    beside: bool,
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], point: str,
+    concurrent: bool,
 ) -> None:  # fmt: skip
     witness = Witness(client)
-    with running(client, beside, **{"record.enabled": True, "record.folder": str(tmp_path)}) as cloth:
+    with running(client, concurrent, **{"record.enabled": True, "record.folder": str(tmp_path)}) as cloth:
         witness.wait_for_label("active")
-        for number in range(2):
+        for attempt in range(2):
             client.wait_for_clouds(3)
             with monkeypatch.context() as patch:
-                patch.setattr(*PLACES[place], broken)
+                patch.setattr(*PLACES[point], broken)
                 poke(client)
                 assert witness.wait_for_label("failed") == f"failed: {REASON}"
             check_it_is_reported(client, witness, cloth, tmp_path)
@@ -133,7 +133,7 @@ def test_exception_in_a_frame_is_a_state_left_by_reset(
             assert answer.success, answer.message
             witness.wait_for_label("active")
             client.wait_for_clouds(1)
-            sessions = number + 2
+            sessions = attempt + 2
             client.spin_until(lambda n=sessions: len(list(tmp_path.glob("*.mcap"))) == n, what="a new recording")
         witness.wait_for_report(DiagnosticStatus.OK, "running")
     said = capfd.readouterr().err

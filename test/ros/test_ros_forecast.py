@@ -120,12 +120,12 @@ TABLE: dict[str, Any] = {
 }
 
 
-def told(cost: float, **values: Any) -> tuple[str, list[str]]:
-    """What is said of a cloth that has a factor of `cost` at best, and the warnings among it."""
-    one, simulation, log = forecaster(**values)
-    one.tell()
-    assert one.newest is not None
-    before = one.newest.factor
+def forecast_log(cost: float, **values: Any) -> tuple[str, list[str]]:
+    """Log of a cloth that has a factor of `cost` at best, and the warnings among it."""
+    forecast, simulation, log = forecaster(**values)
+    forecast.tell()
+    assert forecast.newest is not None
+    before = forecast.newest.factor
     again = Forecaster(simulation, log)
     again.calibrate(1e-9 * before / cost * simulation.plan.step_cost)
     log.infos.clear()
@@ -136,16 +136,16 @@ def told(cost: float, **values: Any) -> tuple[str, list[str]]:
 
 
 def test_contact_counts_before_there_is_any() -> None:
-    line, warnings = told(5.2, **TABLE)
+    line, warnings = forecast_log(5.2, **TABLE)
     assert "about 0.9 in contact (" in line
     assert warnings
     assert "Real time is not held in contact: cloth.resolution [" in line
-    line, warnings = told(20.0, **TABLE)
+    line, warnings = forecast_log(20.0, **TABLE)
     assert "20 at best, about 3 in contact (" in line
     assert not warnings
-    line, warnings = told(9.0, **TABLE, **{"gripper.mode": "pinch"})
+    line, warnings = forecast_log(9.0, **TABLE, **{"gripper.mode": "pinch"})
     assert "about 2 in contact, about 0.6 while a gripper pinches (" in line
     assert "Real time is not held while a gripper pinches:" in line
     # Neither of a cloth that touches nothing, nor of one whose step is fixed.
-    assert "contact" not in told(2.0, **{"cloth.resolution": [8, 8]})[0]
-    assert "contact" not in told(2.0, **TABLE, step=1e-4)[0]
+    assert "contact" not in forecast_log(2.0, **{"cloth.resolution": [8, 8]})[0]
+    assert "contact" not in forecast_log(2.0, **TABLE, step=1e-4)[0]

@@ -147,19 +147,19 @@ def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_gripper_follows_a_frame_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     two = {"grippers": ["left", "right"]}
-    _, own, log = companions(None, right__frame="base", **two)
-    (target,) = own.events(NOW)
+    _, grippers, log = companions(None, right__frame="base", **two)
+    (target,) = grippers.events(NOW)
     assert isinstance(target, Target)
     assert target.gripper == "right"
     assert not log.lines
     # The other follows what is set for all.
-    _, own, log = companions(None, gripper__frame="{gripper}_tool", right__frame="base", **two)
-    assert [event.gripper for event in own.events(NOW) if isinstance(event, Target)] == ["right"]
+    _, grippers, log = companions(None, gripper__frame="{gripper}_tool", right__frame="base", **two)
+    assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["right"]
     assert len(log.lines) == 1
     assert "'left_tool' does not exist" in log.lines[0]
     # An empty one follows none.
-    _, own, log = companions(None, gripper__frame="base", right__frame="", **two)
-    assert [event.gripper for event in own.events(NOW) if isinstance(event, Target)] == ["left"]
+    _, grippers, log = companions(None, gripper__frame="base", right__frame="", **two)
+    assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["left"]
 
 
 def test_a_frame_that_can_not_be_followed_is_told_when_it_gets_lost_and_when_it_is_found(

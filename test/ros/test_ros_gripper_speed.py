@@ -26,9 +26,9 @@ CORNER = np.array([0.5, 0.0, 0.5])
 TWO = {"grippers": ["left", "right"]}
 
 
-def beside(way: float) -> np.ndarray:
+def sideways(distance: float) -> np.ndarray:
     """A place at a distance [m] from the corner."""
-    return np.add(CORNER, (0.0, way, 0.0))
+    return np.add(CORNER, (0.0, distance, 0.0))
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def monitored(**values: Any) -> tuple[Simulation, Callable[..., list[str]]]:
 
     def follow(**ways: float) -> list[str]:
         before = len(log.lines)
-        cloth.advance([Target(name, tuple(beside(way))) for name, way in ways.items()])
+        cloth.advance([Target(name, tuple(sideways(distance))) for name, distance in ways.items()])
         monitor.check()
         return log.lines[before:]
 
@@ -70,9 +70,9 @@ def test_limit_is_told_once_while_it_lasts() -> None:
 
 def test_each_gripper_names_its_own_limit() -> None:
     _, follow = monitored(**TWO, **{"left.max_speed": 2.0})
-    told = follow(left=0.1, right=0.1)
-    assert len(told) == 1
-    assert told[0].startswith("'left' follows its target at 2 m/s, left.max_speed: the target asks for 6 m/s;")
+    lines = follow(left=0.1, right=0.1)
+    assert len(lines) == 1
+    assert lines[0].startswith("'left' follows its target at 2 m/s, left.max_speed: the target asks for 6 m/s;")
     assert [line.split()[0] for line in follow(left=0.1, right=1.0)] == ["'right'"]
 
 
@@ -102,13 +102,13 @@ def test_a_wrong_target_is_followed_at_the_limit_and_warned_of(client: Client) -
         cloth.grasp("gripper", True)
         cloth.tick(2)
         assert cloth.held("gripper")
-        cloth.target("gripper", beside(1.0))
+        cloth.target("gripper", sideways(1.0))
         cloth.tick()
         assert np.linalg.norm(cloth.place("gripper") - CORNER) == pytest.approx(10.0 / 60.0)
         client.spin_until(lambda: any("gripper.max_speed" in line for line in lines), what="the warning")
         assert set_one(cloth, "gripper.max_speed", 0.0).successful
         cloth.tick()
-        assert cloth.place("gripper") == pytest.approx(beside(1.0))
+        assert cloth.place("gripper") == pytest.approx(sideways(1.0))
 
 
 def test_node_records_pose_of_limited_gripper(client: Client, tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_one_grippers_limit_is_set_while_the_cloth_runs(client: Client) -> None:
             cloth.grasp(name, True)
         cloth.tick(2)
         for name in ("left", "right"):
-            cloth.target(name, beside(0.1))
+            cloth.target(name, sideways(0.1))
         cloth.tick()
         assert cloth.place("left")[1] == pytest.approx(1.5 / 60.0)
         assert cloth.place("right")[1] == pytest.approx(0.1)

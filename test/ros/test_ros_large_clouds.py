@@ -48,8 +48,8 @@ def test_clouds_come_with_the_profile_and_without(ros_domain: int, start_process
         assert process.interrupt() == 0
         assert "XML" not in process.output, process.output
     # The node's own choice, unless the user has a profile.
-    wanted = segment_bytes({"cloth.resolution": [60, 60], "rate": 30.0})
-    assert wanted <= received[""] < wanted + (2 << 20)
+    needed = segment_bytes({"cloth.resolution": [60, 60], "rate": 30.0})
+    assert needed <= received[""] < needed + (2 << 20)
     assert SEGMENT <= received[str(PROFILE)] < SEGMENT + (2 << 20)
 
 

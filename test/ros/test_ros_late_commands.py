@@ -21,9 +21,9 @@ class Executor:
     """Serves the pacer's guard condition, a turn at a time, and hands over commands first, as an executor does."""
 
     def __init__(self) -> None:
-        self.sent = self.taken = 0
+        self.sent = self.received = 0
         self._seen = 0
-        self._asked = threading.Event()
+        self._requested = threading.Event()
         self._serve: Callable[[], None] = lambda: None
         self.node: Any = SimpleNamespace(
             create_guard_condition=self._guard,
@@ -32,20 +32,20 @@ class Executor:
         )
 
     def settled(self) -> bool:
-        """Whether no command was taken since the last call."""
-        taken, self._seen = self.taken > self._seen, self.taken
-        return not taken
+        """Return whether no command was received since the last call."""
+        received, self._seen = self.received > self._seen, self.received
+        return not received
 
     def spin(self, until: Callable[[], bool]) -> None:
         while not until():
-            if self._asked.wait(0.002):
-                self._asked.clear()
-                self.taken = self.sent
+            if self._requested.wait(0.002):
+                self._requested.clear()
+                self.received = self.sent
                 self._serve()
 
     def _guard(self, serve: Callable[[], None]) -> Any:
         self._serve = serve
-        return SimpleNamespace(trigger=self._asked.set)
+        return SimpleNamespace(trigger=self._requested.set)
 
 
 @pytest.mark.parametrize("factor", [1.3, 2.6])
@@ -53,13 +53,13 @@ def test_frame_after_a_long_one_takes_what_came_meanwhile(factor: float) -> None
     executor = Executor()
     left = list[int]()
 
-    def on_due(_due: Due) -> None:
-        left.append(executor.sent - executor.taken)
+    def on_frame_tick(_tick: Due) -> None:
+        left.append(executor.sent - executor.received)
         # The frame takes longer than its period; a command comes meanwhile.
         threading.Event().wait(factor / RATE)
         executor.sent += 1
 
-    pacer = WallPacer(executor.node, rate=RATE, on_due=on_due, settled=executor.settled, beside=True)
+    pacer = WallPacer(executor.node, rate=RATE, on_due=on_frame_tick, settled=executor.settled, beside=True)
     pacer.start()
     executor.spin(lambda: len(left) >= 12)
     assert pacer.stop()

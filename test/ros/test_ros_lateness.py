@@ -27,55 +27,55 @@ def lateness() -> tuple[Lateness, Log]:
     return Lateness(period=PERIOD, log=ThrottledLog(log, seconds=0.0)), log
 
 
-def run(judge: Lateness, windows: int, *, late: int, seconds: float) -> None:
+def run(monitor: Lateness, windows: int, *, late: int, seconds: float) -> None:
     """Let windows of frames pass, of each of which so many are late."""
     for _ in range(windows):
         for number in range(WINDOW):
-            judge.add(late=int(number < late), skipped=0, seconds=seconds)
+            monitor.add(late=int(number < late), skipped=0, seconds=seconds)
 
 
 def test_single_late_frames_are_not_told() -> None:
-    judge, log = lateness()
-    run(judge, 100, late=3, seconds=0.0034)
+    monitor, log = lateness()
+    run(monitor, 100, late=3, seconds=0.0034)
     assert log.lines == []
 
 
 def test_it_is_told_when_it_begins_and_ends_and_now_and_then() -> None:
-    judge, log = lateness()
-    run(judge, 1, late=60, seconds=0.0034)
+    monitor, log = lateness()
+    run(monitor, 1, late=60, seconds=0.0034)
     assert log.lines == [
         "frames come late: 60 of 120 were not there a period after they were due; one takes 3.4 ms of 16.7 ms: the "
         "machine had other things to do"
     ]
-    run(judge, AGAIN - 1, late=60, seconds=0.02)
+    run(monitor, AGAIN - 1, late=60, seconds=0.02)
     assert len(log.lines) == 1
-    run(judge, 1, late=60, seconds=0.02)
+    run(monitor, 1, late=60, seconds=0.02)
     assert log.lines[1].endswith("one takes 20.0 ms of 16.7 ms: the cloth takes more time than this machine has")
-    run(judge, CALM - 1, late=0, seconds=0.0034)
+    run(monitor, CALM - 1, late=0, seconds=0.0034)
     assert len(log.lines) == 2
-    run(judge, 1, late=0, seconds=0.0034)
+    run(monitor, 1, late=0, seconds=0.0034)
     assert log.lines[2:] == [f"frames come in time again; {60 * (AGAIN + 1)} frames late or left out"]
-    run(judge, 10, late=0, seconds=0.0034)
+    run(monitor, 10, late=0, seconds=0.0034)
     assert len(log.lines) == 3
 
 
 def test_due_times_that_were_left_out_count() -> None:
-    judge, log = lateness()
+    monitor, log = lateness()
     for _ in range(WINDOW // 2):
-        judge.add(late=1, skipped=1, seconds=0.03)
+        monitor.add(late=1, skipped=1, seconds=0.03)
     (line,) = log.lines
     assert line.startswith("frames come late: 60 of 120 ")
 
 
-def pass_window(judge: Lateness, *, taken: float, skipped: int) -> None:
+def pass_window(monitor: Lateness, *, seconds: float, skipped: int) -> None:
     """Let a window of frames pass, each with due times left out before it."""
     for _ in range(WINDOW // (1 + skipped)):
-        judge.add(late=1 + skipped, skipped=skipped, seconds=taken)
+        monitor.add(late=1 + skipped, skipped=skipped, seconds=seconds)
 
 
 def test_slow_cloth_names_its_factor_and_the_remedy() -> None:
-    judge, log = lateness()
-    pass_window(judge, taken=0.05, skipped=2)
+    monitor, log = lateness()
+    pass_window(monitor, seconds=0.05, skipped=2)
     (line,) = log.lines
     assert line.endswith(
         "the cloth takes more time than this machine has; the real-time factor is 0.33: a smaller cloth.resolution, a "
@@ -84,21 +84,21 @@ def test_slow_cloth_names_its_factor_and_the_remedy() -> None:
 
 
 def test_first_contact_is_measured_anew_and_told_if_it_is_worse() -> None:
-    judge, log = lateness()
+    monitor, log = lateness()
     # In time so far: what came before the contact does not count.
-    run(judge, 1, late=0, seconds=0.003)
+    run(monitor, 1, late=0, seconds=0.003)
     for _ in range(WINDOW // 2):
-        judge.add(late=0, skipped=0, seconds=0.003)
-    judge.begin_contact("'table'")
-    pass_window(judge, taken=0.025, skipped=1)
+        monitor.add(late=0, skipped=0, seconds=0.003)
+    monitor.begin_contact("'table'")
+    pass_window(monitor, seconds=0.025, skipped=1)
     assert "the real-time factor is 0.5 since the cloth touches 'table':" in log.lines[0]
     # No worse than that: it is known. Much worse: it is told, before a minute is over.
-    judge.begin_contact("'floor'")
-    pass_window(judge, taken=0.025, skipped=1)
+    monitor.begin_contact("'floor'")
+    pass_window(monitor, seconds=0.025, skipped=1)
     assert len(log.lines) == 1
-    judge.begin_contact("'gripper'")
-    pass_window(judge, taken=0.09, skipped=5)
+    monitor.begin_contact("'gripper'")
+    pass_window(monitor, seconds=0.09, skipped=5)
     assert len(log.lines) == 2
     assert "the real-time factor is 0.17 since the cloth touches 'gripper':" in log.lines[1]
-    pass_window(judge, taken=0.09, skipped=5)
+    pass_window(monitor, seconds=0.09, skipped=5)
     assert len(log.lines) == 2

@@ -34,8 +34,8 @@ def lines_with(output: str, words: str) -> list[str]:
 def test_left_out_messages_are_counted_after_the_last(client: Client) -> None:
     log, now = Log(), [0.0]
     throttled = ThrottledLog(log, seconds=1.0, clock=lambda: now[0])
-    for number in range(5):
-        throttled.warn("a", f"a{number}")
+    for index in range(5):
+        throttled.warn("a", f"a{index}")
     throttled.settle()
     assert log.lines == ["a0"]
     now[0] = 1.0
@@ -57,12 +57,12 @@ def test_old_command_is_told_with_gripper_age_and_count(client: Client, capfd: p
             cloth.target("gripper", (0.5, 0.0, 0.5), stamp=cloth.now - 100_000_000)
         assert cloth.refused == (0, 4)
 
-        def told() -> list[str]:
+        def messages() -> list[str]:
             out.append(capfd.readouterr().err)
             return lines_with("".join(out), "is dropped")
 
         out: list[str] = []
-        lines = client.spin_until(lambda: len(found := told()) == 2 and found, what="the count of old targets")
+        lines = client.spin_until(lambda: len(counted := messages()) == 2 and counted, what="the count of old targets")
     assert "target of 'gripper' is dropped: its stamp is 0.100 s older than that of the newest command" in lines[0]
     assert "; 1 of 'gripper' so far" in lines[0]
     assert "; 4 of 'gripper' so far" in lines[1]
@@ -70,8 +70,8 @@ def test_old_command_is_told_with_gripper_age_and_count(client: Client, capfd: p
 
 def test_targets_that_give_way_are_counted() -> None:
     queue = EventQueue()
-    for number in range(MOST_WAITING + 3):
-        queue.put(Target("g", (float(number), 0.0, 0.0)))
+    for index in range(MOST_WAITING + 3):
+        queue.put(Target("g", (float(index), 0.0, 0.0)))
     assert queue.displaced == 3
     queue.put(Grasp("g", True))
     assert queue.displaced == 4
@@ -107,10 +107,10 @@ def test_debug_lines_come_and_go_with_the_level(client: Client, capfd: pytest.Ca
         def set_level(level: int) -> None:
             request = SetLoggerLevels.Request(levels=[LoggerLevel(name="cloth_sim", level=level)])
             assert client.call(SetLoggerLevels, "/cloth_sim/set_logger_levels", request).results[0].successful
-            found = client.call(
+            response = client.call(
                 GetLoggerLevels, "/cloth_sim/get_logger_levels", GetLoggerLevels.Request(names=["cloth_sim"])
             )
-            assert found.levels[0].level == level
+            assert response.levels[0].level == level
 
         def debug_lines() -> list[str]:
             cloth.target("gripper", (0.5, 0.0, 0.5))

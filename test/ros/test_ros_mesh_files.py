@@ -22,7 +22,7 @@ from cloth_sim_ros.ros.main import main as cloth_sim
 
 AROUND, ALONG = 12, 4
 #: Where maps have their coordinates [m].
-FAR = 400_000.0
+DISTANCE = 400_000.0
 
 
 def tube(x: float) -> str:
@@ -41,7 +41,7 @@ def doubles(cloud: PointCloud2) -> bool:
 
 
 def test_check_prints_merges_and_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "tube.obj").write_text(tube(FAR))
+    (tmp_path / "tube.obj").write_text(tube(DISTANCE))
     path = tmp_path / "tube.yaml"
     path.write_text(
         "/**:\n  ros__parameters:\n    cloth: {mesh: "
@@ -60,7 +60,7 @@ def test_double_clouds_come_on_request(ros_domain: int, start_process: Callable[
     pytest.importorskip("mcap")
     from cloth_sim_ros.verify.run import verify
 
-    (tmp_path / "tube.obj").write_text(tube(FAR))
+    (tmp_path / "tube.obj").write_text(tube(DISTANCE))
     process = start_cloth(
         start_process,
         f"cloth.mesh:={tmp_path / 'tube.obj'}",
@@ -81,7 +81,7 @@ def test_double_clouds_come_on_request(ros_domain: int, start_process: Callable[
         cloud = client.clouds[-1]
         assert (cloud.width, cloud.point_step) == (AROUND * ALONG, 24)
         first = np.frombuffer(bytes(cloud.data), "<f8").reshape(-1, 3)[0]
-        assert first.tolist() == [FAR + 0.3, 0.0, 0.0]
+        assert first.tolist() == [DISTANCE + 0.3, 0.0, 0.0]
         client.wait_for_clouds(len(client.clouds) + 3)
     assert process.interrupt() == 0
     assert "vertices closer than" in process.output

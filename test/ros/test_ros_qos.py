@@ -35,8 +35,8 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 def requested(client: Client, topic: str) -> Any:
     """The profile of a topic's only subscription, as the graph has it."""
-    found = client.spin_until(lambda: client.node.get_subscriptions_info_by_topic(topic), what=f"one of {topic}")
-    (info,) = found
+    endpoints = client.spin_until(lambda: client.node.get_subscriptions_info_by_topic(topic), what=f"one of {topic}")
+    (info,) = endpoints
     return info.qos_profile
 
 
@@ -54,8 +54,8 @@ def test_latched_points_reach_those_who_come_later(client: Client) -> None:
 def test_inputs_keep_their_defaults(client: Client) -> None:
     with ClockedCloth(client):
         for leaf in ("target", "point"):
-            found = requested(client, f"/cloth_sim/gripper/{leaf}")
-            assert (found.reliability, found.durability) == (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+            qos = requested(client, f"/cloth_sim/gripper/{leaf}")
+            assert (qos.reliability, qos.durability) == (ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
         assert requested(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.RELIABLE
 
 
@@ -67,8 +67,8 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
         f"{GRASP}.reliability": "best_effort",
     }
     with ClockedCloth(client, values) as cloth:
-        found = requested(client, "/cloth_sim/gripper/target")
-        assert (found.reliability, found.durability) == (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+        qos = requested(client, "/cloth_sim/gripper/target")
+        assert (qos.reliability, qos.durability) == (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
         assert requested(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.BEST_EFFORT
         # Parameters of what was not overridden tell the defaults, as `ros2 param dump` has them.
         assert cloth.node.node.get_parameter(f"{GRASP}.depth").value == 100
@@ -79,14 +79,14 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
         # One that does not fit is told, with the policy that it lacks.
         lacks = QoSProfile(depth=1)
         client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", lacks)
-        told: list[str] = []
+        warnings: list[str] = []
 
         def misfit() -> bool:
-            told.append(capfd.readouterr().err)
-            return "is volatile, and nothing that it sends is heard" in "".join(told)
+            warnings.append(capfd.readouterr().err)
+            return "is volatile, and nothing that it sends is heard" in "".join(warnings)
 
         client.spin_until(misfit, what="a warning")
-    assert "there is no parameter" not in "".join(told)
+    assert "there is no parameter" not in "".join(warnings)
 
 
 def test_latched_target_is_heard_by_a_node_that_starts_later(client: Client) -> None:

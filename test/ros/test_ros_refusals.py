@@ -51,11 +51,11 @@ def test_node_and_check_refuse_a_file_in_the_same_words(
     values = {"rate": 0.0, "tolerance": -1.0, "gravity": [0.0], "table.shape": "ball", "table.frame": "/hand"}
     path.write_text(parameter_file.dump(values))
     assert node_main.main(["--check", str(path)]) == 1
-    told = capsys.readouterr().err.splitlines()
+    lines = capsys.readouterr().err.splitlines()
     process = start_cloth(start_process, wait="", arguments=["--params-file", str(path)])
     assert process.wait() == 1
-    assert sorted(process.output.strip().splitlines()) == sorted(told)
-    assert len(told) == len(values)
+    assert sorted(process.output.strip().splitlines()) == sorted(lines)
+    assert len(lines) == len(values)
 
 
 @pytest.mark.parametrize("frame", ["/map", " map", "map\n", "/"])

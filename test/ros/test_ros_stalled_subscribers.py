@@ -27,7 +27,7 @@ from cloth_sim_ros.session.reader import SessionReader
 
 SUBSCRIBER = Path(__file__).resolve().parents[1] / "support" / "stalling_subscriber.py"
 #: Clouds that may be under way when the first or the last one is looked at.
-FEW = 5
+MIN_CLOUDS = 5
 pytestmark = pytest.mark.skipif(
     os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") != "rmw_fastrtps_cpp", reason="Fast DDS's shared memory"
 )
@@ -41,18 +41,18 @@ class Stalled:
         for process in self.processes:
             process.wait_for_output("receives")
 
-    def send_signal(self, number: int) -> None:
+    def send_signal(self, signal_number: int) -> None:
         """Send a signal to each."""
         for process in self.processes:
-            process.send_signal(number)
+            process.send_signal(signal_number)
 
 
-def start_recording_cloth(start_process: Callable[..., Any], side: int, folder: Path) -> Any:
+def start_recording_cloth(start_process: Callable[..., Any], cells: int, folder: Path) -> Any:
     """Start a node whose frames take little time, and that records what it publishes."""
     soft = ["material.stretch_modulus:=10.0", "material.shear_modulus:=1.0", "bending.model:=none"]
     recorded = ["record.enabled:=true", f"record.folder:={folder}"]
     return start_cloth(
-        start_process, f"cloth.resolution:=[{side}, {side}]", *soft, "gravity:=[0.0, 0.0, 0.0]", *recorded
+        start_process, f"cloth.resolution:=[{cells}, {cells}]", *soft, "gravity:=[0.0, 0.0, 0.0]", *recorded
     )
 
 
@@ -64,14 +64,14 @@ def check_received(node: Any, client: Client, folder: Path) -> None:
     with SessionReader(session) as reader:
         published = {message.publish_time for message in reader.messages(["/cloth_sim/points"])}
     missed = {stamp for stamp in published - received if min(received) < stamp < max(received)}
-    assert len(missed) <= FEW, f"{len(missed)} of {len(published)} clouds were not received"
+    assert len(missed) <= MIN_CLOUDS, f"{len(missed)} of {len(published)} clouds were not received"
 
 
-@pytest.mark.parametrize(("side", "efforts"), [(64, "r"), (64, "rrbrb"), (128, "rbr")])
+@pytest.mark.parametrize(("cells", "efforts"), [(64, "r"), (64, "rrbrb"), (128, "rbr")])
 def test_suspended_subscribers_leave_others_their_clouds(
-    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path, side: int, efforts: str
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path, cells: int, efforts: str
 ) -> None:
-    node = start_recording_cloth(start_process, side, tmp_path)
+    node = start_recording_cloth(start_process, cells, tmp_path)
     with Client() as client:
         client.watch()
         stalled = Stalled(start_process, efforts, "/cloth_sim/points")

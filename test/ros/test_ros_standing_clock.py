@@ -41,35 +41,35 @@ class Standing(ClockedCloth):
         client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: self.reports.extend(m.status), 10)
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", client.clouds.append, 1000)
 
-    def until(self, condition: Callable[[], Any], *, at: int | None, what: str) -> None:
+    def until(self, condition: Callable[[], Any], *, at: int | None, expectation: str) -> None:
         """Spin until the condition holds, publishing the time [ns] at which the clock stands."""
 
-        def turn() -> Any:
+        def poll() -> Any:
             if at is not None:
                 self.publish_clock(at)
             return condition()
 
-        self.client.spin_until(turn, what=what)
+        self.client.spin_until(poll, what=expectation)
 
     def stand(self, at: int | None) -> None:
         """Let it stand until the node says so."""
-        self.until(lambda: self.states and self.states[-1] == "inactive", at=at, what="inactive")
+        self.until(lambda: self.states and self.states[-1] == "inactive", at=at, expectation="inactive")
 
     def ask(self, kind: Any, name: str, data: bool | None = None, *, at: int | None = None) -> Any:
         """Call a service while the clock stands; an answer by `no frame was due` is none."""
         caller = self.client.node.create_client(kind, f"/cloth_sim/{name}")
-        self.until(caller.service_is_ready, at=at, what=f"the service {name}")
+        self.until(caller.service_is_ready, at=at, expectation=f"the service {name}")
         future = caller.call_async(kind.Request() if data is None else kind.Request(data=data))
-        self.until(future.done, at=at, what=f"an answer of {name}")
+        self.until(future.done, at=at, expectation=f"an answer of {name}")
         assert "no frame was due" not in future.result().message
         return future.result()
 
     def wait_for_report(self, level: bytes, start: str, *, at: int | None = None) -> dict[str, str]:
-        def told() -> bool:
+        def is_reported() -> bool:
             report = self.reports[-1] if self.reports else None
             return report is not None and report.level == level and report.message.startswith(start)
 
-        self.until(told, at=at, what=f"diagnostics '{start}'")
+        self.until(is_reported, at=at, expectation=f"diagnostics '{start}'")
         return {entry.key: entry.value for entry in self.reports[-1].values}
 
 
@@ -95,7 +95,7 @@ def test_standing_clock_is_a_pause(client: Client, tmp_path: Path, republished: 
         cloth.stand(still)
         cloth.wait_for_report(DiagnosticStatus.OK, f"/clock stands at {at / SECOND:.3f} s", at=still)
         frame, count = cloth.simulation.frame, len(client.clouds)
-        cloth.until(lambda: len(client.clouds) > count, at=still, what="a cloud of what stands")
+        cloth.until(lambda: len(client.clouds) > count, at=still, expectation="a cloud of what stands")
         # Commands take effect without time passing, and are answered.
         corner = cloth.simulation.positions[-1].tolist()
         cloth.send("gripper/target", pose(*corner))
@@ -146,7 +146,7 @@ def test_clock_that_goes_back_while_it_stands_resets(client: Client, back: int) 
         cloth.stand(None)
         start = Simulation(cloth.simulation.scene).positions
         assert not np.allclose(cloth.simulation.positions, start, atol=1e-6)
-        cloth.until(lambda: np.allclose(cloth.simulation.positions, start, atol=1e-9), at=back, what="the reset")
+        cloth.until(lambda: np.allclose(cloth.simulation.positions, start, atol=1e-9), at=back, expectation="the reset")
         cloth.wait_for_report(DiagnosticStatus.OK, f"/clock stands at {back / SECOND:.3f} s", at=back)
 
 
@@ -163,9 +163,9 @@ def test_clock_that_stands_at_zero_is_one(client: Client) -> None:
 def test_frames_of_a_step_of_the_clock_are_not_late(client: Client, step: int, frames: int) -> None:
     with Standing(client) as cloth:
         cloth.tick(1)
-        for number in range(1, 4):
-            cloth.publish_clock(100 * SECOND + number * step)
-            client.spin_until(lambda n=number: cloth.simulation.frame >= 1 + n * frames, what="frames made up for")
+        for count in range(1, 4):
+            cloth.publish_clock(100 * SECOND + count * step)
+            client.spin_until(lambda n=count: cloth.simulation.frame >= 1 + n * frames, what="frames made up for")
         assert cloth.simulation.frame == 1 + 3 * frames
         report = cloth.wait_for_report(DiagnosticStatus.OK, "")
         assert report["late_frames"] == "0"

@@ -33,8 +33,8 @@ def test_a_stop_is_told_once_however_often_it_is_asked_for() -> None:
     topics = ObstacleTopics(node, cloth, nothing, nothing, ThrottledLog(log, seconds=0.0))  # type: ignore[arg-type]
     # Two are stopped together, and commanded on into the cloth in every frame or every other one.
     for index in range(1, 200):
-        halted = ("iron", "gripper") if index % 2 else ()
-        topics.send(attrs.evolve(frame, index=index, halted=halted), 0)
+        stopped = ("iron", "gripper") if index % 2 else ()
+        topics.send(attrs.evolve(frame, index=index, halted=stopped), 0)
     assert log.lines == [
         "'iron', 'gripper' are stopped: with what else is there they would have left the cloth no room; they stand "
         "still until they are commanded anew"
@@ -49,16 +49,16 @@ def test_a_stop_is_told_once_however_often_it_is_asked_for() -> None:
 def test_contact_is_noticed_once_when_it_begins() -> None:
     cloth = Simulation(Scene.from_parameters({**FALLING, "contact.self": True}))
     watch = FirstContact(cloth)
-    seen = [(cloth.frame, touched) for _ in range(60) if (touched := watch.look(cloth.advance()))]
-    assert [touched for _, touched in seen] == ["'floor'"]
+    seen = [(cloth.frame, contacts) for _ in range(60) if (contacts := watch.new_contacts(cloth.advance()))]
+    assert [contacts for _, contacts in seen] == ["'floor'"]
     assert 2 < seen[0][0] < 20
     free = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5]}))
-    assert not any(FirstContact(free).look(free.advance()) for _ in range(5))
+    assert not any(FirstContact(free).new_contacts(free.advance()) for _ in range(5))
 
 
 def test_each_gripper_that_pinches_is_a_contact_of_its_own() -> None:
     cloth = Simulation(Scene.from_parameters({**FALLING, "gripper.mode": "pinch"}))
     watch, frame = FirstContact(cloth), cloth.advance()
-    touching = attrs.evolve(frame, wrenches=np.ones((1, 6)), loads=np.ones((1, 6)))
-    assert watch.look(touching) == "'floor', 'gripper'"
-    assert not watch.look(touching)
+    pressing = attrs.evolve(frame, wrenches=np.ones((1, 6)), loads=np.ones((1, 6)))
+    assert watch.new_contacts(pressing) == "'floor', 'gripper'"
+    assert not watch.new_contacts(pressing)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import rclpy.utilities
 
-from cloth_sim_ros.ros.given_parameters import given_parameters
+from cloth_sim_ros.ros.command_line_parameters import command_line_parameters
 from cloth_sim_ros.ros.transports import cloud_transports, segment_bytes
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -34,12 +34,12 @@ def set_room(monkeypatch: pytest.MonkeyPatch, free: int) -> None:
 
 
 def test_segment_holds_what_a_suspended_subscriber_pins() -> None:
-    few, some, many = (segment_bytes({"cloth.resolution": [side, side]}) for side in (10, 64, 128))
+    small, medium, large = (segment_bytes({"cloth.resolution": [cells, cells]}) for cells in (10, 64, 128))
     cloud, mesh = 100 * 12, 2 * 9 * 9 * 72
-    assert few >= 3 * 60 * (cloud + mesh)
+    assert small >= 3 * 60 * (cloud + mesh)
     # A queue has 512 places for buffers of 65,500 bytes; and what is being sent.
-    assert some >= 512 * 65_500 + 64 * 64 * 12 + 2 * 63 * 63 * 72
-    assert few < some < many
+    assert medium >= 512 * 65_500 + 64 * 64 * 12 + 2 * 63 * 63 * 72
+    assert small < medium < large
 
 
 @pytest.mark.parametrize(
@@ -129,9 +129,11 @@ def test_given_parameters_follow_the_command_line(tmp_path: Path) -> None:
         "other:\n  ros__parameters:\n    rate: 1.0\n"
     )
     renamed = ["cloth_sim", "--ros-args", "-r", "__ns:=/left", "--remap", "__node:=towel"]
-    found = given_parameters([*renamed, "--params-file", str(file), "-p", "rate:=90.0", "-p", "other:gravity:=[1.0]"])
-    assert found == {"rate": 90.0, "cloth.resolution": [7, 8]}
-    assert given_parameters(["cloth_sim", "-p", "rate:=1.0"]) == {}
+    values = command_line_parameters(
+        [*renamed, "--params-file", str(file), "-p", "rate:=90.0", "-p", "other:gravity:=[1.0]"]
+    )
+    assert values == {"rate": 90.0, "cloth.resolution": [7, 8]}
+    assert command_line_parameters(["cloth_sim", "-p", "rate:=1.0"]) == {}
 
 
 @pytest.mark.parametrize("text", ["a: [", "- 1", "\0", "x:\n  y: 1\n"])
@@ -139,4 +141,4 @@ def test_given_parameters_leave_refusals_to_the_node(tmp_path: Path, text: str) 
     file = tmp_path / "bad.yaml"
     file.write_text(text)
     arguments = ["cloth_sim", "--ros-args", "--params-file", str(file), "-p", "rate:=[", "-p", "rate", "--params-file"]
-    assert given_parameters(arguments) == {}
+    assert command_line_parameters(arguments) == {}

@@ -49,8 +49,8 @@ def test_faults_that_no_range_shows_are_named_together() -> None:
         "obstacles": ["table"],
         "contact.friction": [0.1, 0.2],
     }
-    found = sentences(values)
-    assert len(found) == len(values)
+    refusals = sentences(values)
+    assert len(refusals) == len(values)
     starts = (
         "cloth.resolution 4096 x 4096 makes 16777216 particles",
         "tolerance is 1e-15 m, finer than rounding",
@@ -61,7 +61,7 @@ def test_faults_that_no_range_shows_are_named_together() -> None:
         "contact.friction is 0.1 at rest and 0.2 in motion",
     )
     for start in starts:
-        assert [sentence for sentence in found if sentence.startswith(start)], start
+        assert [sentence for sentence in refusals if sentence.startswith(start)], start
 
 
 def test_single_fault_is_an_error_of_one_sentence() -> None:

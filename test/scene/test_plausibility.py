@@ -49,10 +49,10 @@ def test_mesh_in_millimetres_is_told_with_its_remedy() -> None:
 def test_scale_is_a_factor_of_the_files_coordinates() -> None:
     scaled = Scene.from_parameters({**MESH, "cloth.scale": 0.001}, files=FILES).sheet.positions()
     assert scaled.tolist() == (0.001 * read(SQUARE, name="square.obj").positions).tolist()
-    far = SQUARE.replace(b"400", b"4e8")
-    assert len(read(far, name="square.obj", scale=1e-9).positions) == 4
+    distant = SQUARE.replace(b"400", b"4e8")
+    assert len(read(distant, name="square.obj", scale=1e-9).positions) == 4
     with pytest.raises(ValueError, match=r"positions are in metres, so scale the mesh \(cloth.scale\)"):
-        read(far, name="square.obj")
+        read(distant, name="square.obj")
 
 
 @pytest.mark.parametrize(
@@ -71,15 +71,15 @@ def test_implausible_extent_or_mass_is_told(values: dict[str, Any], words: str) 
 
 
 def test_cloud_coarser_than_the_tolerance_is_told() -> None:
-    far = {"cloth.position": [1e4, 0.0, 1.0], "tolerance": 1e-4}
-    (sentence,) = sentences(**far)
+    distant = {"cloth.position": [1e4, 0.0, 1.0], "tolerance": 1e-4}
+    (sentence,) = sentences(**distant)
     assert sentence == (
         "clouds resolve 0.00098 m at 1e+04 m from the origin of 'world', coarser than the tolerance of 0.0001 m: "
         "choose a nearer frame (frame_id), or set points.double: true"
     )
-    assert sentences(**far, **{"points.double": True}) == []
-    assert sentences(**{**far, "tolerance": 0.01}) == []
-    assert sentences(**{**far, "tolerance": 0.0}) == []
+    assert sentences(**distant, **{"points.double": True}) == []
+    assert sentences(**{**distant, "tolerance": 0.01}) == []
+    assert sentences(**{**distant, "tolerance": 0.0}) == []
 
 
 def test_obstacle_in_millimetres_is_told_with_its_remedy() -> None:

@@ -102,8 +102,8 @@ def test_triangle_strips_are_triangles() -> None:
 @pytest.mark.parametrize("element", ["vertex", "face"])
 def test_ply_count_beyond_the_file_is_refused(element: str, count: str, form: str) -> None:
     data = TEXT if form == "ascii" else binary("<" if "little" in form else ">")
-    number = {"vertex": 5, "face": 2}[element]
-    data = data.replace(f"element {element} {number}".encode(), f"element {element} {count}".encode())
+    row = {"vertex": 5, "face": 2}[element]
+    data = data.replace(f"element {element} {row}".encode(), f"element {element} {count}".encode())
     with pytest.raises(ValueError, match=r"no readable PLY file: it ends after|its header says .* bytes follow"):
         mesh_file.read(data, name="cloth.ply")
 

@@ -25,7 +25,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.run import verify
 
 #: A cloth at map coordinates, where single precision resolves 1 mm.
-FAR: dict[str, Any] = {
+DISTANT: dict[str, Any] = {
     "cloth.resolution": [6, 5],
     "cloth.size": [0.3, 0.3],
     "cloth.position": [1e4, -1e4, 1.0],
@@ -36,7 +36,7 @@ FRAMES = 6
 
 
 def session(folder: Path, *, frames: int = FRAMES, **further: Any) -> SessionMaker:
-    maker = SessionMaker(folder, Scene.from_parameters({**FAR, **further}))
+    maker = SessionMaker(folder, Scene.from_parameters({**DISTANT, **further}))
     for _ in range(frames):
         maker.add()
     return maker
@@ -50,15 +50,15 @@ def test_double_clouds_are_verified_to_the_last_bit(tmp_path: Path, velocity: bo
     assert verdict.clouds == FRAMES
 
 
-@pytest.mark.parametrize("place", [24 * 30, 8])
-def test_one_flipped_bit_of_a_double_is_found(tmp_path: Path, place: int) -> None:
+@pytest.mark.parametrize("byte", [24 * 30, 8])
+def test_one_flipped_bit_of_a_double_is_found(tmp_path: Path, byte: int) -> None:
     maker = session(tmp_path, **{"points.velocity": True})
 
     def spoil(topic: str, data: bytes) -> bytes:
         if topic != f"{NODE}/points":
             return data
         flipped = bytearray(data)
-        flipped[-place] ^= 1
+        flipped[-byte] ^= 1
         return bytes(flipped)
 
     maker.add(change=spoil)
@@ -78,7 +78,7 @@ def test_precision_may_change_while_the_cloth_runs(tmp_path: Path) -> None:
 def test_precision_of_clouds_is_no_part_of_the_motion(tmp_path: Path) -> None:
     digests = []
     for double in (False, True):
-        simulation = Simulation(Scene.from_parameters({**FAR, "points.double": double}))
+        simulation = Simulation(Scene.from_parameters({**DISTANT, "points.double": double}))
         for _ in range(FRAMES):
             simulation.advance()
         digests.append(simulation.state.digest())
@@ -98,7 +98,7 @@ def test_export_keeps_double_precision(tmp_path: Path) -> None:
 
 
 def test_run_of_a_study_records_double_clouds(tmp_path: Path) -> None:
-    simulation = Simulation(Scene.from_parameters(FAR))
+    simulation = Simulation(Scene.from_parameters(DISTANT))
     recording = RunRecording(tmp_path, simulation, name="run", clouds=True)
     recording.add((), simulation.advance())
     path = recording.finish(reason="done")

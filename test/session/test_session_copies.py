@@ -60,9 +60,9 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def contents(path: Path) -> list[tuple[str, str, bytes, int, int, int]]:
     with SessionReader(path, strict=True) as reader:
-        found = [tuple(message) for message in reader.messages()]
+        messages = [tuple(message) for message in reader.messages()]
         assert reader.parts[0].damage == ()
-    return found
+    return messages
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -192,9 +192,9 @@ def test_copy_without_chunks_that_was_cut_off_is_recovered(session: Path, tmp_pa
     copy.write_bytes(data[: len(data) * 2 // 3])
     whole = contents(session)
     recovery = recover(copy)
-    found = contents(recovery.path)
-    assert found == whole[: len(found)]
-    assert recovery.messages == len(found) > len(whole) // 2
+    recovered = contents(recovery.path)
+    assert recovered == whole[: len(recovered)]
+    assert recovery.messages == len(recovered) > len(whole) // 2
     for path in (copy, recovery.path):
         verdict = verify([path])
         assert verdict.same, verdict.first_reason
@@ -252,8 +252,8 @@ def test_copy_without_its_opening_is_told_by_replay_and_state(session: Path, tmp
 
 
 def test_merged_recordings_are_refused_with_the_cause(session: Path, tmp_path: Path) -> None:
-    other = make_grasp(tmp_path, seconds=0.1, stem="other", cloth__resolution=[4, 4])
-    merged = copy_by_tool(session, tmp_path / "merged.mcap", more=(other,))
+    second = make_grasp(tmp_path, seconds=0.1, stem="other", cloth__resolution=[4, 4])
+    merged = copy_by_tool(session, tmp_path / "merged.mcap", more=(second,))
     with pytest.raises(SessionError, match="the openings of two recordings"):
         SessionReader(merged)
 

@@ -22,17 +22,17 @@ BALL = {
 }
 
 
-def commands(number: int, draw: random.Random) -> list[Event]:
+def commands(index: int, draw: random.Random) -> list[Event]:
     """A ball and a gripper that are sent anywhere every few frames."""
     events: list[Event] = []
-    if number % 3 == 0:
+    if index % 3 == 0:
         x, y, z = (draw.uniform(-0.3, 0.6) for _ in range(3))
         events.append(Move("ball", (x, y, z), (0.0, 0.0, 0.0, 1.0)))
-    if number == 4:
+    if index == 4:
         events.append(Grasp("gripper", True))
-    if number == 0:
+    if index == 0:
         events.append(Target("gripper", (0.4, -0.3, 0.4)))
-    elif number % 5 == 0:
+    elif index % 5 == 0:
         x, y, z = (draw.uniform(-0.5, 0.8) for _ in range(3))
         events.append(Target("gripper", (x, y, z)))
     return events
@@ -50,9 +50,9 @@ def test_no_tolerance_asks_for_no_error_estimate(more: dict[str, Any], integrato
     scene = {"integrator": integrator, "tolerance": 0.0, "rate": 240.0, "work_limit": work, **BALL, **more}
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (8, 8), **scene}))
     draw = random.Random(seed)
-    for number in range(45):
+    for index in range(45):
         try:
-            advance = simulation.advance(commands(number, draw)).advance
+            advance = simulation.advance(commands(index, draw)).advance
         except UnstableError:
             # Finer steps than the work limit has room for: said so, which is all that is asked of it here.
             return

@@ -35,34 +35,34 @@ def corner(cloth: Simulation, y: float = 0.0) -> tuple[float, ...]:
     return x0, y0 + y, z0
 
 
-def place(cloth: Simulation, index: int = 0) -> np.ndarray:
+def position(cloth: Simulation, index: int = 0) -> np.ndarray:
     return cloth.grippers.poses()[index, :3]
 
 
 @pytest.mark.parametrize("jump", [1.0, 100.0])
 def test_jump_is_followed_at_the_limit(jump: float) -> None:
     cloth = cloth_at(**{"gripper.max_speed": 60.0})
-    before, ways = place(cloth), []
+    before, ways = position(cloth), []
     cloth.advance([Target("gripper", corner(cloth, jump), NO_TURN)])
     assert cloth.grippers.limited == ({} if jump == 1.0 else {"gripper": pytest.approx(60.0 * jump)})
     while True:
-        ways.append(float(np.linalg.norm(place(cloth) - before)))
-        before = place(cloth)
+        ways.append(float(np.linalg.norm(position(cloth) - before)))
+        before = position(cloth)
         if not cloth.grippers.limited:
             break
         cloth.advance()
     assert max(ways) <= 1.0 + 1e-6
     assert len(ways) == math.ceil(jump)
-    assert place(cloth) == pytest.approx(corner(cloth, jump))
+    assert position(cloth) == pytest.approx(corner(cloth, jump))
 
 
 def test_default_limits_a_wrong_target_and_forgets_it() -> None:
     cloth = cloth_at()
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
-    assert place(cloth)[1] - corner(cloth)[1] == pytest.approx(MAX_SPEED / 60.0)
+    assert position(cloth)[1] - corner(cloth)[1] == pytest.approx(MAX_SPEED / 60.0)
     assert cloth.grippers.limited == {"gripper": pytest.approx(60.0)}
     cloth.advance([Target("gripper", corner(cloth))])
-    assert place(cloth) == pytest.approx(corner(cloth))
+    assert position(cloth) == pytest.approx(corner(cloth))
     assert not cloth.grippers.limited
 
 
@@ -79,14 +79,14 @@ def test_velocity_is_continuous_at_the_limit() -> None:
     assert np.abs(np.array(begins[1:]) - np.array(ends[:-1])).max() < 1e-9
     # Once it is at its limit it goes on at it.
     assert begins[3][1] == pytest.approx(2.0)
-    assert place(cloth) == pytest.approx(corner(cloth, 0.3))
+    assert position(cloth) == pytest.approx(corner(cloth, 0.3))
 
 
 def test_half_turn_is_limited_by_what_is_held() -> None:
     values = {"gripper.radius": 0.3, "cloth.size": [1.0, 1.0], "gripper.max_speed": 2.0}
     held, free = cloth_at(**values), cloth_at(closed=False, **values)
     particles = held.grippers.held(0)
-    reach = float(np.linalg.norm(held.positions[particles] - place(held), axis=1).max())
+    reach = float(np.linalg.norm(held.positions[particles] - position(held), axis=1).max())
     for cloth in (held, free):
         cloth.advance([Target("gripper", corner(cloth), HALF_TURN)])
     # Nothing is held, so nothing moves.
@@ -103,11 +103,11 @@ def test_each_gripper_has_its_own_limit() -> None:
     values = {"left.max_speed": 3.0, "gripper.max_speed": 0.0}
     cloth = cloth_at("left", "right", **values)
     cloth.advance([Target(name, corner(cloth, 1.0)) for name in ("left", "right")])
-    assert place(cloth, 0)[1] - corner(cloth)[1] == pytest.approx(3.0 / 60.0)
-    assert place(cloth, 1) == pytest.approx(corner(cloth, 1.0))
+    assert position(cloth, 0)[1] - corner(cloth)[1] == pytest.approx(3.0 / 60.0)
+    assert position(cloth, 1) == pytest.approx(corner(cloth, 1.0))
     assert list(cloth.grippers.limited) == ["left"]
     cloth.advance([SetParameters({"right.max_speed": 1.0}), Target("right", corner(cloth))])
-    assert corner(cloth, 1.0)[1] - place(cloth, 1)[1] == pytest.approx(1.0 / 60.0)
+    assert corner(cloth, 1.0)[1] - position(cloth, 1)[1] == pytest.approx(1.0 / 60.0)
     assert cloth.scene.parameters()["right.max_speed"] == 1.0
 
 
@@ -116,10 +116,10 @@ def test_motion_up_to_the_limit_keeps_every_bit(speed: float) -> None:
     limited, free = cloth_at(**{"gripper.max_speed": speed}), cloth_at(**{"gripper.max_speed": 0.0})
     for k in range(30):
         # The limit exactly, but for rounding, then back and turning.
-        way = min(k, 15) * speed / 60.0
+        distance = min(k, 15) * speed / 60.0
         turned = (0.0, 0.0, 0.01 * k, 1.0)
         for cloth in (limited, free):
-            cloth.advance([Target("gripper", corner(cloth, way), turned if k > 15 else None)])
+            cloth.advance([Target("gripper", corner(cloth, distance), turned if k > 15 else None)])
         assert not limited.grippers.limited
         assert limited.state.digest() == free.state.digest()
 
@@ -129,7 +129,7 @@ def test_limit_changes_while_the_cloth_runs_and_reset_clears() -> None:
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
     assert cloth.grippers.limited
     cloth.advance([SetParameters({"gripper.max_speed": 0.0})])
-    assert place(cloth) == pytest.approx(corner(cloth, 1.0))
+    assert position(cloth) == pytest.approx(corner(cloth, 1.0))
     cloth.advance([SetParameters({"gripper.max_speed": 1.0}), Target("gripper", corner(cloth))])
     assert cloth.grippers.limited
     cloth.advance([Reset()])
@@ -140,17 +140,17 @@ def test_limit_holds_while_cloth_is_held() -> None:
     cloth = cloth_at(closed=False, **{"gripper.max_speed": 1.0})
     for y in (1.0, 100.0, 0.0):
         cloth.advance([Target("gripper", corner(cloth, y))])
-        assert place(cloth) == pytest.approx(corner(cloth, y))
+        assert position(cloth) == pytest.approx(corner(cloth, y))
     cloth.advance([Grasp("gripper", True)])
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
-    assert place(cloth)[1] - corner(cloth)[1] == pytest.approx(1.0 / 60.0)
+    assert position(cloth)[1] - corner(cloth)[1] == pytest.approx(1.0 / 60.0)
     # The events of a frame come before its motion: let go, it jumps.
     cloth.advance([Grasp("gripper", False)])
-    assert place(cloth) == pytest.approx(corner(cloth, 1.0))
+    assert position(cloth) == pytest.approx(corner(cloth, 1.0))
     # Closed on nothing, it does so too.
     cloth.advance([Grasp("gripper", True)])
     cloth.advance([Target("gripper", corner(cloth))])
-    assert place(cloth) == pytest.approx(corner(cloth))
+    assert position(cloth) == pytest.approx(corner(cloth))
 
 
 def test_pads_keep_to_the_smaller_limit() -> None:
@@ -159,5 +159,5 @@ def test_pads_keep_to_the_smaller_limit() -> None:
         cloth = Simulation(Scene.from_parameters({**BASE, **values, "gripper.max_speed": speed}))
         cloth.advance([Target("gripper", (0.0, 0.0, 1.0))])
         cloth.advance([Target("gripper", (0.0, 1.0, 1.0))])
-        assert place(cloth)[1] == pytest.approx(most / 60.0)
+        assert position(cloth)[1] == pytest.approx(most / 60.0)
         assert list(cloth.grippers.limited) == ["gripper"]

@@ -40,14 +40,14 @@ def in_threads(job: Callable[[int], None], count: int = THREADS) -> None:
     """Run a job in so many threads at once, and raise what one of them raised."""
     begin, errors = threading.Barrier(count), list[BaseException]()
 
-    def run(number: int) -> None:
+    def run(index: int) -> None:
         try:
             begin.wait(20.0)
-            job(number)
+            job(index)
         except BaseException as error:
             errors.append(error)
 
-    threads = [threading.Thread(target=run, args=(number,), daemon=True) for number in range(count)]
+    threads = [threading.Thread(target=run, args=(index,), daemon=True) for index in range(count)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -90,8 +90,8 @@ def test_positions_read_beside_frames_are_of_a_frame() -> None:
     expected = {alone.positions.tobytes(), *((alone.advance(), alone.positions.tobytes())[1] for _ in range(FRAMES))}
     done = threading.Event()
 
-    def go(number: int) -> None:
-        if number:
+    def go(index: int) -> None:
+        if index:
             while not done.is_set():
                 assert shared.positions.tobytes() in expected
             return
@@ -111,9 +111,9 @@ def test_events_of_several_threads_take_effect_whole() -> None:
     assert held
     start = shared.snapshot()
 
-    def go(number: int) -> None:
+    def go(index: int) -> None:
         for k in range(FRAMES):
-            if number == 0 and k % 8 == 7:
+            if index == 0 and k % 8 == 7:
                 shared.restore(start)
             else:
                 frame = shared.advance([Grasp("gripper", k % 2 == 0), Pause(False)])

@@ -35,8 +35,8 @@ def opening(session: Path) -> bytes:
 
     with session.open("rb") as file:
         position = 8
-        while (place := place_at(file, position)) is not None and place.opcode != _CHUNK:
-            position = place.end
+        while (record := place_at(file, position)) is not None and record.opcode != _CHUNK:
+            position = record.end
         file.seek(0)
         return file.read(position)
 
@@ -73,9 +73,9 @@ def false_heads(size: int) -> bytes:
     count = size // head
     out = bytearray()
     for k in range(count):
-        rest = (count - k - 1) * head
-        out += chunk(b"", "", rest, crc=1)[:-8] + struct.pack("<Q", rest)
-        struct.pack_into("<Q", out, k * head + 1, 40 + rest)
+        remaining = (count - k - 1) * head
+        out += chunk(b"", "", remaining, crc=1)[:-8] + struct.pack("<Q", remaining)
+        struct.pack_into("<Q", out, k * head + 1, 40 + remaining)
     return bytes(out)
 
 
@@ -128,7 +128,7 @@ def sparse(path: Path, size: int, start: bytes = b"") -> Path:
 
 
 class Measured(NamedTuple):
-    """How a command took a file."""
+    """Result of a command that reads a file."""
 
     status: int
     said: str

@@ -64,8 +64,8 @@ def copy_by_tool(
         for topic, count in extra.items():
             schema = writer.register_schema("std_msgs/msg/Bool", "ros2msg", b"bool data")
             channel = writer.register_channel(topic, "cdr", schema)
-            for number in range(count):
-                writer.add_message(channel, number, b"\x00\x01\x00\x00\x01", number, number)
+            for sequence in range(count):
+                writer.add_message(channel, sequence, b"\x00\x01\x00\x00\x01", sequence, sequence)
         writer.finish()
     return target
 

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clusters of mesh vertices that are copies of one vertex, up to rounding.
 
-A program that closes a seam by sin(2 pi), or that writes each triangle with a rounding of its own, leaves copies of a
-vertex that differ in their last digits. Two vertices are linked if they are closer than the limit; linked vertices are
-one cluster, and its lowest vertex stands for it. A cluster with a vertex further than twice the limit from its lowest
-one is no set of copies but a fine part of the mesh: it is left as it is.
+Some programs close a seam by sin(2 pi), or round each triangle by itself. They leave copies of a vertex that differ in
+their last digits. Two vertices are linked if they are closer than the limit; linked vertices are
+one cluster, and its lowest vertex stands for it. A cluster with a vertex further than twice the limit from its
+lowest one is a fine part of the mesh. It is left as it is.
 
 The result depends on positions and order alone: every distance is computed by single additions and multiplications in
 double precision, which every machine rounds alike.
@@ -66,9 +66,9 @@ def clusters(points: Array, limit: float) -> NDArray[np.int64]:
     lowest = np.arange(len(points))
     if not limit > 0.0 or len(points) < 2:
         return lowest
-    near = _candidates(points, limit)
-    if near.size:
-        lowest[near] = near[_linked(points[near], limit)]
+    candidates = _candidates(points, limit)
+    if candidates.size:
+        lowest[candidates] = candidates[_linked(points[candidates], limit)]
     wide = lowest[_square(points, points[lowest]) > 4.0 * limit * limit]
     if wide.size:
         apart = np.isin(lowest, wide)
@@ -103,9 +103,9 @@ def _linked(points: Array, limit: float) -> NDArray[np.int64]:
             same = first[away:] == first[:-away]
             if not np.any(same):
                 break
-            one, two = order[:-away][same], order[away:][same]
-            apart = lowest[one] != lowest[two]
-            links.append(_closer(points, one[apart], two[apart], limit))
+            firsts, seconds = order[:-away][same], order[away:][same]
+            apart = lowest[firsts] != lowest[seconds]
+            links.append(_closer(points, firsts[apart], seconds[apart], limit))
             if sum(map(len, links)) > _PENDING:
                 lowest = _lowest(lowest, *links)
                 links = []
@@ -114,10 +114,10 @@ def _linked(points: Array, limit: float) -> NDArray[np.int64]:
     return lowest
 
 
-def _closer(points: Array, one: NDArray[np.int64], two: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
+def _closer(points: Array, firsts: NDArray[np.int64], seconds: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
     """Those pairs of vertices that are closer than a limit, (p, 2)."""
-    near = _square(points[one], points[two]) < limit * limit
-    return np.stack((one[near], two[near]), axis=1)
+    is_close = _square(points[firsts], points[seconds]) < limit * limit
+    return np.stack((firsts[is_close], seconds[is_close]), axis=1)
 
 
 def _lowest(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -126,8 +126,8 @@ def _lowest(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.
     from scipy.sparse.csgraph import connected_components
 
     count = len(lowest)
-    one, two = np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)).T
-    graph = coo_array((np.ones(len(one), dtype=np.int8), (one, two)), shape=(count, count))
+    firsts, seconds = np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)).T
+    graph = coo_array((np.ones(len(firsts), dtype=np.int8), (firsts, seconds)), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)
     return first[label].astype(np.int64)
@@ -144,9 +144,9 @@ def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[n
     return order, np.repeat(np.cumsum(sizes) - sizes, sizes)
 
 
-def _square(one: Array, two: Array) -> Array:
+def _square(firsts: Array, seconds: Array) -> Array:
     """Squares of distances between vertices (n, 3) and others [m^2], (n,)."""
-    away = one - two
+    away = firsts - seconds
     x, y, z = away.T
     square: Array = x * x + y * y + z * z
     return square

@@ -34,7 +34,7 @@ FLATNESS = 1e-6
 #: The largest coordinate [m] and the smallest extent of a whole mesh [m] that are taken for a cloth's in metres.
 FARTHEST, SMALLEST = 1e6, 1e-6
 #: Most work on corners tried in vain, of all faces of a mesh: the corners of the face for each, and what any costs.
-_MOST_TRIED, _TRY = 3_000_000, 64
+_MAX_TRIED, _TRY = 3_000_000, 64
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -154,18 +154,18 @@ def _merged(points: Array, faces: NDArray[np.int64], limit: float, notes: list[s
     if not moved.size:
         return faces, 0
     extent = merge_limit(points[used]) / MERGE_SHARE
-    place = np.arange(len(points))
-    place[used] = lowest
-    merged, repeated = place[faces], _collapsed(faces)
+    vertex_map = np.arange(len(points))
+    vertex_map[used] = lowest
+    merged, repeated = vertex_map[faces], _collapsed(faces)
     proper = ~_collapsed(merged)
     flat = int(np.sum(~proper & ~repeated))
     before = faces[proper]
     _, first, same = np.unique(np.sort(merged[proper], axis=1), axis=0, return_index=True, return_inverse=True)
     if len(first) < len(before):
         twin = first[same.ravel()]
-        other = int(np.argmax(twin != np.arange(len(before))))
+        copy = int(np.argmax(twin != np.arange(len(before))))
         raise SurfaceError(
-            f"triangles {before[twin[other]].tolist()} and {before[other].tolist()} lie on one another: their vertices "
+            f"triangles {before[twin[copy]].tolist()} and {before[copy].tolist()} lie on one another: their vertices "
             f"are closer than {limit:.3g}, {limit / extent:.1g} of the mesh's extent. Remove one of them, or, if they "
             "are two layers of cloth, set cloth.merge: false"
         )
@@ -197,12 +197,12 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
             raise SurfaceError(f"face {number} is {list(polygon)}; a face has at least 3 corners")
         if min(polygon) < 0 or max(polygon) >= len(positions):
             raise SurfaceError(f"face {number} is {list(polygon)}; vertices are 0 to {len(positions) - 1}")
-        begin, vain = _fan_corner(positions[list(polygon)], (_MOST_TRIED - tried) // (len(polygon) + _TRY))
-        tried += vain * (len(polygon) + _TRY)
-        if tried > _MOST_TRIED:
+        begin, failures = _fan_corner(positions[list(polygon)], (_MAX_TRIED - tried) // (len(polygon) + _TRY))
+        tried += failures * (len(polygon) + _TRY)
+        if tried > _MAX_TRIED:
             raise SurfaceError(
                 f"face {number} has {len(polygon)} corners and is concave; too many corners of faces were tried "
-                f"for a fan of triangles (limit {_MOST_TRIED}); cut such faces into triangles in the program that made "
+                f"for a fan of triangles (limit {_MAX_TRIED}); cut such faces into triangles in the program that made "
                 "them"
             )
         if begin is None:
@@ -319,8 +319,8 @@ def _without_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]
 
 def _collapsed(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Tell which triangles (m, 3) have a repeated vertex, (m,)."""
-    one, two, three = faces.T
-    return (one == two) | (two == three) | (three == one)
+    first, second, third = faces.T
+    return (first == second) | (second == third) | (third == first)
 
 
 def _check_edges(faces: NDArray[np.int64], points: Array) -> None:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Seams of a mesh that look closed and are open.
 
-Two vertices of the border are one seam's if they are closer than a hundredth of the shortest border edge at either of
-them; so is a vertex and a border edge of another triangle if it lies within a hundredth of the edge's length of it.
+Two vertices of the border are one seam's if they are closer than a hundredth of the shortest border edge at either.
+A vertex and a border edge of another triangle are one seam's if they are closer than a hundredth of the edge's length.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.forces.force import Array
 
 #: Share of the local edge length below which two places of the border look joined.
 SEAM_SHARE = 0.01
-#: Neighbours of a border vertex that are looked at.
+#: Neighbours of a border vertex that are examined.
 _NEIGHBOURS = 8
 #: Edges of the border, and pairs of an edge and a vertex, up to which vertices are looked for on edges: a border has a
 #: few thousand edges, and triangles that do not hang together have three each.
@@ -36,13 +36,13 @@ class OpenSeam:
 
     def describe(self, points: Array) -> str:
         """Return a sentence for a log; points: vertices [m], (n, 3)."""
-        place = ", ".join(f"{value:.6g}" for value in points[self.vertex])
-        one = self.count == 1
+        position = ", ".join(f"{value:.6g}" for value in points[self.vertex])
+        single = self.count == 1
         return (
-            f"{self.count} border {'vertex lies' if one else 'vertices lie'} within a hundredth of an edge of another "
-            f"part of the border and {'is' if one else 'are'} not joined to it; the closest, vertex {self.vertex} at "
-            f"[{place}], is {self.distance:.3g} m away. If that is a seam, it is open: merge by distance in the "
-            "program that made the mesh"
+            f"{self.count} border {'vertex lies' if single else 'vertices lie'} within a hundredth of an edge of "
+            f"another part of the border and {'is' if single else 'are'} not joined to it; the closest, vertex "
+            f"{self.vertex} at [{position}], is {self.distance:.3g} m away. If that is a seam, it is open: merge by "
+            "distance in the program that made the mesh"
         )
 
 
@@ -73,13 +73,13 @@ def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.in
     shortest = np.full(len(vertices), np.inf)
     np.minimum.at(shortest, ends.ravel(), np.repeat(lengths, 2))
     tree = cKDTree(points[vertices])
-    away, near = tree.query(points[vertices], k=_NEIGHBOURS, distance_upper_bound=SEAM_SHARE * lengths.max())
+    away, nearest = tree.query(points[vertices], k=_NEIGHBOURS, distance_upper_bound=SEAM_SHARE * lengths.max())
     reach = np.append(shortest, 0.0)
-    itself = near == np.arange(len(vertices))[:, None]
-    looks_joined = (away <= SEAM_SHARE * np.minimum(shortest[:, None], reach[near])) & ~itself
-    rows, columns = np.nonzero(looks_joined)
-    looks_joined[rows, columns] = ~_joined(triangles, vertices[rows], vertices[near[rows, columns]])
-    distances = np.where(looks_joined, away, np.inf).min(axis=1)
+    itself = nearest == np.arange(len(vertices))[:, None]
+    is_near = (away <= SEAM_SHARE * np.minimum(shortest[:, None], reach[nearest])) & ~itself
+    rows, columns = np.nonzero(is_near)
+    is_near[rows, columns] = ~_joined(triangles, vertices[rows], vertices[nearest[rows, columns]])
+    distances = np.where(is_near, away, np.inf).min(axis=1)
     at_edges = _at_edges(points, triangles, border, vertices, tree, lengths)
     distances = np.minimum(distances, at_edges)
     count = int(np.isfinite(distances).sum())
@@ -100,9 +100,9 @@ def _at_edges(
     """Distances of border vertices from the middle part of border edges of other triangles, where small [m]."""
     distances = np.full(len(vertices), np.inf)
     edges, which = near_edges(points, border, tree, lengths)
-    begin, side = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
-    share = ((points[vertices[which]] - begin) * side).sum(axis=1) / (side * side).sum(axis=1)
-    foot = points[vertices[which]] - begin - share[:, None] * side
+    begin, direction = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
+    share = ((points[vertices[which]] - begin) * direction).sum(axis=1) / (direction * direction).sum(axis=1)
+    foot = points[vertices[which]] - begin - share[:, None] * direction
     away = np.sqrt((foot * foot).sum(axis=1))
     inside = (share > SEAM_SHARE) & (share < 1.0 - SEAM_SHARE) & (away <= SEAM_SHARE * lengths[edges])
     # The third corner of a thin triangle lies near its own edge.
@@ -134,16 +134,16 @@ def near_edges(
     counts = tree.query_ball_point(middles, radii, return_length=True)  # type: ignore[attr-defined]
     if counts.sum() > _MAX_PAIRS:
         return none, none
-    found = tree.query_ball_point(middles, radii, return_sorted=True)  # type: ignore[attr-defined]
-    which = np.array([vertex for row in found for vertex in row], dtype=np.int64)
+    neighbours = tree.query_ball_point(middles, radii, return_sorted=True)  # type: ignore[attr-defined]
+    which = np.array([vertex for row in neighbours for vertex in row], dtype=np.int64)
     return np.repeat(np.arange(len(border)), counts), which
 
 
-def _joined(triangles: NDArray[np.int64], one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _joined(triangles: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Tell whether an edge joins each of some vertices (p,) to another (p,)."""
     count = int(triangles.max()) + 1
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    return np.isin(np.minimum(one, two) * count + np.maximum(one, two), edges[:, 0] * count + edges[:, 1])
+    return np.isin(np.minimum(first, second) * count + np.maximum(first, second), edges[:, 0] * count + edges[:, 1])
 
 
 def _opposite(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArray[np.int64]:

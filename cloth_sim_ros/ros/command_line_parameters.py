@@ -14,7 +14,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 _ASSIGN = ":="
 
 
-def given_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> dict[str, Any]:
+def command_line_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> dict[str, Any]:
     """Return the parameters of ROS arguments by full name, those of parameter files included; the last one counts.
 
     A value or a file that cannot be read is left out: the node refuses it in its own words.
@@ -53,13 +53,13 @@ def _rules(argv: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 def _full_name(remappings: Sequence[str], node: str) -> str:
     """Return a node's name with its namespace, after remapping; of several rules the first counts."""
-    found = {"__node": node, "__ns": "/"}
+    names = {"__node": node, "__ns": "/"}
     for rule in reversed(remappings):
         name, assigned, value = rule.partition(_ASSIGN)
         key = name.rpartition(":")[2].replace("__name", "__node")
-        if assigned and key in found:
-            found[key] = value
-    return "/".join(part for part in (found["__ns"].strip("/"), found["__node"]) if part)
+        if assigned and key in names:
+            names[key] = value
+    return "/".join(part for part in (names["__ns"].strip("/"), names["__node"]) if part)
 
 
 def _assignment(rule: str, node: str) -> dict[str, Any]:
