@@ -111,6 +111,8 @@ class WallPacer:
         self._bell: threading.Thread | None = None
         # Held by the thread that a frame runs in.
         self._running = threading.Lock()
+        #: Whether the executor was asked for a frame that it has not run yet: commands may wait to be taken first.
+        self._is_requested = False
         self._trouble: BaseException | None = None
 
     def start(self) -> None:
@@ -144,9 +146,10 @@ class WallPacer:
             if self._ended.acquire(timeout=max(0, wait) / _SECOND):
                 return
             self._rung = self._number()
-            is_concurrent = not late and self._beside and self._settled()
+            is_concurrent = self._beside and not late and not self._is_requested and self._settled()
             # While a frame is under way in the executor that one takes no commands, and this one will be late.
             if not is_concurrent or not self._running.acquire(blocking=False):
+                self._is_requested = True
                 self._guard.trigger()
                 continue
             try:
@@ -170,6 +173,7 @@ class WallPacer:
         # A frame under way that waits for nobody: the next one is rung for.
         if self._running.acquire(blocking=False):
             try:
+                self._is_requested = False
                 self._run()
             finally:
                 self._running.release()

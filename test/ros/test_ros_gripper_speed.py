@@ -120,15 +120,15 @@ def test_node_records_pose_of_limited_gripper(client: Client, tmp_path: Path) ->
         cloth.target("gripper", CORNER)
         cloth.grasp("gripper", True)
         cloth.tick(2)
-        cloth.target("gripper", beside(0.3))
+        cloth.target("gripper", sideways(0.3))
         cloth.tick(3)
         frame = cloth.simulation.frame
-        assert cloth.place("gripper") == pytest.approx(beside(0.3))
+        assert cloth.place("gripper") == pytest.approx(sideways(0.3))
     (path,) = tmp_path.glob("*.mcap")
     with SessionReader(path) as reader:
         frames = {shown.frame.frame: shown.frame for shown in reader.clouds() if shown.frame is not None}
     poses = [frames[k].extras.get("poses") for k in (frame - 2, frame - 1, frame)]
-    assert poses[0]["gripper"] == pytest.approx([*beside(10.0 / 60.0), 0.0, 0.0, 0.0, 1.0])
+    assert poses[0]["gripper"] == pytest.approx([*sideways(10.0 / 60.0), 0.0, 0.0, 0.0, 1.0])
     assert poses[1:] == [None, None]
     verdict = verify([path])
     assert verdict.same, verdict.first_reason
