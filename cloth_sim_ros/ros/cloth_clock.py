@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from lifecycle_msgs.msg import State
@@ -15,6 +16,9 @@ from cloth_sim_ros.ros.outputs import LATCHED, STREAM, Output, Tape
 
 #: Name of the topic below that of the node.
 TOPIC = "clock"
+#: A cloth is slow if its frames take more than so many times their simulated time. The target of the next frame then
+#: races with that frame, which begins at once; so it waits for a share of a frame and is taken by the one after.
+_SLOW, _SHARE = 1.2, 0.25
 
 
 class ClothClock:
@@ -53,6 +57,8 @@ class ClothTime:
         self.period = 0
         #: The latest time that was returned [ns].
         self._latest = 0
+        #: Steady time at which the newest frame was heard of, and the wall time between the last two [s].
+        self._arrival = self._interval = 0.0
         self._label = ""
         node.create_subscription(Clock, self._topic, self._take, STREAM)
         node.create_subscription(State, f"{target}/state", self._take_state, LATCHED)
@@ -68,6 +74,12 @@ class ClothTime:
         self._latest = max(self._latest, self._newest + self.period)
         return self._latest
 
+    @property
+    def send_time(self) -> float:
+        """Steady time at which the next target is to be sent [s]: at once, unless the cloth is slow."""
+        is_slow = self.period and self._interval > _SLOW * self.period / SECOND
+        return self._arrival + (_SHARE * self._interval if is_slow else 0.0)
+
     def describe(self) -> str:
         """Return what is known of a cloth whose time stands, as the end of a sentence."""
         if self._newest is None:
@@ -78,6 +90,8 @@ class ClothTime:
         before, self._newest = self._newest, read_stamp(message.clock)
         if before == self._newest:
             return
+        arrival = time.monotonic()
+        self._arrival, self._interval = arrival, arrival - self._arrival if before is not None else 0.0
         if before is not None and before < self._newest:
             # The least: a message may be lost.
             step = self._newest - before

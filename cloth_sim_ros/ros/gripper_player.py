@@ -37,6 +37,9 @@ class PlayedTime(Protocol):
 
     #: How far it goes on from one frame of the cloth to the next [ns]; 0 where it has none.
     period: int
+    @property
+    def send_time(self) -> float:
+        """Steady time at which the next target is to be sent, at the earliest [s]."""
 
     def now(self) -> int | None:
         """Return the time [ns]; None if it is not known yet."""
@@ -49,6 +52,7 @@ class NodeTime:
     """The ROS time of a client's own node."""
 
     period = 0
+    send_time = 0.0
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
@@ -172,6 +176,7 @@ class GripperPlayer:
         while self._proceed():
             now = self._newest_time()
             if now is not None and now != self._newest:
+                now = self._wait_to_send(now)
                 if self._go_on(now, time.monotonic() - moved, period):
                     return True
                 moved, waits = time.monotonic(), False
@@ -191,6 +196,12 @@ class GripperPlayer:
                 # The target of the next frame is sent as soon as that is known.
                 self._executor.spin_once(timeout_sec=period)
         return False
+
+    def _wait_to_send(self, now: int) -> int:
+        """Wait until the target of a time [ns] is to be sent, or a newer time comes; return the newest."""
+        while (left := self._played.send_time - time.monotonic()) > 0.0 and self._played.now() == now:
+            self._executor.spin_once(timeout_sec=left)
+        return self._played.now() or now
 
     def _newest_time(self) -> int | None:
         """Return the time [ns] after all messages that have arrived.
