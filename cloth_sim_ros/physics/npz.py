@@ -13,6 +13,8 @@ import zlib
 
 import numpy as np
 
+from cloth_sim_ros.physics.powers import whole_sum
+
 #: Most bytes of all arrays together, whatever they are compressed to.
 MAX_BYTES = 128 << 20
 _MAX_ARRAYS = 1000
@@ -66,7 +68,7 @@ def _check_sizes(data: bytes) -> None:
     """Refuse arrays that would take too much memory, before any is read."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
-    size = sum(entry.file_size for entry in entries)
+    size = whole_sum(entry.file_size for entry in entries)
     if size > MAX_BYTES:
         raise ValueError(f"its arrays have {size} bytes, the limit is {MAX_BYTES}")
     unsupported = [

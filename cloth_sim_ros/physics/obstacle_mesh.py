@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.powers import in_order, scalar_products
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.sheets.seams import open_seam
 
@@ -29,9 +30,9 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
     _check_arrays(vertices, triangles, most)
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     sides = np.stack([b - a, c - b, a - c])
-    longest = np.sqrt((sides * sides).sum(axis=2).max(axis=0))
+    longest = np.sqrt(scalar_products(sides, sides).max(axis=0))
     across = np.cross(sides[0], -sides[2])
-    area2 = np.sqrt((across * across).sum(axis=1))
+    area2 = np.sqrt(scalar_products(across, across))
     flat = np.flatnonzero(~(area2 > FLATNESS * longest * longest))
     if flat.size:
         raise ValueError(
@@ -60,7 +61,8 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
         )
     for piece, members in enumerate(_pieces(triangles, count)):
         middle = vertices[triangles[members[0], 0]]
-        volume = float(np.sum((a - middle)[members] * np.cross((b - middle)[members], (c - middle)[members]))) / 6.0
+        one, two, three = (corner[members] - middle for corner in (a, b, c))
+        volume = in_order(scalar_products(one, np.cross(two, three)).tolist()) / 6.0
         if not volume > 0.0:
             raise ValueError(
                 f"piece {piece} of the mesh, with triangle {members[0]}, has the volume {volume:.3g} m^3: it is inside "

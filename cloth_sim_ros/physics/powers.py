@@ -31,11 +31,22 @@ def in_order(numbers: Iterable[float], start: float = 0.0) -> float:
     return reduce(add, numbers, start)
 
 
+def whole_sum(numbers: Iterable[int]) -> int:
+    """Return the sum of whole numbers, exact at any size."""
+    return reduce(add, numbers, 0)
+
+
 def in_rows(rows: np.ndarray) -> np.ndarray:
     """Return the sum of the rows of an array, each added to what those before came to: numpy's own sum of many rows
     goes pairwise, in blocks that depend on its version.
     """
     return reduce(add, rows, np.zeros(rows.shape[1:]))
+
+
+def scalar_products(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """Return the products of vectors (..., 3) with others, (...): x x + y y + z z, added in that order."""
+    first, second, third = (one[..., k] * two[..., k] for k in range(3))
+    return np.asarray(first + second + third)
 
 
 def root(value: float, degree: int) -> float:

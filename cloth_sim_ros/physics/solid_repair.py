@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import check_closed
+from cloth_sim_ros.physics.powers import scalar_products
 from cloth_sim_ros.physics.sheets.merging import clusters
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.sheets.seams import near_edges
@@ -68,7 +69,7 @@ def closed_solid(
     if not np.all(np.abs(vertices) <= _MAX_COORDINATE):
         return vertices, triangles, ()
     lowest = clusters(vertices, limit)
-    merged = int(np.sum(lowest != np.arange(len(vertices))))
+    merged = int(np.count_nonzero(lowest != np.arange(len(vertices))))
     triangles = _without_twins(lowest[triangles])
     notes = []
     if merged:
@@ -94,7 +95,7 @@ def _joined(
         thin = _flat(vertices, triangles, height)
         triangles = triangles[~thin]
         triangles, cuts = _split_edges(vertices, triangles, limit)
-        flat += needles + int(thin.sum())
+        flat += needles + int(np.count_nonzero(thin))
         split += cuts
         if not (needles or np.any(thin) or cuts):
             break
@@ -110,7 +111,7 @@ def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
     """Lengths of the sides from each corner to the next [m], (t, 3)."""
     corners = vertices[triangles]
     away = np.roll(corners, -1, axis=1) - corners
-    lengths: Array = np.sqrt((away * away).sum(axis=2))
+    lengths: Array = np.sqrt(scalar_products(away, away))
     return lengths
 
 
@@ -120,7 +121,7 @@ def _flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArr
     across = np.cross(b - a, c - a)
     longest = _sides(vertices, triangles).max(axis=1)
     least = np.maximum(FLATNESS * longest, height)
-    flat: NDArray[np.bool_] = ~(np.sqrt((across * across).sum(axis=1)) > least * longest)
+    flat: NDArray[np.bool_] = ~(np.sqrt(scalar_products(across, across)) > least * longest)
     return flat
 
 
@@ -148,7 +149,7 @@ def _without_needles(vertices: Array, triangles: NDArray[np.int64], height: floa
     """Merge the ends of the short side of flat triangles that have one; return the number of such triangles."""
     sides = _sides(vertices, triangles)
     needle = _flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
-    count = int(needle.sum())
+    count = int(np.count_nonzero(needle))
     if not count:
         return triangles, 0
     rows = triangles[needle]
@@ -185,15 +186,15 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
     tails, heads, thirds = tails[is_open], heads[is_open], thirds[is_open]
     border = np.unique(np.concatenate((tails, heads)))
     sides = vertices[heads] - vertices[tails]
-    lengths = np.sqrt((sides * sides).sum(axis=1))
+    lengths = np.sqrt(scalar_products(sides, sides))
     tree = cKDTree(vertices[border])
     edges, which = near_edges(vertices, np.stack((tails, heads), axis=1), tree, lengths)
     middle = border[which]
     away = vertices[middle] - vertices[tails[edges]]
-    share = (away * sides[edges]).sum(axis=1) / (lengths[edges] * lengths[edges])
+    share = scalar_products(away, sides[edges]) / (lengths[edges] * lengths[edges])
     foot = away - share[:, None] * sides[edges]
     tolerance = np.maximum(4.0 * limit, _ON_EDGE * lengths[edges])
-    lies_on = ((foot * foot).sum(axis=1) <= tolerance * tolerance) & (share > 0.0) & (share < 1.0)
+    lies_on = (scalar_products(foot, foot) <= tolerance * tolerance) & (share > 0.0) & (share < 1.0)
     lies_on &= (middle != tails[edges]) & (middle != heads[edges]) & (middle != thirds[edges])
     # Of the same gap: one border runs from the edge to the vertex.
     gap = _connected(np.stack((tails, heads), axis=1), len(vertices))

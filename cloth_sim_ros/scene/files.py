@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from cloth_sim_ros.physics.powers import whole_sum
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters import ParameterError
@@ -38,7 +39,7 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
         if not isinstance(name, str) or not name:
             continue
         content[name] = known[name] if name in known else _content(parameter, Path(folder) / name)
-        total = sum(map(len, content.values()))
+        total = whole_sum(map(len, content.values()))
         if total > MOST_BYTES:
             raise ParameterError(
                 f"{parameter} '{name}': the files of the scene have {total} bytes; at most {MOST_BYTES} are taken"

@@ -8,10 +8,13 @@ precision of clouds is coarser than the motion. Neither is an error, and both ar
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.scene.scene import Scene
 
 #: Extents [m] and masses [kg] of cloth that a robot handles: from a patch of a centimetre to a sail.
@@ -29,7 +32,7 @@ def cloth_size(scene: Scene, x: Array, masses: Array) -> str:
         masses: [kg], (n,).
     """
     return (
-        f"extent {_extent(x.T):.3g} m, mass {float(masses.sum()):.3g} kg, "
+        f"extent {_extent(x.T):.3g} m, mass {in_order(masses.tolist()):.3g} kg, "
         f"clouds resolve {cloud_resolution(x, double=scene.points.double):.2g} m"
     )
 
@@ -39,7 +42,7 @@ def implausible_sizes(scene: Scene, x: Array, masses: Array) -> list[str]:
     cloth = scene.cloth
     name = f"the mesh '{cloth.mesh}'" if cloth.mesh else "the cloth"
     sentences: list[str] = []
-    extent, mass = _extent(x.T), float(masses.sum())
+    extent, mass = _extent(x.T), in_order(masses.tolist())
     if not EXTENTS[0] <= extent <= EXTENTS[1]:
         if cloth.mesh:
             remedy = f"if its file is not in metres, set cloth.scale ({_factor(extent)})"
@@ -88,7 +91,8 @@ def _obstacle_sizes(scene: Scene) -> list[str]:
 
 def _extent(points: NDArray[np.float64]) -> float:
     """Diagonal of the bounding box of points (n, 3) [m]."""
-    return float(np.sqrt(np.square(np.ptp(points, axis=0)).sum()))
+    x, y, z = np.ptp(points, axis=0).tolist()
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def _factor(extent: float) -> str:

@@ -19,6 +19,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.powers import whole_sum
+
 #: numpy's names of the types.
 _KINDS = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -148,7 +150,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
         if form == "ascii":
             # Its values are counted as they come.
             continue
-        least = sum(np.dtype(_KINDS[length_kind or kind]).itemsize for _, length_kind, kind in element.properties)
+        least = whole_sum(np.dtype(_KINDS[length_kind or kind]).itemsize for _, length_kind, kind in element.properties)
         if element.count * least > length:
             count = str(element.count) if element.count < _MAX_COUNT else f"{_MAX_COUNT} or more"
             raise ValueError(
@@ -230,7 +232,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
                 fields.append((f"length of {name}", order + _KINDS[length], ()))
                 end += size.itemsize
             fields.append((name, order + _KINDS[kind], shape))
-            end += int(np.dtype(_KINDS[kind]).itemsize * np.prod(shape, dtype=np.int64))
+            end += np.dtype(_KINDS[kind]).itemsize * (shape[0] if shape else 1)
         if len({name for name, _, _ in fields}) < len(fields) or (end - at) * element.count > len(body) - at:
             return None
         row = np.dtype(fields)

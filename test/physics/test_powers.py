@@ -9,9 +9,10 @@ import math
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.powers import in_order, power, root
+from cloth_sim_ros.physics.powers import in_order, power, root, scalar_products, whole_sum
 
 PACKAGE = Path(__file__).resolve().parents[2] / "cloth_sim_ros"
 
@@ -69,6 +70,17 @@ def test_sums_are_rounded_after_each_number() -> None:
     assert in_order([1.0, -1e16], 1e16) == 0.0
     assert in_order(iter([0.1] * 10)) == 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1
     assert in_order([]) == 0.0
+
+
+def test_sums_of_whole_numbers_are_exact() -> None:
+    assert whole_sum(iter([2**60, 1, -(2**60)])) == 1
+    assert whole_sum([]) == 0
+
+
+def test_scalar_products_are_added_from_the_left() -> None:
+    vectors = np.array([[[1e16, 1.0, -1e16], [1.0, -1e16, 1e16]]])
+    assert scalar_products(vectors, np.ones(3)).tolist() == [[0.0, 0.0]]
+    assert scalar_products(vectors, np.array([1.0, 4.0, 1.0])).tolist() == [[4.0, -3e16]]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.powers import scalar_products
 
 #: Share of a mesh's extent below which two vertices are copies of one.
 MERGE_SHARE = 1e-7
@@ -99,6 +100,7 @@ def _linked(points: Array, limit: float) -> NDArray[np.int64]:
         compared = np.isin(first, first[alone])
         order, first = order[compared], first[compared]
         links: list[NDArray[np.int64]] = []
+        pending = 0
         for away in range(1, _CROWD):
             same = first[away:] == first[:-away]
             if not np.any(same):
@@ -106,9 +108,10 @@ def _linked(points: Array, limit: float) -> NDArray[np.int64]:
             firsts, seconds = order[:-away][same], order[away:][same]
             apart = lowest[firsts] != lowest[seconds]
             links.append(_closer(points, firsts[apart], seconds[apart], limit))
-            if sum(map(len, links)) > _PENDING:
+            pending += len(links[-1])
+            if pending > _PENDING:
                 lowest = _lowest(lowest, *links)
-                links = []
+                links, pending = [], 0
         if links:
             lowest = _lowest(lowest, *links)
     return lowest
@@ -137,16 +140,14 @@ def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[n
     """Vertices that share a cell with others but with no crowd, cell by cell, and the place of their cell's first."""
     order = np.argsort(key, kind="stable")
     key = key[order]
-    begins = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-    sizes = np.diff(np.append(begins, len(key)))
+    begins = np.concatenate(([True], key[1:] != key[:-1]))
+    sizes = np.diff(np.append(np.flatnonzero(begins), len(key)))
     shared = (sizes > 1) & (sizes <= _CROWD)
-    order, sizes = order[np.repeat(shared, sizes)], sizes[shared]
-    return order, np.repeat(np.cumsum(sizes) - sizes, sizes)
+    kept = np.repeat(shared, sizes)
+    return order[kept], np.repeat(np.flatnonzero(begins[kept]), sizes[shared])
 
 
 def _square(firsts: Array, seconds: Array) -> Array:
     """Squares of distances between vertices (n, 3) and others [m^2], (n,)."""
     away = firsts - seconds
-    x, y, z = away.T
-    square: Array = x * x + y * y + z * z
-    return square
+    return scalar_products(away, away)

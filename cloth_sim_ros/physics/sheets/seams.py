@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.powers import scalar_products, whole_sum
 
 #: Share of the local edge length below which two places of the border look joined.
 SEAM_SHARE = 0.01
@@ -21,6 +22,8 @@ _NEIGHBOURS = 8
 #: Edges of the border, and pairs of an edge and a vertex, up to which vertices are looked for on edges: a border has a
 #: few thousand edges, and triangles that do not hang together have three each.
 _MAX_EDGES, _MAX_PAIRS = 10_000, 1 << 22
+#: Factor of the distances that a tree is asked for: what it finds is measured again, and its rounding hides nothing.
+_WIDER = 1.0 + 1e-9
 
 
 @attrs.frozen(kw_only=True)
@@ -67,13 +70,18 @@ def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.in
     from scipy.spatial import cKDTree
 
     sides = points[border[:, 1]] - points[border[:, 0]]
-    lengths = np.sqrt((sides * sides).sum(axis=1))
+    lengths = np.sqrt(scalar_products(sides, sides))
     vertices, places = np.unique(border, return_inverse=True)
     ends = places.reshape(border.shape)
     shortest = np.full(len(vertices), np.inf)
     np.minimum.at(shortest, ends.ravel(), np.repeat(lengths, 2))
-    tree = cKDTree(points[vertices])
-    away, nearest = tree.query(points[vertices], k=_NEIGHBOURS, distance_upper_bound=SEAM_SHARE * lengths.max())
+    corners = points[vertices]
+    tree = cKDTree(corners)
+    most = _WIDER * SEAM_SHARE * lengths.max()
+    _, nearest = tree.query(corners, k=_NEIGHBOURS, distance_upper_bound=most)
+    # The tree gives the number of vertices where there is no further neighbour.
+    apart = corners[:, None] - np.append(corners, np.full((1, 3), np.inf), axis=0)[nearest]
+    away = np.sqrt(scalar_products(apart, apart))
     reach = np.append(shortest, 0.0)
     itself = nearest == np.arange(len(vertices))[:, None]
     is_near = (away <= SEAM_SHARE * np.minimum(shortest[:, None], reach[nearest])) & ~itself
@@ -82,7 +90,7 @@ def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.in
     distances = np.where(is_near, away, np.inf).min(axis=1)
     at_edges = _at_edges(points, triangles, border, vertices, tree, lengths)
     distances = np.minimum(distances, at_edges)
-    count = int(np.isfinite(distances).sum())
+    count = int(np.count_nonzero(np.isfinite(distances)))
     if not count:
         return None
     closest = int(np.argmin(distances))
@@ -100,10 +108,10 @@ def _at_edges(
     """Distances of border vertices from the middle part of border edges of other triangles, where small [m]."""
     distances = np.full(len(vertices), np.inf)
     edges, which = near_edges(points, border, tree, lengths)
-    begin, direction = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
-    share = ((points[vertices[which]] - begin) * direction).sum(axis=1) / (direction * direction).sum(axis=1)
-    foot = points[vertices[which]] - begin - share[:, None] * direction
-    away = np.sqrt((foot * foot).sum(axis=1))
+    begin, side = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
+    share = scalar_products(points[vertices[which]] - begin, side) / scalar_products(side, side)
+    foot = points[vertices[which]] - begin - share[:, None] * side
+    away = np.sqrt(scalar_products(foot, foot))
     inside = (share > SEAM_SHARE) & (share < 1.0 - SEAM_SHARE) & (away <= SEAM_SHARE * lengths[edges])
     # The third corner of a thin triangle lies near its own edge.
     opposite = _opposite(triangles, border)
@@ -131,12 +139,15 @@ def near_edges(
         return none, none
     middles = 0.5 * (points[border[:, 0]] + points[border[:, 1]])
     radii = 0.5 * lengths
-    counts = tree.query_ball_point(middles, radii, return_length=True)  # type: ignore[attr-defined]
-    if counts.sum() > _MAX_PAIRS:
+    counts = tree.query_ball_point(middles, _WIDER * radii, return_length=True)  # type: ignore[attr-defined]
+    if whole_sum(counts.tolist()) > _MAX_PAIRS:
         return none, none
-    neighbours = tree.query_ball_point(middles, radii, return_sorted=True)  # type: ignore[attr-defined]
-    which = np.array([vertex for row in neighbours for vertex in row], dtype=np.int64)
-    return np.repeat(np.arange(len(border)), counts), which
+    found = tree.query_ball_point(middles, _WIDER * radii, return_sorted=True)  # type: ignore[attr-defined]
+    which = np.array([vertex for row in found for vertex in row], dtype=np.int64)
+    edges = np.repeat(np.arange(len(border)), counts)
+    away = tree.data[which] - middles[edges]  # type: ignore[attr-defined]
+    within = scalar_products(away, away) <= radii[edges] * radii[edges]
+    return edges[within], which[within]
 
 
 def _joined(triangles: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -151,5 +162,5 @@ def _opposite(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArra
     count = int(triangles.max()) + 1
     tails, heads, thirds = (np.concatenate([triangles[:, (k + at) % 3] for k in range(3)]) for at in range(3))
     keys = tails * count + heads
-    order = np.argsort(keys)
+    order = np.argsort(keys, kind="stable")
     return np.asarray(thirds[order[np.searchsorted(keys[order], border[:, 0] * count + border[:, 1])]])
