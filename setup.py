@@ -67,6 +67,8 @@ EXTRAS = {
     "replay": [*SESSION, "rerun-sdk>=0.41,<0.42"],
     # Trajectories as Parquet.
     "export": ["pyarrow>=18.0"],
+    # plyfile is under GPL-3.0-or-later, not Apache-2.0 as this package: it is imported only for PLY files that are text
+    # or have rows of several lengths, and nothing else needs it.
     "mesh": ["trimesh>=4.0", "plyfile>=1.0.3"],
     # Studies on Dask (bokeh draws its dashboard), environments of gymnasium, datasets as zarr and Parquet with video.
     "batch": [
