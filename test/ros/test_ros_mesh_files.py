@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import cos, pi, sin
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,8 @@ pytest.importorskip("rclpy")
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2, PointField
-from support.ros_client import Client, start_cloth
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client
 
 from cloth_sim_ros.ros.main import main as cloth_sim
 
@@ -56,38 +55,36 @@ def test_check_prints_merges_and_sizes(tmp_path: Path, capsys: pytest.CaptureFix
     assert printed.err == ""
 
 
-def test_double_clouds_come_on_request(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
+def test_double_clouds_come_on_request(ros_domain: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.verify.run import verify
 
     (tmp_path / "tube.obj").write_text(tube(DISTANCE))
-    process = start_cloth(
-        start_process,
-        f"cloth.mesh:={tmp_path / 'tube.obj'}",
-        "cloth.position:=[0.0, 0.0, 0.0]",
-        "cloth.orientation:=[0.0, 0.0, 0.0, 1.0]",
-        "cloth.anchors:=['0', '1', '2']",
-        "bending.model:=none",
-        "record.enabled:=true",
-        f"record.folder:={tmp_path}",
-    )
-    with Client() as client:
-        client.watch()
-        client.wait_for_clouds(1)
+    parameters = {
+        "cloth.mesh": str(tmp_path / "tube.obj"),
+        "cloth.position": [0.0, 0.0, 0.0],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+        "cloth.anchors": ["0", "1", "2"],
+        "bending.model": "none",
+        "record.enabled": True,
+        "record.folder": str(tmp_path),
+    }
+    with Client() as client, ClockedCloth(client, parameters) as cloth:
+        client.node.create_subscription(PointCloud2, "/cloth_sim/points", client.clouds.append, 100)
+        client.spin_until(lambda: cloth.tick() or client.clouds, what="the first cloud")
         assert not doubles(client.clouds[-1])
         request = SetParameters.Request(parameters=[Parameter("points.double", value=True).to_parameter_msg()])
         assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
+        cloth.tick(4)
         client.spin_until(lambda: doubles(client.clouds[-1]), what="a cloud in double precision")
         cloud = client.clouds[-1]
         assert (cloud.width, cloud.point_step) == (AROUND * ALONG, 24)
         first = np.frombuffer(bytes(cloud.data), "<f8").reshape(-1, 3)[0]
         assert first.tolist() == [DISTANCE + 0.3, 0.0, 0.0]
-        client.wait_for_clouds(len(client.clouds) + 3)
-    assert process.interrupt() == 0
-    assert "vertices closer than" in process.output
-    assert "kg, clouds resolve 0.031 m" in process.output
-    assert "coarser than the tolerance of 0.001 m: choose a nearer frame (frame_id), or set points" in process.output
-    assert process.output.count("merged with it") == 1
+    log = capfd.readouterr().err
+    assert "kg, clouds resolve 0.031 m" in log
+    assert "coarser than the tolerance of 0.001 m: choose a nearer frame (frame_id), or set points" in log
+    assert log.count("merged with it") == 1
     (path,) = tmp_path.glob("*.mcap")
     verdict = verify([path])
     assert verdict.same, verdict.first_reason
