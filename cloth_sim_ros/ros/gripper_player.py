@@ -37,6 +37,7 @@ class PlayedTime(Protocol):
 
     #: How far it goes on from one frame of the cloth to the next [ns]; 0 where it has none.
     period: int
+
     @property
     def send_time(self) -> float:
         """Steady time at which the next target is to be sent, at the earliest [s]."""

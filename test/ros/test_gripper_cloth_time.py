@@ -51,6 +51,8 @@ class SlowCloth:
         self.wall = self.simulated = 0.0
         #: Simulated time of what was sent, and what: x of targets, and grasps.
         self.sent: list[tuple[float, float | bool]] = []
+        #: Share of a frame that had passed when each target was sent.
+        self.shares: list[float] = []
         self._closed: float | None = None
         self._callbacks: dict[str, Callable[[Any], None]] = {}
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.wall * 1e9)))
@@ -62,7 +64,8 @@ class SlowCloth:
         executor = SimpleNamespace(add_node=lambda _: None, spin_once=self._spin_once)
         steady = SimpleNamespace(monotonic=lambda: self.wall)
         monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
-        monkeypatch.setattr(gripper_player, "time", steady)
+        for module in (gripper_player, cloth_clock):
+            monkeypatch.setattr(module, "time", steady)
         self.player = gripper_player.GripperPlayer(
             self.node, [SCRIPT], target="/cloth_sim", played=cloth_clock.ClothTime(self.node, "/cloth_sim")
         )
@@ -93,6 +96,7 @@ class SlowCloth:
     def _publish(self, message: Any) -> None:
         if not hasattr(message, "data"):
             self.sent.append((self.simulated, message.pose.position.x))
+            self.shares.append((self.wall * self.factor - self.simulated) / PERIOD)
             return
         self.sent.append((self.simulated, message.data))
         self._closed = self.simulated if message.data else None
@@ -111,6 +115,14 @@ def test_script_is_as_slow_as_the_cloth(monkeypatch: pytest.MonkeyPatch, factor:
     ways = [b - a for a, b in zip(list(by_frame.values()), list(by_frame.values())[1:], strict=False)]
     assert max(map(abs, ways)) < 2.4 * 1.6 * PERIOD
     assert [hold.held for hold in cloth.player.hands[0].holds] == [9]
+
+
+def test_target_is_sent_within_the_frame_of_a_slow_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = SlowCloth(monkeypatch, 0.1)
+    assert cloth.player.play()
+    # At the beginning of a frame it would be taken by that frame or by the next one, as chance has it.
+    assert min(cloth.shares[5:]) > 0.2
+    assert max(cloth.shares[5:]) < 0.5
 
 
 def test_script_waits_where_it_closes_until_it_holds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,6 +210,8 @@ def test_script_waits_for_a_paused_cloth(client: Client, start_process: Callable
     client.node.create_subscription(PoseStamped, "/cloth_sim/gripper/target", targets.append, QoSProfile(depth=100))
     node = start_process(["-m", "cloth_sim_ros.ros.main", "--ros-args", "-p", "cloth.resolution:=[6, 7]"])
     node.wait_for_output(STARTED)
+    # The service is met before: discovery may take longer than the script.
+    assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False)).success
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
     client.spin_until(lambda: len(targets) > 20, what="targets")
     assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=True)).success
