@@ -11,6 +11,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+# First: between the next import and the installation of the handlers a signal would leave a traceback.
+import cloth_sim_ros.session.loading as command_loading
 from cloth_sim_ros.ros.stopping import StopSignals
 
 
@@ -23,9 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
     if any(argument == "--check" or argument.startswith("--check=") for argument in argv):
-        from cloth_sim_ros.session.loading import loading
-
-        with loading("cloth_sim"):
+        with command_loading.loading("cloth_sim"):
             from cloth_sim_ros.ros.check import main as check
         return check(argv[1:])
     signals = StopSignals()
