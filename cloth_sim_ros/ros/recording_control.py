@@ -85,7 +85,9 @@ class RecordingControl:
             elif status.state == "closed":
                 tell_end(self._node.get_logger(), status)
             # Why it failed, the housekeeping logs, whether or not somebody waits for an answer.
-            answer(status.state == ("recording" if begin else "closed"), status.error or str(status.path))
+            success = status.state == ("recording" if begin else "closed")
+            ended = f"{status.path} was closed before it was open"
+            answer(success, status.error or (str(status.path) if success else ended))
 
         self._recording.tell(finish)
 
@@ -104,7 +106,8 @@ class RecordingControl:
             self.switch(True, self._log_resumption)
 
     def _log_resumption(self, success: bool, message: str) -> None:
-        if not success:
+        # A further failure ended it, and is logged itself; the next reset begins another one.
+        if not success and not self._resumes:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
     def end(self, *, timeout: float) -> bool:

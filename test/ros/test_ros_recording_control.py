@@ -1,0 +1,66 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings around failures that follow each other at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from cloth_sim_ros.ros.recording_control import RecordingControl
+
+
+class OpeningRecording:
+    """A recording whose files are made when the test says so."""
+
+    def __init__(self) -> None:
+        self.running = self.busy = False
+        self.begun = 0
+        self._listeners: list[Callable[[Any], None]] = []
+
+    def discard(self) -> None:
+        """Nothing of a frame is kept."""
+
+    def begin(self, _stamp: int) -> None:
+        """Begin; the file is not open yet."""
+        self.running = self.busy = True
+        self.begun += 1
+
+    def end_soon(self, *, reason: str) -> None:
+        """End; the file is still being closed."""
+        assert reason
+        self.running = False
+
+    def tell(self, listener: Callable[[Any], None]) -> None:
+        """Have a listener told of the next state."""
+        self._listeners.append(listener)
+
+    def become(self, state: str) -> None:
+        """Tell listeners of a state."""
+        self.busy = state == "recording"
+        listeners, self._listeners = self._listeners, []
+        for listener in listeners:
+            listener(SimpleNamespace(state=state, error="", path="a.mcap", messages=0, bytes_written=0))
+
+
+def test_failure_of_an_opening_recording_is_resumed() -> None:
+    errors: list[str] = []
+    logger = SimpleNamespace(info=lambda _: None, debug=lambda _: None, error=errors.append)
+    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
+    node: Any = SimpleNamespace(get_logger=lambda: logger, get_clock=lambda: clock)
+    recording: Any = OpeningRecording()
+    control = RecordingControl(node, recording, SimpleNamespace(), latched=(), refusal=lambda: "")  # type: ignore[arg-type]
+    recording.begin(0)
+    for _ in range(2):
+        control.fail("ValueError: first", 0)
+        recording.become("closed")
+        # After the reset a recording begins; the next failure comes before its file is open.
+        control.follow()
+    assert (recording.begun, recording.running) == (3, True)
+    control.fail("ValueError: again", 0)
+    recording.become("closed")
+    control.follow()
+    recording.become("recording")
+    assert not errors
+    assert (recording.begun, recording.running) == (4, True)
