@@ -111,7 +111,7 @@ class WallPacer:
         self._bell: threading.Thread | None = None
         # Held by the thread that a frame runs in.
         self._running = threading.Lock()
-        #: Whether the executor was asked for a frame that it has not run yet: commands may wait to be taken first.
+        #: Whether a frame fell due while the executor ran one: it takes the commands that wait before it runs the next.
         self._is_requested = False
         self._trouble: BaseException | None = None
 
@@ -147,9 +147,10 @@ class WallPacer:
                 return
             self._rung = self._number()
             is_concurrent = self._beside and not late and not self._is_requested and self._settled()
-            # While a frame is under way in the executor that one takes no commands, and this one will be late.
-            if not is_concurrent or not self._running.acquire(blocking=False):
-                self._is_requested = True
+            if is_concurrent and not self._running.acquire(blocking=False):
+                # While a frame is under way in the executor that one takes no commands, and this one will be late.
+                is_concurrent, self._is_requested = False, True
+            if not is_concurrent:
                 self._guard.trigger()
                 continue
             try:
