@@ -4,15 +4,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import attrs
 
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.parameters import ParameterError
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.scene.scene import Scene
 
 #: A session holds every parameter of its scene. One that lacks these was recorded when there was no such parameter, and
 #: runs again as it ran then.
@@ -32,7 +29,7 @@ def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
     return {**BEFORE, **parameter_file.parse(scene_yaml, node=node, source="scene.yaml")}
 
 
-def merge_hint(scene: Scene) -> str:
+def merge_hint(scene: Any) -> str:
     """Return the end of a sentence on an initial state that fits a scene only with `cloth.merge: false`; else empty."""
     if not scene.cloth.mesh or not scene.cloth.merge:
         return ""

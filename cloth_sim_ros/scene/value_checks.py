@@ -5,18 +5,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Any
 
 from cloth_sim_ros.physics.gripper_path import normalised
 from cloth_sim_ros.scene import gripper_parameters, obstacles
 from cloth_sim_ros.scene.limits import MAX_PARTICLES, MIN_TOLERANCE
 from cloth_sim_ros.scene.parameters import Faults
 
-if TYPE_CHECKING:
-    from cloth_sim_ros.scene.scene import Scene
 
-
-def check_values(scene: Scene) -> None:
+def check_values(scene: Any) -> None:
     """Refuse values whose faults depend on no other check; all of them are named together.
 
     Raises:
@@ -32,7 +29,7 @@ def check_values(scene: Scene) -> None:
     faults.refuse()
 
 
-def _faults(scene: Scene) -> Iterator[str]:
+def _faults(scene: Any) -> Iterator[str]:
     rows, columns = scene.cloth.resolution
     if rows * columns > MAX_PARTICLES:
         yield f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MAX_PARTICLES}"
