@@ -137,7 +137,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_features_pierce": ("i", ("h", "d", _X, _fixed(3))),
     "cloth_plan_self": ("i", ("h", "i", _given(3, 1), "d")),
     "cloth_self_friction": ("i", ("h", "d", "d")),
-    "cloth_self_rubbed": ("i", ("h", _X, _X, _fixed(1))),
+    "cloth_self_rubbed": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_contact_pinched": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
     "cloth_contact_anchors": ("i", ("h", lambda _, plan: _anchors(plan))),
     "cloth_contact_settle": (
@@ -161,7 +161,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_contact_crosses": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),
     "cloth_self_keeps": ("i", ("h", "i")),
-    "cloth_self_bounds": ("i", ("h", _X, _B, _B)),
+    "cloth_self_bounds": ("i", ("h", "d", _X, _B, _B)),
     "cloth_self_gaps": ("i", ("h", _X, _fixed(2))),
     "cloth_self_pierced": ("i", ("h", _X, _fixed(5))),
     "cloth_self_rests": ("i", ("h", "d", _X, _X, _fixed(1))),
@@ -169,7 +169,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_frame": ("i", ("h", "f")),
     "cloth_accelerations": ("i", ("h", "d", _X, _X, _X)),
     "cloth_energy": ("i", ("h", "d", _X, _X, _fixed(2))),
-    "cloth_powers": ("i", ("h", _X, _X, _fixed(2))),
+    "cloth_powers": ("i", ("h", "d", _X, _X, _fixed(2))),
     "cloth_grip_rates": (
         "i",
         ("h", "d", _X, _X, "d", lambda _, plan: binding.BOOKED_NUMBERS * plan["grippers"]),

@@ -45,6 +45,7 @@ struct Beside {
             if (plan.self_acts()) {
                 self.emplace(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
                 if (plan.self->rubs()) self->rub(plan.contacts.frequency, plan.layer_anchors());
+                if (plan.contacts.reduced.any()) self->reduce(plan, run);
             }
             if (plan.features_act()) features.emplace(*plan.features, plan.contacts, run);
         }
@@ -250,6 +251,7 @@ struct Beside {
         if (features) touched[1] = smaller(features->gap(), touched[1]);
         touched[Touched::numbers] = own.omega2 + met.omega2;
         touched[Touched::numbers + 1] = own.damping + met.damping;
+        touched[Touched::numbers + 3] += (self ? self->grown() : 0.0) + (features ? features->grown() : 0.0);
         if (!self) return;
         touched[Touched::numbers + 2] = self->rubbed();
         if (run.anchors) self->anchors(run.steps, plan.own.data(), run.anchors + plan.contacts.obstacle_anchors(plan.count));

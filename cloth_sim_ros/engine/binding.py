@@ -37,7 +37,7 @@ TOLD_NUMBERS = 9
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
-TOUCHED_NUMBERS = 6
+TOUCHED_NUMBERS = 7
 #: Numbers of an anchor of friction; see contact_friction.hpp.
 ANCHOR_NUMBERS = 4
 #: Numbers of where a gripper's pads are, and of what drives them; see contact_pinch.hpp and library.cpp.
@@ -116,7 +116,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
-    "cloth_powers": (_INT, _P, _P, _P, _P),
+    "cloth_powers": (_INT, _P, _D, _P, _P, _P),
     "cloth_grip_rates": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_contact_rates": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_contact_gaps": (_INT, _P, _D, _P, _P),
@@ -125,6 +125,9 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_anchors": (_INT, _P, _P),
     "cloth_contact_settle": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
     "cloth_contact_crosses": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_contact_thickness": (_INT, _P, _P, _D, _D, _D),
+    "cloth_contact_gap_rows": (_INT, _P, _D, _P, _P),
+    "cloth_contact_grown": (_INT, _P, _D, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
     "cloth_plan_mesh": (_INT, _P, _I, _I, _P, _I, _P),
     "cloth_plan_faces": (_INT, _P, _I, _P, _D),
@@ -137,9 +140,9 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_features_pierce": (_INT, _P, _D, _P, _P),
     "cloth_plan_self": (_INT, _P, _I, _P, _D),
     "cloth_self_friction": (_INT, _P, _D, _D),
-    "cloth_self_rubbed": (_INT, _P, _P, _P, _P),
+    "cloth_self_rubbed": (_INT, _P, _D, _P, _P, _P),
     "cloth_self_keeps": (_INT, _P, _I),
-    "cloth_self_bounds": (_INT, _P, _P, _P, _P),
+    "cloth_self_bounds": (_INT, _P, _D, _P, _P, _P),
     "cloth_self_gaps": (_INT, _P, _P, _P),
     "cloth_self_pierced": (_INT, _P, _P, _P),
     "cloth_self_rests": (_INT, _P, _D, _P, _P, _P),

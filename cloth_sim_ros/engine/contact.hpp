@@ -26,6 +26,31 @@ struct Obstacle {
     std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh
 };
 
+/// Contacts that have a reduced thickness for a while. They regain the whole one at a constant rate over a frame: at
+/// `speed` [m/s], or at that which leads to it by the frame's end.
+struct ReducedThickness {
+    /// Thickness [m] at the time `start` [s] of the contact of each obstacle with each particle, and in a last row of the
+    /// cloth with itself; the last column is of obstacles' points and edges. Room for a vector lies behind. Empty where
+    /// all contacts have the whole thickness.
+    std::vector<double> at_start;
+    double whole = 0.0, speed = 0.0, start = 0.0, duration = 0.0;
+
+    bool any() const { return !at_start.empty(); }
+    /// Of contacts by their thickness at the start, at a time t [s].
+    template <class V>
+    CLOTH_INLINE Scaling<V> scaling(V at_start, double t) const {
+        const auto of = [](double a) CLOTH_INLINED { return splat<V>(scalar<V>(a)); };
+        const V left = of(whole) - at_start;
+        const V rate = duration > 0.0 ? smaller(of(speed), left / of(duration)) : V{};
+        const V now = smaller(fma(rate, of(t - start), at_start), of(whole));
+        return {of(whole) / now, rate / now};
+    }
+    /// Of one contact by its row and column, of so many columns.
+    Scaling<double> scaling(std::int64_t row, std::int64_t column, std::int64_t columns, double t) const {
+        return any() ? scaling<double>(at_start[row * columns + column], t) : whole_thickness<double>();
+    }
+};
+
 struct Contacts {
     std::vector<Obstacle> obstacles;
     std::vector<double> paths;
@@ -37,6 +62,7 @@ struct Contacts {
     /// Grippers that pinch, and where their pads are at the start of runs, (pinches, pinch_numbers).
     std::vector<Pinch> pinches;
     std::vector<double> pinched;
+    ReducedThickness reduced;
     /// Indices of the obstacles that a run may meet. `sleeps`: whether a run may skip a block of particles for some
     /// steps while the block is far from an obstacle.
     std::vector<std::int64_t> active;

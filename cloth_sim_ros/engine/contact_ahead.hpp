@@ -55,7 +55,7 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
                    2.0 * reach(cloth.seen(cloth_speed, placed) + fastest);
     };
     const auto widest = [&](double speed) { return reach(speed + fastest); };
-    for_each_near_block(plan, t, x, v, far, widest, [&](std::int64_t obstacle, std::int64_t, auto shape,
+    for_each_near_block(plan, t, x, v, far, widest, [&](std::int64_t obstacle, std::int64_t first, auto shape,
                                                         const Placed<double>& placed, const Block<double>& block) {
         const Obstacle& what = contacts.obstacles[obstacle];
         Vec3<V> more[2], spin[2];
@@ -72,9 +72,19 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
             V speed = s.closing;
             for (int k = 0; k < 2; ++k)
                 speed = larger(s.closing + dot(more[k] + cross(spin[k], s.arm), s.normal), speed);
+            V gap = s.gap, seen = speed, weight = splat<V>(2.0 * push);
+            if (contacts.reduced.any()) {
+                const auto at_start = load(contacts.reduced.at_start.data() + obstacle * (plan.count + 1) + first + j);
+                const Scaling<V> scaling = contacts.reduced.scaling<V>(at_start, t);
+                speed = fma(scaling.growth, gap, speed);
+                seen = scaling.scale * speed;
+                gap = scaling.gap(gap);
+                weight = scaling.scale * weight;
+            }
             speed = larger(speed, V{});
-            const V way = larger(s.gap - splat<V>(thickness), V{});
-            const V energy = splat<V>(per * per) * (speed * speed + splat<V>(2.0 * push) * way) + law.shape(s.gap);
+            seen = larger(seen, V{});
+            const V way = larger(gap - splat<V>(thickness), V{});
+            const V energy = splat<V>(per * per) * (seen * seen + weight * way) + law.shape(gap);
             const V comes = select(s.gap < reach(speed), mass, V{});
             largest = larger(select(comes > V{}, energy, V{}), largest);
             for (int k = 0; k < lanes<double>; ++k) looked += mass[k] > 0.0;

@@ -15,7 +15,7 @@ static void own_ahead(cloth::Plan& plan, double t, double duration, double expec
         if (r.omega2 < std::numeric_limits<double>::infinity()) out[2] += static_cast<double>(pairs());
     };
     if (plan.self)
-        add(cloth::self_ahead(plan, duration, expected, x, v),
+        add(cloth::self_ahead(plan, t, duration, expected, x, v),
             [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
     if (!plan.features) return;
     add(cloth::feature_ahead(plan, t, duration, expected, x, v), [&] {

@@ -11,13 +11,14 @@
 namespace cloth {
 
 /// Call `what` with each meeting at time t, positions x and velocities v, and with derivatives dx and dv where V has them,
-/// as `what(law, obstacle, from, meeting)`. Nothing meets where particles have no place.
+/// as `what(law, obstacle, from, meeting)`. Nothing meets where particles have no place. With `whole` contacts have the
+/// whole thickness.
 template <class V, class F>
 inline void for_each_feature_meeting(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
-                                     F&& what) {
+                                     F&& what, bool whole = false) {
     FeatureContact& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
-    const FeatureLaw<V> law(contacts.thickness, contacts.damping, contact.mass);
+    FeatureLaw<V> law(contacts.thickness, contacts.damping, contact.mass);
     Array<double> room[4];
     FeatureMeeting<V> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
@@ -27,6 +28,7 @@ inline void for_each_feature_meeting(Plan& plan, double t, const double* const (
             for (int a = 0; a < 4; ++a) room[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
         const Pose pose = contacts.pose(k, t);
         if (!near.find(contact.surface, room[0].data(), pose, law.thickness(), 0.0)) continue;
+        law.reduce(whole ? whole_thickness<double>() : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         const auto of = [&](int a) {
             return [value = Quads{room[a].data()}, slope = Quads{room[a + 1].data()}](Index c) {
                 if constexpr (std::is_same_v<V, double>)
@@ -56,6 +58,13 @@ inline void feature_rates(Plan& plan, double t, const double* x, const double* v
                        [&](Index point, Vec3<double> force) { FeatureRun::book(to, from, point, force, weight); });
             to[booked_numbers - 1] += weight * law.lost(m);
         });
+}
+/// Power of the growth of contacts with a reduced thickness [W].
+inline double feature_grown(Plan& plan, double t, const double* x, const double* v) {
+    double grown = 0.0;
+    for_each_feature_meeting<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                     [&](const auto& law, auto, const auto&, const auto& m) { grown += law.grown(m); });
+    return grown;
 }
 /// Add what moves pads outward [N], by the pinch.
 inline void feature_openings(Plan& plan, double t, const double* x, const double* v, std::vector<double>& felt) {
@@ -108,7 +117,18 @@ inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_meeting<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
                                      [&](const auto&, std::int64_t k, const auto&, const auto& m) {
                                          out[2 * k + 1] = smaller(m.least(), out[2 * k + 1]);
-                                     });
+                                     },
+                                     true);
+}
+/// The least gap of each obstacle's points and edges within half the thickness, in units of the whole one, into the last
+/// column of (obstacles + 1, n + 1).
+inline void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
+    for_each_feature_meeting<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+                                     [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+                                         double& to = out[k * (plan.count + 1) + plan.count];
+                                         to = smaller(2.0 * m.least(), to);
+                                     },
+                                     true);
 }
 
 /// Squared frequency and damping rate that contact with features comes to where it takes up what it holds, and what comes
@@ -119,7 +139,7 @@ inline SelfRates feature_ahead(Plan& plan, double t, double duration, double exp
     const Contacts& contacts = plan.contacts;
     // Mostly particles keep everything out.
     if (!contact.has_any(contacts)) return {};
-    const FeatureLaw<double> law = contact.law(contacts);
+    FeatureLaw<double> law = contact.law(contacts);
     const double endless = std::numeric_limits<double>::infinity();
     const Array<double> places = quads_of(plan, x), speeds = quads_of(plan, v);
     const Quads at{places.data()}, moving{speeds.data()};
@@ -130,6 +150,7 @@ inline SelfRates feature_ahead(Plan& plan, double t, double duration, double exp
         if (!contact.has(contacts, k)) continue;
         const Pose pose = contacts.driven(k, t, duration);
         demand.meet(contacts, k);
+        law.reduce(contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         Spread spread;
         for (std::int64_t i = 0; i < plan.count; ++i) spread.take(load4(speeds.data() + 4 * i));
         spread.take(quad<double>{pose.speed.x, pose.speed.y, pose.speed.z, 0.0});

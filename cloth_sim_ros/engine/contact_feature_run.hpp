@@ -106,8 +106,9 @@ inline void for_each_feature_meeting(const FeatureContact& contact, const NearFe
                     const double away = root(n.square);
                     const Vec3<double> slip = n.weight[0] * moving(t[0]) + n.weight[1] * moving(t[1]) +
                                               n.weight[2] * moving(t[2]) - from.speed(k);
-                    demand->come(s, 3, t.data(), n.weight, away - radius - law.thickness(), dot(n.away, slip) / away,
-                                 duration);
+                    const double gap = away - radius;
+                    demand->come(s, 3, t.data(), n.weight, law.scaling().gap(gap) - law.thickness(),
+                                 law.scaling().closing(gap, dot(n.away, slip) / away), duration);
                 }
             }
         },
@@ -122,8 +123,9 @@ inline void for_each_feature_meeting(const FeatureContact& contact, const NearFe
                 const double away = root(n.square), weight[2] = {1.0 - n.first, n.first};
                 const Vec3<double> u = from.speed(other[0]), w = from.speed(other[1]);
                 const Vec3<double> slip = weight[0] * moving(own[0]) + weight[1] * moving(own[1]) - u - n.second * (w - u);
-                demand->come(s, 2, own.data(), weight, away - radius - law.thickness(), -dot(n.away, slip) / away,
-                             duration);
+                const double gap = away - radius;
+                demand->come(s, 2, own.data(), weight, law.scaling().gap(gap) - law.thickness(),
+                             law.scaling().closing(gap, -dot(n.away, slip) / away), duration);
             }
         });
 }
@@ -160,6 +162,7 @@ public:
             if (!look(k, x, pose)) return;
             const FeaturesAt from{contact_.obstacles[k].features, pose, pose.place - own.place};
             demand_.meet(contacts_, k);
+            law_.reduce(contacts_.reduced.scaling(k, contact_.surface.count, contact_.surface.count + 1, t));
             PinchRun::Felt felt;
             double* const sums = run_.books && step >= 0 ? sums_.data() + k * booked_numbers : nullptr;
             for_each_feature_meeting<double>(
@@ -176,6 +179,7 @@ public:
                             if (sums) book(sums, from, point, force, 1.0);
                         });
                     if (sums) sums[booked_numbers - 1] += law_.lost(m);
+                    if (sums) grown_ += run_.step * law_.grown(m);
                 },
                 &demand_, 2.0 * run_.step);
             if (contacts_.pinch_of(k)) pads_->feel_between(k, step, felt);
@@ -195,6 +199,8 @@ public:
     }
     /// Least gap in units of the whole thickness, as particles' gaps count [m].
     double gap() const { return 2.0 * demand_.gap; }
+    /// What contacts gave that regained their thickness [J].
+    double grown() const { return grown_; }
     SelfRates rates() const { return demand_.rates(law_); }
 
     /// Add what a force on a point of an obstacle makes of the booked numbers, losses aside.
@@ -264,6 +270,7 @@ private:
     FeatureMeeting<double> meeting_;
     FeatureDemand demand_;
     std::vector<double> sums_;
+    double grown_ = 0.0;
     /// Where all stood the last time.
     Array<double> places_;
     std::vector<Pose> poses_;

@@ -60,6 +60,7 @@ struct FeatureMeeting {
     bool edges = false;
     /// Energy per mass in units of U^2/2, sum of the pushes [m/s^2], and the rate at which the energy grows [m^2/s^3].
     V shape{}, push{}, rate{};
+    V lever{};  ///< sum of pushes times gaps [m^2/s^2]
     /// Of edges: what the energy is multiplied by, and its slope over their four ends, the cloth's first [m/s^2].
     V faded{};
     Vec3<V> slope[4];
@@ -68,7 +69,7 @@ struct FeatureMeeting {
         gaps.clear();
         point[0] = first, point[1] = second;
         edges = false;
-        shape = push = rate = V{};
+        shape = push = rate = lever = V{};
     }
     double least() const {
         double least = 1e30;
@@ -89,6 +90,11 @@ public:
         : thickness_(0.5 * thickness), damping_(damping), mass_(mass), law_(0.5 * thickness, damping) {}
 
     double thickness() const { return thickness_; }
+    /// Let contacts have a reduced thickness; gaps and speeds of meetings are in units of the whole one then, see Scaling.
+    void reduce(Scaling<double> scaling) { scaling_ = {splat<V>(scaling.scale), splat<V>(scaling.growth)}; }
+    const Scaling<V>& scaling() const { return scaling_; }
+    /// How far from an obstacle's points and edges contact acts [m].
+    double range() const { return thickness_ / number_of(scaling_.scale); }
     double mass() const { return mass_; }
     const ContactLaw<V>& law() const { return law_; }
 
@@ -100,7 +106,7 @@ public:
                U&& moving, FeatureMeeting<V>& m) const {
         m.clear(k, k);
         const Vec3<V> p = constant<V>(from.place(k)), speed = constant<V>(from.speed(k));
-        const double radius = from.features.radius, most = (radius + thickness_) * (radius + thickness_);
+        const double radius = from.features.radius, most = (radius + range()) * (radius + range());
         const V one = splat<V>(1.0), none{};
         const auto take = [&](double sign, int corners, const Index (&corner)[3], const V (&weight)[3], Vec3<V> away,
                               V square) {
@@ -133,6 +139,7 @@ public:
             m.push = m.push + push;
             m.rate = m.rate + push * g.closing;
             m.shape = m.shape + splat<V>(g.sign) * law_.shape(g.gap);
+            m.lever = m.lever + push * g.gap;
         }
     }
     /// The energy of an edge of the cloth and one of an obstacle. It fades as they become parallel, where the nearest
@@ -145,7 +152,7 @@ public:
         const Vec3<V> x[4] = {at(own[0]), at(own[1]), constant<V>(from.place(other[0])), constant<V>(from.place(other[1]))};
         const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
         const double radius = from.features.radius;
-        if (!(number_of(n.square) < (radius + thickness_) * (radius + thickness_))) return;
+        if (!(number_of(n.square) < (radius + range()) * (radius + range()))) return;
         m.edges = true;
         const V one = splat<V>(1.0);
         const Vec3<V> u = constant<V>(from.speed(other[0])), w = constant<V>(from.speed(other[1]));
@@ -157,6 +164,7 @@ public:
         m.push = m.faded * law_.elastic(g.gap);
         m.shape = m.faded * shape;
         m.rate = m.push * g.closing;
+        m.lever = m.push * g.gap;
         const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
         for (int k = 0; k < 4; ++k) {
             m.slope[k] = energy * m.slope[k];
@@ -176,31 +184,41 @@ public:
     /// Call `cloth` with each corner of a meeting and the force on it, and `obstacle` with its points and theirs.
     template <class F, class G>
     void forces(const FeatureMeeting<V>& m, F&& cloth, G&& obstacle) const {
-        const V scale = splat<V>(mass_) * damped(m);
+        const V part = splat<V>(1.0) / scaling_.scale, scale = part * (splat<V>(mass_) * damped(m));
         for (const FeatureGap<V>& g : m.gaps) {
             const Vec3<V> push = (scale * (m.edges ? m.push : splat<V>(g.sign) * law_.elastic(g.gap))) * g.normal;
             for (int k = 0; k < g.corners; ++k) {
                 Vec3<V> force = g.weight[k] * push;
-                if (m.edges) force = force - scale * m.slope[k];
+                if (m.edges) force = force - (part * scale) * m.slope[k];
                 cloth(g.corner[k], force);
             }
             if (m.edges) {
-                obstacle(m.point[0], -((splat<V>(1.0) - g.share) * push) - scale * m.slope[2]);
-                obstacle(m.point[1], -(g.share * push) - scale * m.slope[3]);
+                obstacle(m.point[0], -((splat<V>(1.0) - g.share) * push) - (part * scale) * m.slope[2]);
+                obstacle(m.point[1], -(g.share * push) - (part * scale) * m.slope[3]);
             } else {
                 obstacle(m.point[0], -push);
             }
         }
     }
     double energy(const FeatureMeeting<V>& m) const {
-        return mass_ * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * number_of(m.shape);
+        return mass_ * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * number_of(m.shape) * unscaled();
     }
     /// Power that damping takes [W].
     double lost(const FeatureMeeting<V>& m) const {
-        return mass_ * (number_of(damped(m)) - 1.0) * number_of(m.rate);
+        return mass_ * (number_of(damped(m)) - 1.0) * number_of(m.rate) * unscaled();
+    }
+    /// Power of the growth of a reduced thickness [W].
+    double grown(const FeatureMeeting<V>& m) const {
+        const double square = ContactLaw<V>::speed * ContactLaw<V>::speed;
+        return mass_ * number_of(scaling_.growth) * unscaled() *
+               fma(square, number_of(m.shape), number_of(damped(m)) * number_of(m.lever));
     }
 
 private:
+    double unscaled() const {
+        const double scale = number_of(scaling_.scale);
+        return 1.0 / (scale * scale);
+    }
     template <class U>
     void finish(FeatureGap<V>& g, Vec3<V> way, V square, double radius, Vec3<V> speed, U&& moving) const {
         const V away = root(square);
@@ -208,7 +226,8 @@ private:
         g.normal = (splat<V>(1.0) / away) * way;
         Vec3<V> slip = -speed;
         for (int k = 0; k < g.corners; ++k) slip = fma(g.weight[k], moving(g.corner[k]), slip);
-        g.closing = -dot(g.normal, slip);
+        g.closing = scaling_.closing(g.gap, -dot(g.normal, slip));
+        g.gap = scaling_.gap(g.gap);
     }
     void fade(Vec3<V> u, Vec3<V> v, FeatureMeeting<V>& m) const {
         const V one = splat<V>(1.0), two = splat<V>(2.0);
@@ -229,6 +248,7 @@ private:
 
     double thickness_, damping_, mass_;
     ContactLaw<V> law_;
+    Scaling<V> scaling_ = whole_thickness<V>();
 };
 
 }  // namespace cloth

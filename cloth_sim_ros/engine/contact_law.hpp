@@ -81,6 +81,22 @@ private:
     V inverse_, strength_, half_, share_, rate_;
 };
 
+/// A contact of a reduced thickness d / scale, which grows at a relative rate `growth` [1/s]. It is the law of thickness d
+/// at gaps and speeds `scale` times as large, with the push over `scale` and the energy over its square: so squared
+/// frequencies and damping rates are those of thickness d. docs/contact.md derives it.
+template <class V>
+struct Scaling {
+    V scale, growth;
+
+    CLOTH_INLINE V gap(V gap) const { return scale * gap; }
+    /// How fast that gap closes, by the motion at a speed [m/s] and by the growth.
+    CLOTH_INLINE V closing(V gap, V speed) const { return scale * fma(growth, gap, speed); }
+};
+template <class V>
+inline Scaling<V> whole_thickness() {
+    return {splat<V>(scalar<V>(1.0)), V{}};
+}
+
 /// Gap over thickness at which b is so large: where the law has taken up U^2/2 times that per mass. Never above the true
 /// one: Newton's iteration on the convex (1 - s)^4 - b s comes from below.
 inline double stopping_gap(double b) {

@@ -16,7 +16,18 @@ struct NearOne {
     double gap, closing, mass;
     Vec3<double> normal, arm, slip;
     const Placed<double>& placed;
+    Scaling<double> scaling = whole_thickness<double>();
     Stand<double> stands() const { return {arm, gap, normal, slip, closing}; }
+    /// The gap in units of the whole thickness, and pushes, energy and bounds by a law of that.
+    double scaled_gap() const { return scaling.gap(gap); }
+    typename ContactLaw<double>::Answer answer(const ContactLaw<double>& law) const {
+        const auto a = law.answer(scaled_gap(), scaling.closing(gap, closing));
+        return {a.push / scaling.scale, a.elastic / scaling.scale, a.shape};
+    }
+    double elastic(const ContactLaw<double>& law) const { return law.elastic(scaled_gap()) / scaling.scale; }
+    double energy(const ContactLaw<double>& law) const {
+        return law.energy(scaled_gap()) / (scaling.scale * scaling.scale);
+    }
 };
 
 /// Blocks of particles one after the other. They lie where they are, but for the last one: whole vectors of it may be read.
@@ -80,7 +91,8 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
         for (std::int64_t i = 0; i < block.count; ++i) {
             if (!(block.mass[i] > 0.0)) continue;
             const auto s = stand<shape.value, true, double>(placed, size, block.place<double>(i), block.velocity<double>(i));
-            what(NearOne{obstacle, first + i, s.gap, s.closing, block.mass[i], s.normal, s.arm, s.slip, placed});
+            what(NearOne{obstacle, first + i, s.gap, s.closing, block.mass[i], s.normal, s.arm, s.slip, placed,
+                         plan.contacts.reduced.scaling(obstacle, first + i, plan.count + 1, t)});
         }
     });
 }
@@ -89,7 +101,7 @@ template <class F>
 inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& what) {
     const double thickness = plan.contacts.thickness;
     for_each_near(plan, t, x, v, [&](double) { return thickness; }, [&](const NearOne& one) {
-        if (one.gap < thickness) what(one);
+        if (one.scaled_gap() < thickness) what(one);
     });
 }
 
@@ -132,8 +144,8 @@ inline void settle_anchors(const Plan& plan, double t, const double* x, const do
             to[c * n] = sum;
         }
         const Stand<double> s = one.stands();
-        const auto rubbed = rubbing<double>(plan, one.obstacle, one.particle, one.placed, s,
-                                            law.push(one.gap, one.closing), out);
+        const auto rubbed =
+            rubbing<double>(plan, one.obstacle, one.particle, one.placed, s, one.answer(law).push, out);
         const Vec3<double> here = one.placed.inward<double>(s.arm);
         const Vec3<double> dragged = here - one.placed.inward<double>(rubbed.stretch);
         if (rubbed.slides || !(to[3 * n] > 0.0)) {
@@ -148,10 +160,10 @@ inline double contact_energy(const Plan& plan, double t, const double* x) {
     const auto law = plan.contacts.law<double>();
     double total = 0.0;
     for_each_contact(plan, t, x, nullptr, [&](const NearOne& one) {
-        total += one.mass * law.energy(one.gap);
+        total += one.mass * one.energy(law);
         if (plan.contacts.obstacles[one.obstacle].rough.still > 0.0)
             total += one.mass * rubbing<double>(plan, one.obstacle, one.particle, one.placed, one.stands(),
-                                                law.elastic(one.gap), plan.contacts.anchors.data())
+                                                one.elastic(law), plan.contacts.anchors.data())
                                     .energy;
     });
     return total;
@@ -161,9 +173,10 @@ inline double contact_energy(const Plan& plan, double t, const double* x) {
 inline void contact_rates(const Plan& plan, double t, const double* x, const double* v, double weight, double* rates) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const NearOne& one) {
-        const auto answer = law.answer(one.gap, one.closing);
+        const auto answer = one.answer(law);
         Vec3<double> force = (one.mass * answer.push) * one.normal;
-        double lost = one.mass * (answer.push - answer.elastic) * one.closing;
+        const double closing = fma(one.scaling.growth, one.gap, one.closing);
+        double lost = one.mass * (answer.push - answer.elastic) * closing;
         if (plan.contacts.obstacles[one.obstacle].rough.still > 0.0) {
             const auto rubbed = rubbing<double>(plan, one.obstacle, one.particle, one.placed, one.stands(), answer.push,
                                                 plan.contacts.anchors.data());
@@ -178,6 +191,17 @@ inline void contact_rates(const Plan& plan, double t, const double* x, const dou
     });
 }
 
+/// Power of the growth of contacts with a reduced thickness [W].
+inline double contact_grown(const Plan& plan, double t, const double* x, const double* v) {
+    const auto law = plan.contacts.law<double>();
+    double grown = 0.0;
+    for_each_contact(plan, t, x, v, [&](const NearOne& one) {
+        const double push = one.answer(law).push, energy = one.energy(law);
+        grown += one.mass * one.scaling.growth * fma(push, one.gap, 2.0 * energy);
+    });
+    return grown;
+}
+
 /// Add blocks of stiffness and damping across the gap. What a curved surface adds along itself only softens.
 inline void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
     const auto law = plan.contacts.law<double>();
@@ -188,9 +212,10 @@ inline void add_contact_bounds(const Plan& plan, double t, const double* x, doub
         const double rubs = one.mass * FrictionLaw<double>::damping_share * w;
         if (stiff)
             add_block(stiff, plan.count, one.particle,
-                      outer(one.mass * law.stiffness(one.gap) - along, one.normal, along));
+                      outer(one.mass * law.stiffness(one.scaled_gap()) - along, one.normal, along));
         if (damp)
-            add_block(damp, plan.count, one.particle, outer(one.mass * law.damping(one.gap) - rubs, one.normal, rubs));
+            add_block(damp, plan.count, one.particle,
+                      outer(one.mass * law.damping(one.scaled_gap()) - rubs, one.normal, rubs));
     });
 }
 
@@ -220,7 +245,7 @@ inline void pinch_accelerations(const Plan& plan, double t, const double* x, con
     for_each_contact(plan, t, x, v, [&](const NearOne& one) {
         const Obstacle& obstacle = contacts.obstacles[one.obstacle];
         if (obstacle.pinch < 0) return;
-        const double push = law.push(one.gap, one.closing);
+        const double push = one.answer(law).push;
         Vec3<double> force = push * one.normal;
         if (obstacle.rough.still > 0.0)
             force = force + rubbing<double>(plan, one.obstacle, one.particle, one.placed, one.stands(), push,
@@ -247,7 +272,8 @@ inline void add_contact_product(const Plan& plan, double t, const double* x, con
         };
         with_shape(obstacle.shape, [&](auto shape) {
             const auto s = stand<shape.value, true, Dual>(one.placed, obstacle.size, at(x, dx), at(v, dv));
-            const Dual push = law.push(s.gap, s.closing);
+            const Scaling<Dual> scaling{{one.scaling.scale, 0.0}, {one.scaling.growth, 0.0}};
+            const Dual push = law.push(scaling.gap(s.gap), scaling.closing(s.gap, s.closing)) / scaling.scale;
             Vec3<Dual> force = push * s.normal;
             if (obstacle.rough.still > 0.0)
                 force = force + rubbing<Dual>(plan, one.obstacle, one.particle, one.placed, s, push,
@@ -269,9 +295,15 @@ inline void contact_gaps(const Plan& plan, double t, const double* x, double* ou
     const auto anyone = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x, nullptr, anyone, [&](const NearOne& one) {
         double* const to = out + 2 * one.obstacle;
-        to[0] += one.gap < plan.contacts.thickness ? 1.0 : 0.0;
+        to[0] += one.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
         to[1] = smaller(one.gap, to[1]);
     });
+}
+/// The gap of each contact [m], as `ReducedThickness` has them: rows of obstacles and particles.
+inline void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
+    const auto anyone = [](double) { return no_gap<double>; };
+    for_each_near(plan, t, x, nullptr, anyone,
+                  [&](const NearOne& one) { out[one.obstacle * (plan.count + 1) + one.particle] = one.gap; });
 }
 
 /// Whether any particle meets an obstacle's surface on its straight way from x0 at time t to x1, `duration` [s] later.

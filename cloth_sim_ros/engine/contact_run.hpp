@@ -32,6 +32,12 @@ public:
             for_each_anchor([&](T& held, std::size_t from) { held = static_cast<T>(contacts_.anchors[from]); });
         }
         if (run.books) sums_.assign(blocks * contacts_.count() * booked_numbers * ways, T(0));
+        if (!contacts_.reduced.any()) return;
+        if (run.books) grown_.assign(blocks * ways, T(0));
+        reduced_.assign(contacts_.count() * blocks * pitch, T(contacts_.thickness));
+        for (std::int64_t k = 0; k < contacts_.count(); ++k)
+            for (std::int64_t i = 0; i < plan.count; ++i)
+                reduced_[k * blocks * pitch + place_of(i)] = T(contacts_.reduced.at_start[k * (plan.count + 1) + i]);
     }
 
     /// Move pads to a step, before any block is looked at: all blocks have been at the step before.
@@ -53,11 +59,18 @@ public:
                                 ? nullptr
                                 : held_.data() + (number * contacts_.count() + obstacle) * anchor_numbers * pitch_;
             T* const sums = own && run_.books && step >= 0 ? sums_of(number, obstacle) : nullptr;
+            Reduced reduced;
+            if (!reduced_.empty()) {
+                reduced.at_start = reduced_.data() + (obstacle * blocks_ + number) * pitch_;
+                reduced.t = middle_of(run_, step);
+                reduced.grown = sums ? grown_.data() + number * ways : nullptr;
+            }
             with_shape(contacts_.obstacles[obstacle].shape, [&](auto shape) {
+                Felt* const feel = pad ? &felt : nullptr;
                 if (placed.turns())
-                    one<shape.value, true>(mine, sleep, placed, obstacle, step, block, f, sums, held, pad ? &felt : nullptr);
+                    one<shape.value, true>(mine, sleep, placed, obstacle, step, block, f, sums, held, feel, reduced);
                 else
-                    one<shape.value, false>(mine, sleep, placed, obstacle, step, block, f, sums, held, pad ? &felt : nullptr);
+                    one<shape.value, false>(mine, sleep, placed, obstacle, step, block, f, sums, held, feel, reduced);
             });
             if (pad) pinches_.feel(obstacle, number, step, felt);
         }
@@ -108,6 +121,9 @@ public:
                 run_.touched[obstacle * booked_numbers + number] += run_.step * sum;
             }
         touched.to(run_.touched + k * booked_numbers);
+        double grown = 0.0;
+        for (const T sum : grown_) grown += static_cast<double>(sum);
+        run_.touched[k * booked_numbers + Touched::numbers + 3] = run_.step * grown;
     }
 
 private:
@@ -119,6 +135,13 @@ private:
     /// [m/s] faster than now, and the obstacle at its fastest would cover the fraction `share` of the distance to contact.
     static constexpr double slack = 0.25, share = 0.25;
 
+    /// Of a block's contacts with an obstacle: their thickness at the start, null where it is the whole one, the time of
+    /// the step, and sums of the power of their growth, or null.
+    struct Reduced {
+        const T* at_start = nullptr;
+        double t = 0.0;
+        T* grown = nullptr;
+    };
     struct Sleep {
         std::int64_t until = -2;
         T speed = T(0);  ///< that was counted with; zero where it did not sleep
@@ -206,7 +229,7 @@ private:
     }
     template <Shape S, bool Turns>
     void one(Mine& mine, Sleep& sleep, const Placed<T>& placed, std::int64_t obstacle, std::int64_t step,
-             const Block<T>& block, T* f, T* sums, T* held, Felt* felt) {
+             const Block<T>& block, T* f, T* sums, T* held, Felt* felt, const Reduced& reduced) {
         const Vec3<double>& all = contacts_.obstacles[obstacle].size;
         const Vec3<T> size{T(all.x), T(all.y), T(all.z)};
         const T thickness = T(contacts_.thickness), ahead = T(2.0 * run_.step);
@@ -224,9 +247,11 @@ private:
         if (!looks || found.gap < thickness) {
             const Finding<T> finding(thickness, ahead);
             if (held)
-                sleep.touches = push<S, Turns, true>(met, placed, size, block, finding, f, sums, held, obstacle, step >= 0, felt);
+                sleep.touches = push<S, Turns, true>(met, placed, size, block, finding, f, sums, held, obstacle, step >= 0,
+                                                     felt, reduced);
             else
-                sleep.touches = push<S, Turns, false>(met, placed, size, block, finding, f, sums, held, obstacle, false, felt);
+                sleep.touches = push<S, Turns, false>(met, placed, size, block, finding, f, sums, held, obstacle, false,
+                                                      felt, reduced);
             if (!looks && !sleep.touches) found = looked();
         }
         mine.missed = mine.missed || (sleep.speed > T(0) && found.speed > T(2) * sleep.speed);
@@ -245,7 +270,7 @@ private:
     template <Shape S, bool Turns, bool Rough>
     bool push(Met& met, const Placed<T>& placed, const Vec3<T>& size, const Block<T>& block, Finding<T> finding, T* f,
               T* sums, [[maybe_unused]] T* held, [[maybe_unused]] std::int64_t obstacle, [[maybe_unused]] bool moves,
-              Felt* felt) {
+              Felt* felt, const Reduced& reduced) {
         const FrictionLaw<V> friction(contacts_.obstacles[obstacle].rough, contacts_.frequency);
         const V thickness = splat<V>(T(contacts_.thickness)), per = splat<V>(T(1.0 / ContactLaw<T>::speed));
         [[maybe_unused]] const V half = splat<V>(T(0.5 * run_.step));
@@ -254,12 +279,28 @@ private:
         alignas(64) T opening[ways] = {}, touching[ways] = {};
         for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>) {
             const V mass = load(block.mass + j);
-            const Stand<V> s =
+            Stand<V> s =
                 stand<S, Turns, V>(placed, size, block.template place<V>(j), block.template velocity<V>(j));
+            V closing = s.closing, grown{};
+            Scaling<V> scaling = whole_thickness<V>();
+            const V gap = s.gap;
+            if (reduced.at_start) {
+                scaling = contacts_.reduced.template scaling<V>(load(reduced.at_start + j), reduced.t);
+                closing = fma(scaling.growth, gap, closing);
+                s.gap = scaling.gap(gap);
+                s.closing = scaling.scale * closing;
+            }
             const auto inside = finding.take_gap(s, mass) < thickness;
-            const auto answer = law_.answer(s.gap, s.closing);
+            auto answer = law_.answer(s.gap, s.closing);
+            if (reduced.at_start) {
+                const V part = splat<V>(T(1)) / scaling.scale;
+                answer.push = part * answer.push;
+                answer.elastic = part * answer.elastic;
+                const V energy = splat<V>(T(ContactLaw<T>::speed * ContactLaw<T>::speed)) * (part * part) * answer.shape;
+                grown = mass * scaling.growth * fma(answer.push, gap, energy);
+            }
             Vec3<V> force = (mass * answer.push) * s.normal;
-            V lost = mass * (answer.push - answer.elastic) * s.closing;
+            V lost = mass * (answer.push - answer.elastic) * closing;
             if constexpr (Rough) {
                 const V bond = load(held + 3 * pitch_ + j);
                 const auto known = bond > V{};
@@ -307,6 +348,7 @@ private:
                 add(touching + j % ways, mass);
             }
             if (!sums) continue;
+            if (reduced.grown) add(reduced.grown + j % ways, grown);
             const Vec3<V> torque = cross(force, felt ? s.arm + splat3<V>(placed.lever) : s.arm);
             const V work = dot(force, splat3<V>(placed.speed) + cross(splat3<V>(placed.spin), s.arm));
             const V booked[booked_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z, work, lost};
@@ -338,6 +380,7 @@ private:
     Array<T>& masses_;
     std::vector<Mine> threads_;
     Array<T> sums_, held_, pushes_;  ///< the pushes of friction's last step
+    Array<T> reduced_, grown_;       ///< thickness of each contact, power of its growth by the block
     std::vector<std::int64_t> where_;  ///< of each particle among the blocks
 };
 

@@ -62,8 +62,8 @@ struct Frame {
     double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
     /// Of each run what was booked for each gripper, then lost and given power; where there is contact, what was booked
     /// for each obstacle, what `Touched` has, squared frequency and damping rate that the cloth's contact with itself
-    /// and with points and edges of obstacles had to be followed at, and what friction between layers took [J]. Null where
-    /// nothing is wanted and there is none.
+    /// and with points and edges of obstacles had to be followed at, what friction between layers took, and what contacts
+    /// gave that regained their thickness [J]. Null where nothing is wanted and there is none.
     double* notes;
     std::int64_t powers;    ///< whether powers are noted
     /// Nine numbers about the frame's end, or null.
@@ -86,9 +86,9 @@ struct Frame {
 };
 
 /// Numbers of a run's notes about contact: what obstacles did, what contact met, the rates of the cloth's contact with
-/// itself, and what its friction took.
+/// itself, what its friction took, and what contacts gave that regained their thickness.
 inline std::int64_t touched_numbers(const Plan& plan) {
-    return plan.touches() ? plan.contacts.count() * booked_numbers + Touched::numbers + 3 : 0;
+    return plan.touches() ? plan.contacts.count() * booked_numbers + Touched::numbers + 4 : 0;
 }
 
 /// What a frame is asked for of each of its runs.
@@ -200,7 +200,7 @@ inline Done make_frame(Plan& plan, const Frame& frame) {
     frame.told[4] = frame.told[5] = 0.0;
     const double end = frame.t + frame.duration;
     if (plan.self_acts())
-        follow(self_ahead(plan, 0.0, 1.0, x, x + 3 * n), [&] { return self_crosses(plan, finest, x); });
+        follow(self_ahead(plan, end, 0.0, 1.0, x, x + 3 * n), [&] { return self_crosses(plan, finest, x); });
     if (plan.features_act())
         follow(feature_ahead(plan, end, 0.0, 1.0, x, x + 3 * n),
                [&] { return features_cross(plan, end, 0.0, finest, x); });

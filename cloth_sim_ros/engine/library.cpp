@@ -211,10 +211,10 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
     });
 }
 /// Power lost to damping and drag, and given by the wind [W]; the joints of grippers aside.
-CLOTH_API int cloth_powers(Plan* plan, const double* x, const double* v, double* out) {
+CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         out[0] = out[1] = 0.0;
-        cloth::powers(*plan, x, v, out[0], out[1]);
+        cloth::powers(*plan, t, x, v, out[0], out[1]);
     });
 }
 /// Adds to (grippers, booked_numbers) times the weight.
@@ -267,13 +267,47 @@ CLOTH_API int cloth_contact_settle(Plan* plan, double t, const double* x, const 
                                    const double* weights, const double* ends, double* out) {
     return guarded(plan, [&] {
         cloth::settle_anchors(*plan, t, x, v, runs, weights, ends, out);
-        cloth::settle_self(*plan, x, v, runs, weights, ends, out);
+        cloth::settle_self(*plan, t, x, v, runs, weights, ends, out);
     });
 }
 /// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
 CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration, const double* x0, const double* x1,
                                     std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::contact_crosses(*plan, t, duration, x0, x1) ? 1 : 0; });
+}
+/// Reduced thickness of contacts at a time, (obstacles + 1, n + 1), and how fast and how long they regain it, see
+/// ReducedThickness. None where the numbers are null. Obstacles that are laid anew have the whole thickness.
+CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, double speed, double start, double duration) {
+    return guarded(plan, [&] {
+        cloth::Contacts& contacts = plan->contacts;
+        contacts.reduced = {};
+        if (!at_start) return;
+        const std::int64_t size = (contacts.count() + 1) * (plan->count + 1);
+        contacts.reduced.at_start.assign(at_start, at_start + size);
+        contacts.reduced.at_start.resize(size + cloth::lanes<double>, contacts.thickness);
+        contacts.reduced.whole = contacts.thickness;
+        contacts.reduced.speed = speed;
+        contacts.reduced.start = start;
+        contacts.reduced.duration = duration;
+    });
+}
+/// The gap of each contact [m], rows and columns as above; infinite where it is none or nothing is near.
+CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, double* out) {
+    return guarded(plan, [&] {
+        const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
+        std::fill(out, out + rows * columns, std::numeric_limits<double>::infinity());
+        cloth::contact_gap_rows(*plan, t, x, out);
+        if (plan->features) cloth::feature_gap_column(*plan, t, x, out);
+        if (plan->self) cloth::self_gap_row(*plan, x, out + (rows - 1) * columns);
+    });
+}
+/// Power of contacts that regain their thickness [W].
+CLOTH_API int cloth_contact_grown(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        *out = cloth::contact_grown(*plan, t, x, v);
+        if (plan->self) *out += cloth::self_grown(*plan, t, x, v);
+        if (plan->features) *out += cloth::feature_grown(*plan, t, x, v);
+    });
 }
 /// Squared frequency and damping rate of contact that has taken up so much.
 CLOTH_API int cloth_contact_limits(const Plan* plan, double reached, double* out) {

@@ -37,7 +37,7 @@ inline Energy energy_of(Plan& plan, double t, const double* x, const double* v) 
         e.potential += Joint::energy(params, &d);
     }
     if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
-    if (plan.self) e.potential += self_energy(plan, x);
+    if (plan.self) e.potential += self_energy(plan, t, x);
     if (plan.features) e.potential += feature_energy(plan, t, x);
     return e;
 }
@@ -58,8 +58,8 @@ inline void other_powers(const Plan& plan, const double* x, const double* v, dou
     given += pushed;
 }
 
-inline void powers(Plan& plan, const double* x, const double* v, double& lost, double& given) {
-    if (plan.self) lost += self_lost(plan, x, v);
+inline void powers(Plan& plan, double t, const double* x, const double* v, double& lost, double& given) {
+    if (plan.self) lost += self_lost(plan, t, x, v);
     for (const List& list : plan.lists) list_power(list, x, v, plan.count, lost, given);
     other_powers(plan, x, v, lost, given);
 }
@@ -84,7 +84,7 @@ inline void add_product(Plan& plan, double t, const double* x, const double* v, 
     if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
     if (plan.contacts.count()) add_contact_product(plan, t, x, v, dx, dv, out);
-    if (plan.self) add_self_product(plan, x, v, dx, dv, out);
+    if (plan.self) add_self_product(plan, t, x, v, dx, dv, out);
     if (plan.features) add_feature_product(plan, t, x, v, dx, dv, out);
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)

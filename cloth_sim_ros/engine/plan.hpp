@@ -279,4 +279,15 @@ inline double ended(double before, double origin, T value, T carry) {
                          static_cast<double>(carry));
 }
 
+/// How the contact of each particle with the cloth is reduced at a time t, in the order of its surface; none where it is
+/// not.
+inline void self_scalings(const Plan& plan, double t, std::vector<Scaling<double>>& out) {
+    const ReducedThickness& reduced = plan.contacts.reduced;
+    out.clear();
+    if (!reduced.any()) return;
+    out.resize(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i)
+        out[plan.rank[i]] = reduced.scaling(plan.contacts.count(), i, plan.count + 1, t);
+}
+
 }  // namespace cloth

@@ -233,7 +233,10 @@ public:
             way = n.away;
             speed = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
         }
-        const double away = root(norm2(way)), closing = -dot(way, speed) / away, left = away - law.thickness(edges);
+        const Scaling<double> scaling =
+            edges ? law.scaling({corner[0], corner[1]}, {corner[2], corner[3]}) : law.scaling(corner[0]);
+        const double away = root(norm2(way)), closing = scaling.closing(away, -dot(way, speed) / away);
+        const double left = scaling.gap(away) - law.thickness(edges);
         if (left >= 0.0 && left < duration * closing && closing >= from) enter(edges, closing);
     }
     /// Look at what was added since the last time.

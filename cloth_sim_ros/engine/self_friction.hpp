@@ -54,7 +54,7 @@ public:
     /// The layers on a particle's sides, from the meeting of the particle. A side is told by the first triangle about it.
     template <class X>
     void sides(const Surface& s, const Meeting<V>& m, X&& at, Layer<V> (&out)[layer_sides]) const {
-        const V damped = law_.damped(m);
+        const V damped = law_.damped(m) / m.scaling.scale;
         const Index i = m.gaps[0].corner[0];
         Vec3<double> up{};
         if (s.start[i] < s.start[i + 1]) {

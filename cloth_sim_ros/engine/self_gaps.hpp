@@ -143,18 +143,31 @@ public:
 
     /// Evaluate the law at what was found: gaps, the speeds with which they close, pushes per mass without damping, b, and
     /// `away` becomes its direction.
-    void evaluate(const ContactLaw<vec<double>>& law, const double* v) {
+    /// Where the law of the surface is reduced, gaps and speeds are in units of the whole thickness, see Scaling.
+    void evaluate(const ContactLaw<vec<double>>& law, const SelfLaw<double>& own, const double* v) {
         using V = vec<double>;
         for (std::size_t k = 0; k < size; k += lanes<double>) {
             Vec3<V> moving[4];
             gather<4>(corner, k, size, v, moving);
-            const V gap = root(load(law_[0].data() + k)), over = splat<V>(1.0) / gap;
+            V gap = root(load(law_[0].data() + k));
+            const V over = splat<V>(1.0) / gap;
             Vec3<V> speed = moving[0];
             for (int j = 0; j < 3; ++j) speed = fma(load(weight[j].data() + k), moving[j + 1], speed);
             const Vec3<V> n{over * load(away[0].data() + k), over * load(away[1].data() + k), over * load(away[2].data() + k)};
             store(away[0].data() + k, n.x), store(away[1].data() + k, n.y), store(away[2].data() + k, n.z);
+            V closing = -dot(n, speed);
+            if (own.reduced()) {
+                Scaling<V> scaling = whole_thickness<V>();
+                for (int lane = 0; lane < lanes<double>; ++lane) {
+                    const Scaling<double> one = own.scaling(corner[0][std::min(k + lane, size - 1)]);
+                    scaling.scale[lane] = one.scale;
+                    scaling.growth[lane] = one.growth;
+                }
+                closing = scaling.closing(gap, closing);
+                gap = scaling.gap(gap);
+            }
             store(law_[0].data() + k, gap);
-            store(law_[1].data() + k, V(-dot(n, speed)));
+            store(law_[1].data() + k, closing);
             store(law_[2].data() + k, law.elastic(gap));
             store(law_[3].data() + k, law.shape(gap));
         }
@@ -224,7 +237,7 @@ public:
         size_ = gaps_ = 0;
         place_.resize(count, 0);
         if (of_.size() >= gaps + lanes<double>) return;
-        for (auto* all : {&push_, &rate_, &shape_, &closing_, &scale_}) all->resize(gaps + lanes<double>);
+        for (auto* all : {&push_, &rate_, &shape_, &closing_, &scale_, &lever_}) all->resize(gaps + lanes<double>);
         own_.resize(4 * (gaps + lanes<double>));
         particle_.resize(gaps + lanes<double>);
         of_.resize(gaps + lanes<double>);
@@ -236,7 +249,7 @@ public:
         auto place = static_cast<std::size_t>(place_[i]);
         if (place >= size_ || particle_[place] != i) {
             place = size_++;
-            push_[place] = rate_[place] = shape_[place] = closing_[place] = 0.0;
+            push_[place] = rate_[place] = shape_[place] = closing_[place] = lever_[place] = 0.0;
             particle_[place] = i;
             place_[i] = static_cast<Index>(place);
         }
@@ -245,11 +258,12 @@ public:
         const double sign = gaps.sign(k), push = sign * gaps.push(k);
         push_[place] += push;
         rate_[place] = cloth::fma(push, gaps.closing(k), rate_[place]);
+        lever_[place] = cloth::fma(push, gaps.gap(k), lever_[place]);
         shape_[place] = cloth::fma(sign, gaps.shape(k), shape_[place]);
         closing_[place] = larger(gaps.closing(k), closing_[place]);
     }
-    /// What damping multiplies forces by, and what it takes [W].
-    void close(const Surface& s, const SelfLaw<double>& law, double* lost) {
+    /// What damping multiplies forces by, what it takes, and what growth gives [W].
+    void close(const Surface& s, const SelfLaw<double>& law, double* lost, double& grown) {
         using V = vec<double>;
         most = 0.0;
         for (std::size_t k = 0; k < size_; k += lanes<double>) {
@@ -264,8 +278,13 @@ public:
         }
         for (std::size_t k = 0; k < size_; ++k) {
             const double mass = 0.5 * s.masses[particle_[k]];
-            if (lost) *lost += mass * (scale_[k] - 1.0) * rate_[k];
-            scale_[k] *= mass;
+            const Scaling<double> scaling = law.scaling(particle_[k]);
+            const double part = 1.0 / scaling.scale;
+            if (lost) *lost += mass * (scale_[k] - 1.0) * rate_[k] * (part * part);
+            if (lost && law.reduced())
+                grown += mass * scaling.growth * (part * part) *
+                         SelfLaw<double>::growing(scale_[k] * lever_[k], shape_[k]);
+            scale_[k] *= mass * part;
         }
     }
     /// Add forces to quads f; and as their fourth number the mass of what pushes times its weights, see Demand.
@@ -293,7 +312,7 @@ public:
 
 private:
     std::size_t size_ = 0, gaps_ = 0;
-    std::vector<double> push_, rate_, shape_, closing_, scale_, own_;
+    std::vector<double> push_, rate_, shape_, closing_, scale_, lever_, own_;
     std::vector<Index> particle_, place_, of_, which_;
 };
 

@@ -39,6 +39,9 @@ struct Meeting {
     double mass = 0.0;
     /// Energy per mass in units of U^2/2, sum of the pushes, and the rate at which the energy grows [m^2/s^3].
     V shape{}, push{}, rate{};
+    /// How its thickness is reduced; gaps, their speeds and these sums are in units of the whole one, see Scaling.
+    Scaling<V> scaling = whole_thickness<V>();
+    V lever{};  ///< sum of pushes times gaps [m^2/s^2], while it grows
     /// Of a pair of edges: what its energy is multiplied by, and the slope of that over the corners' places.
     V faded{};
     Vec3<V> slope[4];
@@ -46,7 +49,7 @@ struct Meeting {
 
     void clear() {
         gaps.clear();
-        shape = push = rate = V{};
+        shape = push = rate = lever = V{};
         edges = false;
     }
     double least() const {
@@ -71,6 +74,21 @@ public:
 
     double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
 
+    /// Let contacts of particles have a reduced thickness, by one each; null takes it back. It has to outlive the law.
+    void reduce(const std::vector<Scaling<double>>* scalings) {
+        scalings_ = scalings && !scalings->empty() ? scalings->data() : nullptr;
+    }
+    bool reduced() const { return scalings_; }
+    Scaling<double> scaling(Index i) const { return scalings_ ? scalings_[i] : whole_thickness<double>(); }
+    /// Of a pair of edges: the thinnest of their ends.
+    Scaling<double> scaling(const std::array<Index, 2>& one, const std::array<Index, 2>& other) const {
+        Scaling<double> most = whole_thickness<double>();
+        if (!scalings_) return most;
+        for (const Index c : {one[0], one[1], other[0], other[1]})
+            if (scalings_[c].scale > most.scale) most = scalings_[c];
+        return most;
+    }
+
     /// The energy of particle i with the surface, of which the triangles from `begin` to `end` are near. It counts
     /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once, wherever
     /// it is cut into triangles (Euler's formula; Li et al., Convergent IPC, 2023).
@@ -79,12 +97,14 @@ public:
                   Meeting<V>& m) const {
         m.clear();
         m.mass = 0.5 * s.masses[i];
+        m.scaling = splat_scaling(scaling(i));
+        const double within = thickness_ / value_of(m.scaling.scale), square_within = within * within;
         const Vec3<V> p = at(i);
         for (const Index* triangle = begin; triangle != end; ++triangle) {
             const auto& t = s.triangles[*triangle];
             const Vec3<V> x[3] = {at(t[0]), at(t[1]), at(t[2])};
             const OnTriangle<V> n = near_triangle(p, x[0], x[1], x[2]);
-            if (!(value_of(n.square) < thickness_ * thickness_)) continue;
+            if (!(value_of(n.square) < square_within)) continue;
             const V one = splat<V>(1.0);
             take({1.0, {i, t[0], t[1], t[2]}, {one, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
                  moving, m);
@@ -93,14 +113,14 @@ public:
                 const Index other = s.across[*triangle][k];
                 if (other >= 0 && (s.has(other, i) || *triangle < other)) {
                     const OnSegment<V> e = near_segment(p, x[k], x[next]);
-                    if (value_of(e.square) < thickness_ * thickness_)
+                    if (value_of(e.square) < square_within)
                         take({-1.0, {i, t[k], t[next], i}, {one, e.share - one, -e.share, V{}}, e.away, e.square, V{}},
                              moving, m);
                 }
                 if (s.inner[t[k]] && s.first_about(t[k], i) == *triangle) {
                     const Vec3<V> away = p - x[k];
                     const V square = norm2(away);
-                    if (value_of(square) < thickness_ * thickness_)
+                    if (value_of(square) < square_within)
                         take({1.0, {i, t[k], i, i}, {one, -one, V{}, V{}}, away, square, V{}}, moving, m);
                 }
             }
@@ -110,6 +130,7 @@ public:
             m.push = m.push + push;
             m.rate = m.rate + push * g.closing;
             m.shape = m.shape + splat<V>(g.sign) * whole_.shape(g.gap);
+            if (scalings_) m.lever = m.lever + push * g.gap;
         }
     }
     /// The energy of two edges, from a to b and from c to e. It fades as they become parallel, where the nearest points
@@ -121,7 +142,8 @@ public:
         const Index corner[4] = {one_edge[0], one_edge[1], other[0], other[1]};
         const Vec3<V> x[4] = {at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])};
         const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
-        const double thickness = 0.5 * thickness_;
+        m.scaling = splat_scaling(scaling(one_edge, other));
+        const double thickness = 0.5 * thickness_ / value_of(m.scaling.scale);
         if (!(value_of(n.square) < thickness * thickness)) return;
         m.edges = true;
         m.mass = 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
@@ -134,6 +156,7 @@ public:
         m.push = m.faded * half_.elastic(g.gap);
         m.shape = m.faded * shape;
         m.rate = m.push * g.closing;
+        m.lever = m.push * g.gap;
         const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
         for (int k = 0; k < 4; ++k) {
             m.slope[k] = energy * m.slope[k];
@@ -159,23 +182,41 @@ public:
     /// Call `what` with each corner of a meeting and the force on it.
     template <class F>
     void forces(const Meeting<V>& m, F&& what) const {
-        const V scale = splat<V>(m.mass) * damped(m);
+        const V scale = splat<V>(m.mass) * damped(m), part = splat<V>(1.0) / m.scaling.scale;
         for (const Gap<V>& g : m.gaps) {
-            const V push = m.edges ? m.push : splat<V>(g.sign) * whole_.elastic(g.gap);
+            const V push = part * (m.edges ? m.push : splat<V>(g.sign) * whole_.elastic(g.gap));
             for (int k = 0; k < 4; ++k) {
                 if (!m.edges && k && g.corner[k] == g.corner[0]) continue;
                 Vec3<V> force = (push * g.weight[k]) * g.normal;
-                if (m.edges) force = force - m.slope[k];
+                if (m.edges) force = force - (part * part) * m.slope[k];
                 what(g.corner[k], scale * force);
             }
         }
     }
     double energy(const Meeting<V>& m) const {
-        return m.mass * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * value_of(m.shape);
+        return m.mass * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * value_of(m.shape) * unscaled(m);
+    }
+    /// Power that damping takes [W].
+    double lost(const Meeting<V>& m) const {
+        return m.mass * (value_of(damped(m)) - 1.0) * value_of(m.rate) * unscaled(m);
+    }
+    /// Power of its growth [W].
+    double grown(const Meeting<V>& m) const {
+        return m.mass * value_of(m.scaling.growth) * unscaled(m) *
+               growing(value_of(damped(m)) * value_of(m.lever), value_of(m.shape));
+    }
+    /// The same over mass, rate and square of the scale: by pushes times gaps, damping included, and energy.
+    static double growing(double lever, double shape) {
+        return fma(ContactLaw<double>::speed * ContactLaw<double>::speed, shape, lever);
     }
     const ContactLaw<V>& law(bool edges) const { return edges ? half_ : whole_; }
 
 private:
+    static Scaling<V> splat_scaling(Scaling<double> s) { return {splat<V>(s.scale), splat<V>(s.growth)}; }
+    static double unscaled(const Meeting<V>& m) {
+        const double scale = value_of(m.scaling.scale);
+        return 1.0 / (scale * scale);
+    }
     /// sin^2 of the angle below which edges count as parallel: 1.8 degrees, as in IPC.
     static constexpr double parallel = 1e-3;
 
@@ -188,7 +229,8 @@ private:
         Vec3<V> speed{};
         for (int k = 0; k < 4; ++k)
             if (!k || g.corner[k] != g.corner[0]) speed = fma(g.weight[k], moving(g.corner[k]), speed);
-        g.closing = -dot(g.normal, speed);
+        g.closing = m.scaling.closing(g.gap, -dot(g.normal, speed));
+        g.gap = m.scaling.gap(g.gap);
         m.gaps.push_back(g);
     }
     void fade(Vec3<V> u, Vec3<V> v, Meeting<V>& m) const {
@@ -210,6 +252,7 @@ private:
 
     double thickness_, damping_;
     ContactLaw<V> whole_, half_;
+    const Scaling<double>* scalings_ = nullptr;
 };
 
 }  // namespace cloth

@@ -37,16 +37,16 @@ CLOTH_API int cloth_self_friction(cloth::Plan* plan, double still, double slidin
     });
 }
 /// Power that friction between layers takes [W].
-CLOTH_API int cloth_self_rubbed(cloth::Plan* plan, const double* x, const double* v, double* out) {
-    return guarded(plan, [&] { *out = cloth::self_rubbed(*plan, x, v); });
+CLOTH_API int cloth_self_rubbed(cloth::Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] { *out = cloth::self_rubbed(*plan, t, x, v); });
 }
 /// Whether pairs that may come near are kept from one evaluation to the next. No bit depends on it.
 CLOTH_API int cloth_self_keeps(cloth::Plan* plan, std::int64_t keeps) {
     return guarded(plan, [&] { plan->self->keeps = keeps != 0; });
 }
 /// Adds blocks that bound stiffness and damping.
-CLOTH_API int cloth_self_bounds(cloth::Plan* plan, const double* x, double* stiff, double* damp) {
-    return guarded(plan, [&] { cloth::add_self_bounds(*plan, x, stiff, damp); });
+CLOTH_API int cloth_self_bounds(cloth::Plan* plan, double t, const double* x, double* stiff, double* damp) {
+    return guarded(plan, [&] { cloth::add_self_bounds(*plan, t, x, stiff, damp); });
 }
 /// Number of contacts and the least gap [m].
 CLOTH_API int cloth_self_gaps(cloth::Plan* plan, const double* x, double* out) {

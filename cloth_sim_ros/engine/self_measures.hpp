@@ -51,54 +51,65 @@ inline void for_each_meeting(SelfContact& self, const SelfLaw<V>& law, double th
         });
 }
 template <class F>
-inline void for_each_meeting(Plan& plan, const double* x, const double* v, F&& what) {
+inline void for_each_meeting(Plan& plan, double t, const double* x, const double* v, F&& what) {
     const Contacts& contacts = plan.contacts;
     const Array<double> places = quads_of(plan, x), speeds = quads_of(plan, v);
     const Quads at[2] = {{places.data()}, {nullptr}}, moving[2] = {{speeds.data()}, {nullptr}};
-    const SelfLaw<double> law(contacts.thickness, contacts.damping);
+    SelfLaw<double> law(contacts.thickness, contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
     for_each_meeting<double>(*plan.self, law, contacts.thickness, at, moving,
                              [&](const Meeting<double>& m, auto& where, auto& speed) { what(law, m, where, speed); });
 }
 
-inline double self_energy(Plan& plan, const double* x) {
+inline double self_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
-    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+    for_each_meeting(plan, t, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
         total += law.energy(m) + layer_energy(plan, law, m, at, moving);
     });
     return total;
 }
 /// Power that damping and friction take [W].
-inline double self_lost(Plan& plan, const double* x, const double* v) {
+inline double self_lost(Plan& plan, double t, const double* x, const double* v) {
     double lost = 0.0;
-    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
-        lost += m.mass * (law.damped(m) - 1.0) * m.rate + layer_lost(plan, law, m, at, moving);
+    for_each_meeting(plan, t, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+        lost += law.lost(m) + layer_lost(plan, law, m, at, moving);
     });
     return lost;
 }
 /// Power that friction between layers takes [W].
-inline double self_rubbed(Plan& plan, const double* x, const double* v) {
+inline double self_rubbed(Plan& plan, double t, const double* x, const double* v) {
     double lost = 0.0;
-    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+    for_each_meeting(plan, t, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
         lost += layer_lost(plan, law, m, at, moving);
     });
     return lost;
 }
+/// Power of the growth of contacts with a reduced thickness [W].
+inline double self_grown(Plan& plan, double t, const double* x, const double* v) {
+    double grown = 0.0;
+    for_each_meeting(plan, t, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto&, auto&) {
+        if (law.reduced()) grown += law.grown(m);
+    });
+    return grown;
+}
 /// Anchors on layers after runs, see settle_layers; obstacles' come before them.
-inline void settle_self(Plan& plan, const double* x, const double* v, std::int64_t runs, const double* weights,
-                        const double* ends, double* out) {
+inline void settle_self(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                        const double* weights, const double* ends, double* out) {
     if (!plan.rubs()) return;
     const std::int64_t before = plan.contacts.obstacle_anchors(plan.count);
-    for_each_meeting(plan, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+    for_each_meeting(plan, t, x, v, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
         settle_layers(plan, law, m, at, moving, runs, weights, ends + before, plan.anchor_count(), out + before);
     });
 }
 
 /// Add blocks that bound stiffness and damping: of a gap k g g', g = weights times the normal, at most 2 k |w_c| n n' at
 /// corner c, for the weights of either side add up to one. What counts with the other sign only softens.
-inline void add_self_bounds(Plan& plan, const double* x, double* stiff, double* damp) {
+inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> own(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
-    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
+    for_each_meeting(plan, t, x, nullptr, [&](const SelfLaw<double>& law, const Meeting<double>& m, auto& at, auto& moving) {
         add_layer_bounds(plan, law, m, at, moving, stiff, damp);
         for (const Gap<double>& g : m.gaps) {
             if (g.sign < 0.0) continue;
@@ -117,12 +128,15 @@ inline void add_self_bounds(Plan& plan, const double* x, double* stiff, double* 
 }
 
 /// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
-inline void add_self_product(Plan& plan, const double* x, const double* v, const double* dx, const double* dv,
+inline void add_self_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
                              double* out) {
     const Contacts& contacts = plan.contacts;
     const Array<double> a = quads_of(plan, x), b = quads_of(plan, v), da = quads_of(plan, dx), db = quads_of(plan, dv);
     const Quads at[2] = {{a.data()}, {da.data()}}, moving[2] = {{b.data()}, {db.data()}};
-    const SelfLaw<Dual> law(contacts.thickness, contacts.damping);
+    SelfLaw<Dual> law(contacts.thickness, contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
     std::vector<std::int64_t> own(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
     const auto of = [&](const Meeting<Dual>& m, auto& where, auto& speed) {
@@ -136,19 +150,43 @@ inline void add_self_product(Plan& plan, const double* x, const double* v, const
     for_each_meeting<Dual>(*plan.self, law, contacts.thickness, at, moving, of);
 }
 
+/// Call `what` with each meeting within the whole thickness.
+template <class F>
+inline void for_each_whole_meeting(Plan& plan, const double* x, F&& what) {
+    const Contacts& contacts = plan.contacts;
+    const Array<double> places = quads_of(plan, x), speeds = quads_of(plan, nullptr);
+    const Quads at[2] = {{places.data()}, {nullptr}}, moving[2] = {{speeds.data()}, {nullptr}};
+    const SelfLaw<double> law(contacts.thickness, contacts.damping);
+    for_each_meeting<double>(*plan.self, law, contacts.thickness, at, moving,
+                             [&](const Meeting<double>& m, auto&, auto&) { what(m); });
+}
+
 /// How many particles and pairs of edges are in contact, and the least gap [m] of these, infinite where there are none.
 inline void self_gaps(Plan& plan, const double* x, double* out) {
     out[0] = 0.0;
     out[1] = std::numeric_limits<double>::infinity();
-    for_each_meeting(plan, x, nullptr, [&](const SelfLaw<double>&, const Meeting<double>& m, auto&, auto&) {
+    for_each_whole_meeting(plan, x, [&](const Meeting<double>& m) {
         out[0] += 1.0;
         out[1] = smaller(m.least(), out[1]);
+    });
+}
+/// The least gap of each particle's contacts [m], in the caller's order: to triangles, edges and particles within the
+/// thickness, and twice that of an edge of the particle with another edge.
+inline void self_gap_row(Plan& plan, const double* x, double* out) {
+    std::vector<std::int64_t> own(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
+    for_each_whole_meeting(plan, x, [&](const Meeting<double>& m) {
+        const double gap = m.edges ? 2.0 * m.least() : m.least();
+        for (int k = 0; k < (m.edges ? 4 : 1); ++k) {
+            double& to = out[own[m.gaps[0].corner[k]]];
+            to = smaller(gap, to);
+        }
     });
 }
 
 /// Squared frequency and damping rate that contact comes to where it takes up what it holds, and what comes into contact
 /// within a duration [s] as it moves now, times `expected`. Infinite where particles have no place.
-inline SelfRates self_ahead(Plan& plan, double duration, double expected, const double* x, const double* v) {
+inline SelfRates self_ahead(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
     const Array<double> places = quads_of(plan, x), speeds = quads_of(plan, v);
@@ -158,7 +196,10 @@ inline SelfRates self_ahead(Plan& plan, double duration, double expected, const 
     const double beyond = smaller(spread.most() * duration, 0.5 * self.surface.shortest);
     Demand demand;
     LayerLoad load;
-    const SelfLaw<double> law(d, plan.contacts.damping);
+    SelfLaw<double> law(d, plan.contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
     if (!self.find(places.data(), d, beyond)) {
         const double none = std::numeric_limits<double>::infinity();
         return {none, none};

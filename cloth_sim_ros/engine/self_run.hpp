@@ -8,6 +8,7 @@
 #include <limits>
 #include <optional>
 
+#include "plan.hpp"
 #include "self_contact.hpp"
 
 namespace cloth {
@@ -43,6 +44,11 @@ public:
     SelfRun(SelfContact& self, double thickness, double damping, double step)
         : self_(self), law_(thickness, damping), wide_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
 
+    /// Let contacts have the thickness that a plan says, over a run.
+    void reduce(const Plan& plan, const Run& run) {
+        plan_ = &plan;
+        run_ = &run;
+    }
     /// Let layers rub, from anchors at the start on; their springs have a frequency [1/s].
     void rub(double frequency, const LayerAnchors& anchors) {
         frequency_ = frequency;
@@ -52,7 +58,12 @@ public:
     /// `lost`.
     void add(std::int64_t step, const double* x, const double* v, double* f, double* lost) {
         if (!look(x)) return;
-        add_particles(v, f, lost);
+        if (plan_) {
+            self_scalings(*plan_, middle_of(*run_, step), scalings_);
+            law_.reduce(&scalings_);
+        }
+        double grown = 0.0;
+        add_particles(v, f, lost, grown);
         const Surface& s = self_.surface;
         const Quads at{x}, moving{v};
         const auto push = [&](Index c, Vec3<double> force) {
@@ -66,8 +77,10 @@ public:
             }
             law_.forces(meeting_, push);
             demand_.take(s, meeting_);
-            if (lost) *lost += meeting_.mass * (law_.damped(meeting_) - 1.0) * meeting_.rate;
+            if (lost) *lost += law_.lost(meeting_);
+            if (lost && plan_) grown += law_.grown(meeting_);
         }
+        grown_ += step_ * grown;
         demand_.close();
         if (layers_) add_layers(step, at, moving, push, lost);
     }
@@ -79,16 +92,18 @@ public:
     }
     /// What friction took since the run began [J], where powers are asked for, and the anchors after so many steps.
     double rubbed() const { return rubbed_; }
+    /// The same of what contacts gave that regained their thickness.
+    double grown() const { return grown_; }
     void anchors(std::int64_t steps, const std::int64_t* own, double* to) const {
         if (layers_) layers_->finish(steps, own, to);
     }
 
 private:
     /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
-    void add_particles(const double* v, double* f, double* lost) {
+    void add_particles(const double* v, double* f, double* lost, double& grown) {
         SelfGaps& gaps = self_.gaps;
         if (!gaps.size) return;
-        gaps.evaluate(wide_, v);
+        gaps.evaluate(wide_, law_, v);
         sums_.begin(self_.surface.count, gaps.size);
         double coming = 0.0;
         for (std::size_t k = 0; k < gaps.size; ++k) {
@@ -100,9 +115,13 @@ private:
             }
         }
         if (coming > 0.0) demand_.enter(false, coming);
-        const double least = least_of(gaps.square);
-        if (least < thickness_ * thickness_) demand_.gap = smaller(root(least), demand_.gap);
-        sums_.close(self_.surface, law_, lost);
+        double least = root(least_of(gaps.square));
+        if (law_.reduced()) {
+            least = thickness_;
+            for (std::size_t k = 0; k < gaps.ends[0]; ++k) least = smaller(gaps.gap(k), least);
+        }
+        if (least < thickness_) demand_.gap = smaller(least, demand_.gap);
+        sums_.close(self_.surface, law_, lost, grown);
         if (sums_.most > 0.0) demand_.reach(false, sums_.most);
         sums_.push(self_.surface, gaps, f);
         demand_.gather(self_.surface, f);
@@ -168,7 +187,10 @@ private:
     Demand demand_;
     SelfSums sums_;
     std::optional<LayerRun> layers_;
-    double frequency_ = 1.0, rubbed_ = 0.0;
+    double frequency_ = 1.0, rubbed_ = 0.0, grown_ = 0.0;
+    const Plan* plan_ = nullptr;  ///< of contacts with a reduced thickness
+    const Run* run_ = nullptr;
+    std::vector<Scaling<double>> scalings_;
     Array<double> before_;
     bool passed_ = false;
 };

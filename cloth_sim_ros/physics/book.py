@@ -31,20 +31,22 @@ class Book:
         self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count))
         # Of friction between layers.
         self._rubbed = 0.0
+        # Of contacts that regain their thickness.
+        self._recovered = 0.0
         self._no_loads = np.zeros((0, 6))
         self._duration = 0.0
 
     def restart(self) -> None:
         """Forget what was noted since the advance began: it is attempted anew."""
-        self._sums, self._rubbed, self._duration = self._nothing, 0.0, 0.0
+        self._sums, self._rubbed, self._recovered, self._duration = self._nothing, 0.0, 0.0, 0.0
 
-    def noted(self) -> tuple[Array, float, float]:
+    def noted(self) -> tuple[Array, float, float, float]:
         """Return what was noted so far, for `go_back`."""
-        return self._sums, self._rubbed, self._duration
+        return self._sums, self._rubbed, self._recovered, self._duration
 
-    def go_back(self, noted: tuple[Array, float, float]) -> None:
+    def go_back(self, noted: tuple[Array, float, float, float]) -> None:
         """Forget what was noted since then: that stretch is attempted anew."""
-        self._sums, self._rubbed, self._duration = noted
+        self._sums, self._rubbed, self._recovered, self._duration = noted
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
         """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
@@ -56,6 +58,7 @@ class Book:
             self._sums = self._sums + (noted if weight == 1.0 else weight * noted)
             if len(run.notes) > size:
                 self._rubbed += weight * run.rubbed
+                self._recovered += weight * run.recovered
         self._duration += duration
 
     def add_touches(self, touches: Array) -> None:
@@ -64,11 +67,18 @@ class Book:
         self._touches[:] += touches
 
     def add(
-        self, grips: Array, touches: Array, powers: tuple[float, float], duration: float, rubbed: float = 0.0
+        self,
+        grips: Array,
+        touches: Array,
+        powers: tuple[float, float],
+        duration: float,
+        rubbed: float = 0.0,
+        recovered: float = 0.0,
     ) -> None:
         """Note one point of a quadrature, already multiplied by its weight [s]."""
         self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel()])
         self._rubbed += rubbed
+        self._recovered += recovered
         self._duration += duration
 
     @property
@@ -116,6 +126,11 @@ class Book:
         return self._rubbed
 
     @property
+    def recovered(self) -> float:
+        """Energy that contacts put in that regained their thickness [J]; only with `powers`."""
+        return self._recovered
+
+    @property
     def given(self) -> float:
         """Energy that moving air put into the motion [J]; only with `powers`."""
         return float(self._powers[1])
@@ -129,5 +144,8 @@ def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float, *,
     met = none
     if plan.contact is not None and book.obstacle_count:
         met = plan.contact.rates(t, x, v, weight) if touches else np.zeros((book.obstacle_count, BOOKED_NUMBERS))
-    rubbed = weight * plan.contact.rubbed(x, v) if plan.contact is not None and book.powers else 0.0
-    book.add(grips, met, (weight * lost, weight * given), weight, rubbed)
+    rubbed = recovered = 0.0
+    if plan.contact is not None and book.powers:
+        rubbed = weight * plan.contact.rubbed(t, x, v)
+        recovered = weight * plan.contact.recovering(t, x, v)
+    book.add(grips, met, (weight * lost, weight * given), weight, rubbed, recovered)

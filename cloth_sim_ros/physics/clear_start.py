@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.contact_thickness import LEAST_GAP
 from cloth_sim_ros.physics.forces.contact import OwnSurface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import nearest_points
@@ -17,9 +18,8 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.powers import in_rows
 
-#: A cloth may start as near to itself as this share of the thickness. Nearer, contact holds more than 96 times the
-#: energy that stops 35 m/s.
-NEAREST = 0.01
+#: A cloth may start as near to itself as this share of the thickness.
+NEAREST = LEAST_GAP
 #: Particles, the stiffest of contact, of which the one nearest to a triangle is told.
 _LOOKED_AT = 16
 _REMEDY = "start from another state, or set contact.self to false"
@@ -54,7 +54,7 @@ def pierced(owner: Owner, x: Array) -> list[int] | None:
 
 
 def check_clear(owner: Owner, surface: OwnSurface, thickness: float, x: Array) -> None:
-    """Refuse a cloth that passes through itself, or is so near to itself that contact would tear it apart.
+    """Refuse a cloth that passes through itself, or is too near to itself for any thickness.
 
     Args:
         owner: of the engine's plan, which knows the surface.
@@ -79,8 +79,8 @@ def check_clear(owner: Owner, surface: OwnSurface, thickness: float, x: Array) -
     if least < NEAREST * thickness:
         raise ValueError(
             f"the cloth is {least:.3g} m from itself {_nearest(owner, surface, x)}; at the start it must be "
-            f"{NEAREST * thickness:.3g} m at least, a hundredth of contact.thickness: contact would tear it apart; "
-            f"{_REMEDY}"
+            f"{NEAREST * thickness:.3g} m at least, {NEAREST:g} of contact.thickness: move its "
+            f"layers {thickness - least:.3g} m apart, {_REMEDY}"
         )
 
 
@@ -88,7 +88,7 @@ def _nearest(owner: Owner, surface: OwnSurface, x: Array) -> str:
     """Where the cloth is nearest to itself; the middle of a sentence."""
     stiff, damped = np.zeros((6, x.shape[1])), np.zeros((6, x.shape[1]))
     addresses = doubles("x", x, x.shape), address(stiff), address(damped)
-    check(library().cloth_self_bounds(owner.handle, *addresses))
+    check(library().cloth_self_bounds(owner.handle, 0.0, *addresses))
     # Contact is stiffest where it is nearest, and no number where there is no gap.
     order = np.argsort(-np.nan_to_num(stiff[0] + stiff[1] + stiff[2], nan=np.inf), kind="stable")
     triangles, points = surface.triangles, np.ascontiguousarray(x.T)

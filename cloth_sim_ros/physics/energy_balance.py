@@ -12,7 +12,8 @@ from cloth_sim_ros.physics.state import State
 class EnergyBalance:
     """Sums up dissipation, and the work of grippers and wind, over advances.
 
-    residual = E - E at the start - work - wind + lost. Hand `book` to the integrator, then `close` the advance.
+    residual = E - E at the start - work - wind - recovered + lost. Hand `book` to the integrator, then `close` the
+    advance.
 
     Args:
         plan: equations of motion.
@@ -34,21 +35,24 @@ class EnergyBalance:
         self.wind = 0.0
         #: Energy that went from one form into another so far, at least [J].
         self.turned_over = 0.0
+        #: Done on the cloth by contacts that regained their thickness so far [J].
+        self.recovered = 0.0
         self._kinetic, potential = self._energies(t, state)
         self._start = self._kinetic + potential
 
     def close(self, t: float, state: State) -> float:
         """Sum up an advance that ended at time t; return the residual [J] so far."""
-        lost, work, wind = self.book.lost, self.book.work, self.book.given
+        lost, work, wind, recovered = self.book.lost, self.book.work, self.book.given, self.book.recovered
         self.lost += lost
         self.rubbed += self.book.rubbed
         self.work += work
         self.wind += wind
+        self.recovered += recovered
         self.book.restart()
         kinetic, potential = self._energies(t, state)
-        self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work) + abs(wind)
+        self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work) + abs(wind) + abs(recovered)
         self._kinetic = kinetic
-        return kinetic + potential - self._start - self.work - self.wind + self.lost
+        return kinetic + potential - self._start - self.work - self.wind - self.recovered + self.lost
 
     def _energies(self, t: float, state: State) -> tuple[float, float]:
         # With the state's own anchors: seen from older ones, what slid would count as stretched.

@@ -85,7 +85,7 @@ class Measures:
         self._sync()
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        check(self._library.cloth_powers(self._handle, *addresses, address(out)))
+        check(self._library.cloth_powers(self._handle, t, *addresses, address(out)))
         lost = in_order((force.dissipation(t, x, v) for force in self._own), float(out[0]))
         return lost, in_order((force.supply(t, x, v) for force in self._own), float(out[1]))
 

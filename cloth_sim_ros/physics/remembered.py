@@ -241,6 +241,10 @@ ANCHORS = "contact.anchors"
 LAYER_SIDES = 2
 #: Name of where the pads of pinching grippers are, shape (pinches, 2): half the way between their faces [m], its rate.
 PINCHED = "contact.pinched"
+#: Name of the thickness of contacts [m] where some have a reduced one, shape (obstacles + 1, particles + 1): of each
+#: obstacle, pads included, with each particle, and in the last row of the cloth with itself; the last column is of
+#: obstacles' edges.
+THICKNESS = "contact.thickness"
 #: Name of whether it was told of each that its pads came to rest, shape (pinches,).
 SETTLED = "contact.settled"
 #: Names of what lies beside it, shape (3, particle_count): positions [m] at the start of the watched second, and

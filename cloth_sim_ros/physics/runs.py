@@ -19,8 +19,8 @@ class Run(NamedTuple):
     ends: Array
     #: What was noted: for each gripper BOOKED_NUMBERS; integrals of the powers of damping and of moving air [J]; for
     #: each obstacle BOOKED_NUMBERS; and, where there is contact, the energy per mass that obstacles' had to take up, in
-    #: U^2/2, the least gap [m], a number for the engine, the rates of the cloth's contact with itself, and what
-    #: friction between its layers took [J].
+    #: U^2/2, the least gap [m], a number for the engine, the rates of the cloth's contact with itself, what friction
+    #: between its layers took, and what contacts gave that regained their thickness [J].
     notes: Array
     #: Numbers of grippers and obstacles.
     grippers: int
@@ -89,6 +89,11 @@ class Run(NamedTuple):
     def rubbed(self) -> float:
         """What friction between layers took [J]; with `powers` alone."""
         return float(self.notes[self._size + 5]) if self._touches else 0.0
+
+    @property
+    def recovered(self) -> float:
+        """What contacts gave that regained their thickness [J]; with `powers` alone."""
+        return float(self.notes[self._size + 6]) if self._touches else 0.0
 
     @property
     def _touches(self) -> bool:

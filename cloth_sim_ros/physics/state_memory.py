@@ -16,6 +16,7 @@ from cloth_sim_ros.physics.remembered import (
     SETTLED,
     SLEEP_ARRAYS,
     SLEEP_VELOCITY,
+    THICKNESS,
     Remembered,
     Sleep,
 )
@@ -87,6 +88,11 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             what = f"obstacles and pads, 'obstacle.pose' of {known} and '{PINCHED}' of {pads}" if pads else ""
             what = what or f"obstacles, 'obstacle.pose' of {known}"
             raise ValueError(f"memory '{ANCHORS}' is of {len(anchors)} {what}")
+    if THICKNESS in memory:
+        reduced = memory[THICKNESS]
+        _check_one(THICKNESS, reduced, _FLOAT, (len(reduced) if reduced.ndim else 0, particle_count + 1))
+        if not (reduced > 0.0).all():
+            raise ValueError(f"memory '{THICKNESS}' holds {reduced.min()}; it must be above 0")
     pinches = len(np.atleast_1d(memory.get(PINCHED, ())))
     for name, (dtype, length) in {PINCHED: (_FLOAT, (pinches, 2)), SETTLED: (_BOOL, (pinches,))}.items():
         if name in memory:

@@ -26,10 +26,11 @@ from cloth_sim_ros.engine.binding import (
 from cloth_sim_ros.physics import touching_layers, touching_pads
 from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.contact_thickness import RECOVERY_SPEED
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.owner import Owner
-from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED
+from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED, THICKNESS
 from cloth_sim_ros.physics.runs import Run
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshes
@@ -56,6 +57,8 @@ class Touching(Uncopyable):
         self._seen = self._moved = self._heard = -1
         self._ahead = 0.0
         self._taken: Array | None = None
+        # Reduced thickness as the engine has it, and when it is regained.
+        self._reduced: tuple[Array, tuple[float, float]] | None = None
         #: Room for what the engine tells of what is ahead, made once.
         self._told = (ctypes.c_double * 8)()
         self._told_at = ctypes.addressof(self._told)
@@ -89,7 +92,7 @@ class Touching(Uncopyable):
             radii = np.array(reaches, dtype=np.float64)
             frictions = np.array([obstacle.friction for obstacle in force.obstacles], dtype=np.float64)
             arrays = (array.ctypes.data for array in (shapes, sizes, radii, frictions, paths))
-            self._taken = None
+            self._taken, self._reduced = None, None
             law = force.thickness, force.damping, force.frequency
             check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *law))
             tell_meshes(self._handle, force.obstacles)
@@ -121,16 +124,38 @@ class Touching(Uncopyable):
         return (len(self.force.pads), PINCH_NUMBERS)
 
     def take(self, state: State) -> None:
-        """Let what follows start with the anchors and pads of a state.
+        """Let what follows start with the anchors, pads and thickness of contacts of a state.
 
         A state without any, or of other obstacles, has no anchors; its pads are open.
         """
+        self.sync()
+        self.lay_thickness(state.memory.get(THICKNESS))
         if not self.force.remembered:
-            self.sync()
             return
         anchors, pinched = state.memory.get(ANCHORS), state.memory.get(PINCHED)
         self.lay(anchors if anchors is not None and anchors.shape == self.anchors_shape else None)
         self.lay_pads(pinched if pinched is not None and pinched.shape == self.pinched_shape else None)
+
+    @property
+    def thickness_shape(self) -> tuple[int, int]:
+        """Shape of the thickness of contacts: obstacles and the cloth itself; particles, and an obstacle's edges."""
+        return (self.count + 1, self._shape[1] + 1)
+
+    def lay_thickness(self, reduced: Array | None) -> None:
+        """Let contacts have a reduced thickness [m] when their recovery begins; the whole one where left out."""
+        self.force.reduced = reduced is not None
+        if reduced is None:
+            if self._reduced is not None:
+                check(self._library.cloth_contact_thickness(self._handle, None, 0.0, 0.0, 0.0))
+                self._reduced = None
+            return
+        start, duration = self.force.recovery
+        when = start - self._ahead, duration
+        if self._reduced is not None and self._reduced[0] is reduced and self._reduced[1] == when:
+            return
+        address = doubles(THICKNESS, reduced, self.thickness_shape)
+        check(self._library.cloth_contact_thickness(self._handle, address, RECOVERY_SPEED, *when))
+        self._reduced = reduced, when
 
     def lay_pads(self, pinched: Array | None) -> Array | None:
         """Let what follows start with pads where they are said to be, open where left out; return that, None where no
@@ -148,7 +173,7 @@ class Touching(Uncopyable):
         """Whether runs over a duration [s] from a state may calculate in single precision: an anchor's spring gives by
         less than it tells apart, and so does a gap within the cloth.
         """
-        if self.force.rough or self.force.pads or not self.rests(duration, x, v):
+        if self.force.rough or self.force.pads or self._reduced is not None or not self.rests(duration, x, v):
             return False
         start = float(self.force.paths[0, 0]) if self.count else 0.0
         return self._features is None or self._features.rests(start, duration, x, v)
@@ -205,9 +230,18 @@ class Touching(Uncopyable):
             self._taken = anchors
         return anchors
 
-    def rubbed(self, x: Array, v: Array) -> float:
-        """Return the power that friction between layers takes [W], with the anchors that were laid."""
-        return touching_layers.rubbed(self._handle, x, v) if self.force.layered else 0.0
+    def rubbed(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that friction between layers takes at time t [W], with the anchors that were laid."""
+        return touching_layers.rubbed(self._handle, t, x, v) if self.force.layered else 0.0
+
+    def recovering(self, t: float, x: Array, v: Array) -> float:
+        """Return the power of contacts that regain their thickness at time t [W]."""
+        if self._reduced is None:
+            return 0.0
+        out = np.empty(1)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_contact_grown(self._handle, t, *addresses))
+        return float(out[0])
 
     def settle(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
         """Return the anchors of a state that combines runs by weights, from those that each run ended with.
@@ -340,6 +374,15 @@ class Touching(Uncopyable):
         check(self._library.cloth_contact_gaps(self._handle, t, doubles("x", x, self._shape), out.ctypes.data))
         return out
 
+    def gap_rows(self, t: float, x: Array) -> Array:
+        """Return the gap of each contact at time t [m], of shape `thickness_shape`: infinite where it is none. Edges'
+        gaps, which have half the thickness, count twice.
+        """
+        self.sync()
+        out = np.empty(self.thickness_shape)
+        check(self._library.cloth_contact_gap_rows(self._handle, t, doubles("x", x, self._shape), address(out)))
+        return out
+
     def gaps_of(self, state: State, t: float) -> Array:
         """Return the same of a state at time t [s]."""
         self.take(state)
@@ -362,7 +405,7 @@ class Touching(Uncopyable):
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
         check(self._library.cloth_contact_bounds(self._handle, t, place, *addresses))
         if self.force.surface is not None:
-            check(self._library.cloth_self_bounds(self._handle, place, *addresses))
+            check(self._library.cloth_self_bounds(self._handle, t, place, *addresses))
 
     def crosses(self, t: float, duration: float, start: Array, end: Array) -> bool:
         """Return whether a particle meets an obstacle's surface on its straight way from one place to another, or the

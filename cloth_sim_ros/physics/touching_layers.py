@@ -42,8 +42,8 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
             )
 
 
-def rubbed(handle: int, x: Array, v: Array) -> float:
-    """Return the power that friction between layers takes [W], with the anchors that were laid."""
+def rubbed(handle: int, t: float, x: Array, v: Array) -> float:
+    """Return the power that friction between layers takes at time t [W], with the anchors that were laid."""
     out = np.empty(1)
-    check(library().cloth_self_rubbed(handle, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)))
+    check(library().cloth_self_rubbed(handle, t, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)))
     return float(out[0])

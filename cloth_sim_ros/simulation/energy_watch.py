@@ -28,7 +28,10 @@ class EnergyReport:
     dissipated: float
     #: Of it, by friction between layers of the cloth.
     rubbed: float = 0.0
-    #: What the balance leaves over: energy - energy before - work - wind + dissipated, summed over all frames.
+    #: Done on the cloth by contacts that regain their thickness.
+    recovered: float = 0.0
+    #: What the balance leaves over: energy - energy before - work - wind - recovered + dissipated, summed over all
+    #: frames.
     residual: float
     #: Energy that went from one form into another, at least.
     turned_over: float
@@ -57,7 +60,7 @@ class EnergyWatch:
     def end(self, state: State, t: float, book: Book) -> EnergyReport:
         """Sum up the frame that ended at time t [s], and report."""
         kinetic, potential = self._energies(state, t)
-        lost, work, wind = book.lost, book.work, book.given
+        lost, work, wind, recovered = book.lost, book.work, book.given, book.recovered
         sums = self._sums
         self._sums = EnergyReport(
             total=kinetic + potential,
@@ -65,8 +68,14 @@ class EnergyWatch:
             wind=sums.wind + wind,
             dissipated=sums.dissipated + lost,
             rubbed=sums.rubbed + book.rubbed,
-            residual=sums.residual + (kinetic + potential - in_order(self._before) - work - wind + lost),
-            turned_over=sums.turned_over + abs(kinetic - self._before[0]) + abs(lost) + abs(work) + abs(wind),
+            recovered=sums.recovered + recovered,
+            residual=sums.residual + (kinetic + potential - in_order(self._before) - work - wind - recovered + lost),
+            turned_over=sums.turned_over
+            + abs(kinetic - self._before[0])
+            + abs(lost)
+            + abs(work)
+            + abs(wind)
+            + abs(recovered),
         )
         return self._sums
 

@@ -17,7 +17,14 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.event_checks import check, check_added, check_all
+from cloth_sim_ros.simulation.contact_recovery import (
+    ContactRecovery,
+    contact_recovery,
+    recover_contacts,
+    reduce_contacts,
+    touches_differ,
+)
+from cloth_sim_ros.simulation.event_checks import EventError, check, check_added, check_all
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -87,6 +94,10 @@ class Simulation(ExclusiveAccess):
         self._apply_scene(scene)
         if not self.state.frame and self.plan.contact is not None:  # later ones came of a start that was clear
             self.plan.contact.check_clear(self.time, self.state.x)
+            try:
+                reduce_contacts(self.plan, self.state, self.time, limited=True)
+            except ValueError as error:
+                raise ValueError(f"the cloth {error}") from error
 
     @property
     def scene(self) -> Scene:
@@ -244,6 +255,8 @@ class Simulation(ExclusiveAccess):
                     self.obstacles.set_target(event)
                 case Grasp():
                     grasps.append(grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))
+                    if not event.closed:
+                        reduce_contacts(self.plan, self.state, self.time, limited=False)
                 case SetParameters(values=values):
                     self._set_parameters(values)
                 case Relax(factor=factor):
@@ -296,6 +309,8 @@ class Simulation(ExclusiveAccess):
             restart(self.state, entirely=stable)
         wake(self.state)
         stop(self.state, np.setdiff1d(self.model.anchors, anchors))
+        if touches_differ(before, scene):
+            self._reduce_contacts("the cloth")
 
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._period
@@ -329,6 +344,7 @@ class Simulation(ExclusiveAccess):
             if self._sleep.follow(state, start + period) and self._energy is not None and moving is not None:
                 self.energy_report = self._energy.stop(moving)
         state.frame += 1
+        recover_contacts(self.plan, state, self.time, period)
         return done
 
     @property
@@ -366,6 +382,20 @@ class Simulation(ExclusiveAccess):
         self.grippers = grippers_of(self._scene, self.state)
         self.obstacles = obstacles_of(self._scene, self.state)
         self._stand_obstacles()
+        self._reduce_contacts("the cloth as it starts")
+
+    def _reduce_contacts(self, what: str) -> None:
+        """Let contacts that new parameters or a start compress go on with a reduced thickness."""
+        try:
+            reduce_contacts(self.plan, self.state, self.time, limited=True)
+        except EventError as error:
+            raise EventError(f"{what} {error}") from error
+
+    @property
+    @between_frames
+    def contact_recovery(self) -> ContactRecovery | None:
+        """Contacts that have a reduced thickness, and for how long; None where all have the whole one."""
+        return contact_recovery(self.plan, self.state)
 
     def _stand_obstacles(self) -> None:
         """Let contact know where obstacles and pads are, until the next frame moves them."""

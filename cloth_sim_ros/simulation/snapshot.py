@@ -46,7 +46,7 @@ class Snapshot:
     grips: grippers.Noted
     contact: tuple[Array, NDArray[np.bool_]] | None
     #: What the frame before noted, and the energy balance.
-    book: tuple[Array, float, float] | None
+    book: tuple[Array, float, float, float] | None
     energy: tuple[energy_watch.Noted, EnergyReport | None] | None
     #: Whether a sleeping cloth is known to rest, and the frame that it repeats.
     rest: tuple[bool, Frame | None]
@@ -125,6 +125,7 @@ def give_back(
         paths, driven = snapshot.contact
         plan.contact.force.move(paths)
         plan.contact.force.drive(driven)
+        plan.contact.force.recover(snapshot.time, 0.0)
     if book is not None and snapshot.book is not None:
         book.go_back(snapshot.book)
     if watched is not None and snapshot.energy is not None:

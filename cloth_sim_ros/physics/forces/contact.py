@@ -115,6 +115,10 @@ class Contact(EngineForce):
         #: Whether each of those is anywhere, and whether it closes, shape (pinches, 2).
         self.driven = np.zeros((len(self.pads), 2), dtype=bool)
         self.surface, self.faces = surface, faces
+        #: When contacts with a reduced thickness begin to regain it, and for how long [s]; not at all by 0.
+        self.recovery = (0.0, 0.0)
+        #: Whether any contact has a reduced thickness, as the plan had it last.
+        self.reduced = False
         self.surround(obstacles)
 
     def surround(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
@@ -147,6 +151,10 @@ class Contact(EngineForce):
         """Set new paths, shape (m, PATH_NUMBERS), for the obstacles and pads that there are."""
         self.paths = paths
         self.moves += 1
+
+    def recover(self, t: float, duration: float) -> None:
+        """Let contacts with a reduced thickness, that of time t [s], regain it for a duration [s]."""
+        self.recovery = (t, duration)
 
     def drive(self, driven: NDArray[np.bool_]) -> None:
         """Set whether each gripper that pinches is anywhere, and whether it closes, shape (pinches, 2)."""
@@ -189,5 +197,5 @@ class Contact(EngineForce):
         return bool(self.obstacles) or self.surface is not None
 
     def steady(self) -> bool:
-        """Whether no obstacle moves or turns over its path."""
-        return not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())
+        """Whether no obstacle moves or turns over its path, and no contact regains its thickness."""
+        return not self.reduced and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())
