@@ -141,6 +141,11 @@ class Touching(Uncopyable):
         """Shape of the thickness of contacts: obstacles and the cloth itself; particles, and an obstacle's edges."""
         return (self.count + 1, self._shape[1] + 1)
 
+    @property
+    def thickness(self) -> Array | None:
+        """Thickness of contacts [m] that was laid last; None where all have the whole one."""
+        return None if self._reduced is None else self._reduced[0]
+
     def lay_thickness(self, reduced: Array | None) -> None:
         """Let contacts have a reduced thickness [m] when their recovery begins; the whole one where left out."""
         self.force.reduced = reduced is not None

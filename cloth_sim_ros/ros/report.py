@@ -159,6 +159,8 @@ class Report:
             contact = self._simulation.plan.contact
             if contact is not None and contact.force.layered:
                 values["energy_rubbed_j"] = f"{energy.rubbed:.6g}"
+            if energy.recovered:
+                values["energy_recovered_j"] = f"{energy.recovered:.6g}"
             values["energy_balance_j"] = f"{energy.residual:.3g}"
         if advance is not None:
             values["steps_per_frame"] = str(advance.steps)

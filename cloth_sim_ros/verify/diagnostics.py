@@ -23,7 +23,14 @@ from cloth_sim_ros.verify.verdict import Findings
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 #: Sums over the frames since the node began, which a re-run from a later state lacks.
-_SUMS = ("energy_work_j", "energy_wind_j", "energy_dissipated_j", "energy_rubbed_j", "energy_balance_j")
+_SUMS = (
+    "energy_work_j",
+    "energy_wind_j",
+    "energy_dissipated_j",
+    "energy_rubbed_j",
+    "energy_recovered_j",
+    "energy_balance_j",
+)
 #: Texts, which another version may put otherwise.
 _TEXTS = ("integrator", "integrator_why", "halted")
 #: Values that nothing rounds but printing.
@@ -141,10 +148,13 @@ class DiagnosticsCheck:
         found = {"energy_j": f"{energy.total:.9g}"}
         if self._from_start:
             contact = simulation.plan.contact
-            layered = contact is not None and contact.force.layered
-            sums = (energy.work, energy.wind, energy.dissipated, *([energy.rubbed] if layered else []))
             # What the balance leaves over is rounding, of sums of numpy's.
-            found |= {key: f"{value:.6g}" for key, value in zip(_SUMS, sums, strict=False)}
+            sums = dict(zip(_SUMS[:3], (energy.work, energy.wind, energy.dissipated), strict=True))
+            if contact is not None and contact.force.layered:
+                sums["energy_rubbed_j"] = energy.rubbed
+            if energy.recovered:
+                sums["energy_recovered_j"] = energy.recovered
+            found |= {key: f"{value:.6g}" for key, value in sums.items()}
         return found
 
     @staticmethod

@@ -55,6 +55,8 @@ class RunFrame:
     surrounding: Array | None
     #: Whether each gripper that pinches is anywhere, and whether it closes, see `Contact`; None where there are none.
     driven: NDArray[np.bool_] | None
+    #: Thickness of contacts at its start, see `Touching.thickness_shape`; None where all have the whole one.
+    thickness: Array | None
     #: Tolerance in force [m]; None where none is set.
     tolerance: float | None
     #: Whether the simulation said that its error may be above the tolerance's share.
@@ -106,6 +108,7 @@ class FrameWatch:
             grasping=grasping,
             surrounding=None if contact is None else contact.force.paths.copy(),
             driven=None if contact is None else contact.force.driven.copy(),
+            thickness=None if contact is None else contact.thickness,
             tolerance=frame.tolerance,
             flagged=bool(advance and advance.flagged),
             step=advance.step if advance and advance.steps else float("inf"),
@@ -130,6 +133,9 @@ class Equations:
             self._plan.contact.force.move(frame.surrounding)
             if frame.driven is not None:
                 self._plan.contact.force.drive(frame.driven)
+            self._plan.contact.force.recover(frame.t, frame.duration)
+            self._plan.contact.sync()
+            self._plan.contact.lay_thickness(frame.thickness)
         return self._plan
 
 
