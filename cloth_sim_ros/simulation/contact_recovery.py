@@ -5,13 +5,20 @@
 from __future__ import annotations
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.contact_thickness import check_gaps, recovery_time, reduced_thickness, regained
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import THICKNESS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
+
+#: How far from a particle that is let go contacts are concerned, in longest edges of the cloth.
+_REACH = 3.0
 
 
 @attrs.frozen(kw_only=True)
@@ -28,32 +35,62 @@ class ContactRecovery:
     duration: float
 
 
-def reduce_contacts(plan: Plan, state: State, t: float, *, limited: bool) -> None:
-    """Let contacts that hold more than the rest gap's energy go on with a reduced thickness, at time t [s].
+def reduce_contacts(
+    plan: Plan,
+    state: State,
+    t: float,
+    *,
+    rows: NDArray[np.bool_] | None = None,
+    relieved: NDArray[np.int64] | None = None,
+    limited: bool = True,
+) -> None:
+    """Let contacts that an event compresses, or relieves, go on with a reduced thickness if they hold more energy than at
+    the rest gap.
 
     Args:
         plan: whose obstacles stand where they are at that time.
         state: which keeps the thickness.
         t: time [s].
+        rows: which obstacles, pads and, last, the cloth itself the event compresses; all where both are left out.
+        relieved: particles that something no longer presses; contacts about them are concerned, too.
         limited: whether contacts that are too narrow are refused.
 
     Raises:
         EventError: for such a contact; the end of a sentence about the cloth.
     """
-    state.memory.pop(THICKNESS, None)
-    contact = plan.contact
+    before, contact = state.memory.pop(THICKNESS, None), plan.contact
     if contact is None or not contact.force.acts:
         return
     contact.take(state)
     gaps, thickness = contact.gap_rows(t, state.x), contact.force.thickness
+    concerned = np.full(gaps.shape, rows is None and relieved is None)
+    if rows is not None:
+        concerned[rows] = True
+    if relieved is not None:
+        concerned[:, np.append(_about(contact.force, state.x, relieved), False)] = True
+    gaps[~concerned] = np.inf
     if limited:
         try:
             check_gaps(gaps, thickness, [obstacle.name for obstacle in contact.force.obstacles])
         except ValueError as error:
             raise EventError(str(error)) from error
     reduced = reduced_thickness(gaps, thickness)
-    if reduced is not None:
+    if before is not None and before.shape == gaps.shape:
+        kept = np.where(concerned, thickness, before)
+        reduced = kept if reduced is None else np.minimum(kept, reduced)
+    if reduced is not None and (reduced < thickness).any():
         state.memory[THICKNESS] = reduced
+
+
+def _about(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which particles are within `_REACH` edges of some, at positions x [m], (3, n)."""
+    surface = force.faces or force.surface
+    reach = 0.0 if surface is None else _REACH * surface.longest
+    near = np.zeros(x.shape[1], dtype=bool)
+    for particle in particles.tolist():
+        away = x - x[:, particle, None]
+        near |= away[0] * away[0] + away[1] * away[1] + away[2] * away[2] <= reach * reach
+    return near
 
 
 def recover_contacts(plan: Plan, state: State, t: float, duration: float) -> None:
@@ -84,19 +121,34 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
     )
 
 
-def touches_differ(before: Scene, scene: Scene) -> bool:
-    """Whether two scenes differ in what contact keeps apart, or how far."""
-    return _surfaces(before) != _surfaces(scene)
+def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
+    """Return which obstacles, pads and, last, the cloth itself are others, or keep another distance, than in a scene
+    before.
+    """
+    pads = 2 * len(scene.pinching)
+    gripper, was = scene.gripper, before.gripper
+    moved = (gripper.pad_size, gripper.opening) != (was.pad_size, was.opening)
+    rows = [_shape(before, name) != _shape(scene, name) for name in scene.obstacle_names]
+    found = np.array([*rows, *[moved] * pads, scene.contact.self_ and not before.contact.self_])
+    if scene.contact.thickness != before.contact.thickness or scene.cloth.anchors != before.cloth.anchors:
+        found[:] = True
+    return found
 
 
-def _surfaces(scene: Scene) -> tuple[object, ...]:
-    obstacles = [(name, attrs.evolve(scene.described[name], frame="")) for name in scene.obstacle_names]
-    contact = scene.contact
-    return (
-        obstacles,
-        contact.self_,
-        contact.thickness,
-        scene.gripper.pad_size,
-        scene.gripper.opening,
-        scene.cloth.anchors,
-    )
+def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
+    """Return the particles in contact with obstacles that another scene has not, or not so; the plan is of the scene
+    before.
+    """
+    gone = [_shape(before, name) != _shape(scene, name) for name in before.obstacle_names]
+    if plan.contact is None or not any(gone):
+        return np.empty(0, dtype=np.int64)
+    plan.contact.take(state)
+    gaps = plan.contact.gap_rows(t, state.x)[: len(gone), :-1][np.array(gone)]
+    return np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0))
+
+
+def _shape(scene: Scene, name: str) -> object:
+    """What an obstacle of a scene keeps cloth out by; None where it has no such obstacle."""
+    if name not in scene.obstacle_names:
+        return None
+    return attrs.evolve(scene.described[name], frame="", friction=(0.0, 0.0))

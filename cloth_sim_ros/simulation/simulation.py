@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.forces.force import Array
@@ -19,10 +20,11 @@ from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.contact_recovery import (
     ContactRecovery,
+    compressed_rows,
     contact_recovery,
     recover_contacts,
     reduce_contacts,
-    touches_differ,
+    relieved_particles,
 )
 from cloth_sim_ros.simulation.event_checks import EventError, check, check_added, check_all
 from cloth_sim_ros.simulation.events import (
@@ -95,7 +97,7 @@ class Simulation(ExclusiveAccess):
         if not self.state.frame and self.plan.contact is not None:  # later ones came of a start that was clear
             self.plan.contact.check_clear(self.time, self.state.x)
             try:
-                reduce_contacts(self.plan, self.state, self.time, limited=True)
+                reduce_contacts(self.plan, self.state, self.time)
             except ValueError as error:
                 raise ValueError(f"the cloth {error}") from error
 
@@ -254,9 +256,10 @@ class Simulation(ExclusiveAccess):
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
                 case Grasp():
+                    held = self.grippers.held(self.grippers.names.index(event.gripper))
                     grasps.append(grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))
-                    if not event.closed:
-                        reduce_contacts(self.plan, self.state, self.time, limited=False)
+                    if not event.closed and held.size:
+                        reduce_contacts(self.plan, self.state, self.time, relieved=held, limited=False)
                 case SetParameters(values=values):
                     self._set_parameters(values)
                 case Relax(factor=factor):
@@ -296,6 +299,7 @@ class Simulation(ExclusiveAccess):
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
+        relieved = relieved_particles(self.plan, self.state, self.time, before, scene)
         observing = all(entry.observes for entry in scene.entries if entry.name in values)
         # A motion beyond the fixed step already is none of the parameters' doing.
         stable = observing or self._holds_step()
@@ -309,8 +313,9 @@ class Simulation(ExclusiveAccess):
             restart(self.state, entirely=stable)
         wake(self.state)
         stop(self.state, np.setdiff1d(self.model.anchors, anchors))
-        if touches_differ(before, scene):
-            self._reduce_contacts("the cloth")
+        rows = compressed_rows(before, scene)
+        if rows.any() or relieved.size:
+            self._reduce_contacts("the cloth", rows=rows, relieved=relieved)
 
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._period
@@ -384,10 +389,12 @@ class Simulation(ExclusiveAccess):
         self._stand_obstacles()
         self._reduce_contacts("the cloth as it starts")
 
-    def _reduce_contacts(self, what: str) -> None:
+    def _reduce_contacts(
+        self, what: str, rows: NDArray[np.bool_] | None = None, relieved: NDArray[np.int64] | None = None
+    ) -> None:
         """Let contacts that new parameters or a start compress go on with a reduced thickness."""
         try:
-            reduce_contacts(self.plan, self.state, self.time, limited=True)
+            reduce_contacts(self.plan, self.state, self.time, rows=rows, relieved=relieved)
         except EventError as error:
             raise EventError(f"{what} {error}") from error
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED
+from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES, PINCHED, THICKNESS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.grippers import Grippers
@@ -155,6 +155,24 @@ def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> No
             memory = dict(state.memory)
             anchors = kept_anchors(memory.pop(ANCHORS), before, scene)
             state.memory = memory if anchors is None else {**memory, ANCHORS: anchors}
+        if THICKNESS in state.memory:
+            memory = dict(state.memory)
+            thickness = kept_thickness(memory.pop(THICKNESS), before, scene)
+            state.memory = memory if thickness is None else {**memory, THICKNESS: thickness}
+
+
+def kept_thickness(thickness: Array, before: Scene, scene: Scene) -> Array | None:
+    """Return what the thickness of contacts becomes when another scene's obstacles take the place of a scene's: those
+    that come have the whole one. None where all contacts have another one.
+    """
+    if scene.contact.thickness != before.contact.thickness:
+        return None
+    pads = [f"{name}.{side}" for name in scene.pinching for side in ("left", "right")]
+    names = [*before.obstacle_names, *pads, ""]
+    rows = [thickness[names.index(name)] if name in names else None for name in (*scene.obstacle_names, *pads, "")]
+    whole = np.full(thickness.shape[1], scene.contact.thickness)
+    kept = np.array([whole if row is None else row for row in rows])
+    return kept if (kept < whole).any() else None
 
 
 def kept_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
