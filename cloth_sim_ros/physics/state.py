@@ -22,6 +22,8 @@ _VELOCITY = "velocity"
 _MEMORY = "memory."
 #: In a state file, not in the digest: it never changes while a cloth lives.
 _CLOTH = "cloth"
+#: The same: the thickness of contact in force.
+_THICKNESS = "contact_thickness"
 
 
 class State:
@@ -68,6 +70,8 @@ class State:
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
         self.cloth = cloth
+        #: `contact.thickness` with which it came about [m]; None without contact, or where that is not known.
+        self.thickness: float | None = None
         #: Names of memory of another version's rules, which a file had and this state has not: those begin anew.
         self.left_out: tuple[str, ...] = ()
 
@@ -110,7 +114,7 @@ class State:
         twin = object.__new__(State)
         twin.x, twin.v = self.x, self.v
         twin.frame = self.frame
-        twin.cloth = self.cloth
+        twin.cloth, twin.thickness = self.cloth, self.thickness
         twin.left_out = self.left_out
         twin.memory = dict(self.memory)
         return twin
@@ -119,6 +123,7 @@ class State:
         """Take over all of another state, with the same arrays: as `share`, and unlike `restore`, which copies."""
         self.x, self.v = other.x, other.v
         self.frame, self.cloth, self.left_out = other.frame, other.cloth, other.left_out
+        self.thickness = other.thickness
         self.memory = dict(other.memory)
 
     def go_back(self, start: State) -> None:
@@ -160,6 +165,8 @@ class State:
         everything: dict[str, Any] = self.arrays()
         if self.cloth is not None:
             everything[_CLOTH] = np.array(self.cloth, dtype=np.int64)
+        if self.thickness is not None:
+            everything[_THICKNESS] = np.array(self.thickness)
         # Without `allow_pickle`, which numpy 1.26 would take for one more array; none of them holds objects.
         np.savez(buffer, **everything)
         return buffer.getvalue()
@@ -179,6 +186,7 @@ class State:
             frame, x, v = arrays.pop(_FRAME), arrays.pop(_POSITION), arrays.pop(_VELOCITY)
             _check_core(frame, x, v)
             cloth = _cloth(arrays.pop(_CLOTH, None), x.shape[1])
+            thickness = _thickness(arrays.pop(_THICKNESS, None))
             for name in arrays:
                 if not name.startswith(_MEMORY):
                     raise ValueError(f"array '{name}' is none of a state's")
@@ -186,7 +194,7 @@ class State:
             left_out = tuple(name for name in BEFORE if memory.pop(name, None) is not None)
             state_memory.check(memory, x.shape[1])
             state = cls(x.T, v.T, memory=memory, frame=int(frame), cloth=cloth)
-            state.left_out = left_out
+            state.left_out, state.thickness = left_out, thickness
             return state
         except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
@@ -207,6 +215,14 @@ def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
             raise ValueError(f"array '{name}' has shape {array.shape}; it must be (3, particle_count)")
     if v.shape != x.shape:
         raise ValueError(f"array '{_VELOCITY}' has shape {v.shape}; '{_POSITION}' has {x.shape}")
+
+
+def _thickness(array: np.ndarray | None) -> float | None:
+    if array is None:
+        return None
+    if array.dtype != np.float64 or array.shape != () or not 0.0 < array < np.inf:
+        raise ValueError(f"array '{_THICKNESS}' is {array.tolist()}; it must be a single finite double above 0")
+    return float(array)
 
 
 def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int] | None:

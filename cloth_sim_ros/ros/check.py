@@ -84,6 +84,8 @@ def check(path: str, *, node: str) -> int:
         owners = parameter_file.other_nodes(text, node=node, source=path)
         print(f"warning: '{path}' sets nothing for the node {full}: all has its default{owners and f'; {owners}'}")
     notes, doubts = mesh_notes(scene)
+    if (recovery := simulation.contact_recovery) is not None:
+        doubts.append(f"the cloth starts {recovery.describe()}")
     doubts += implausible_sizes(scene, simulation.state.x, simulation.model.masses)
     for sentence in [*unknown_sentences(values, known, scene, node=full), *without_effect(scene, own), *doubts]:
         print(f"warning: {sentence}")

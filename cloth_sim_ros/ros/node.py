@@ -356,6 +356,7 @@ class ClothNode:
         self._services.show(frame)
         self._commands.show(frame)
         self._frame_log.show(frame)
+        self._obstacles.log_recovery(frame)
         self._clock_pause.settle(frame, stands=due.stands)
         self._latest.advance = frame.advance or self._latest.advance
         taken = time.monotonic() - begun

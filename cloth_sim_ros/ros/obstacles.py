@@ -16,7 +16,7 @@ from cloth_sim_ros.ros.commands import Commands
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import wrench_message
 from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
-from cloth_sim_ros.simulation.events import Move, Reset, Target
+from cloth_sim_ros.simulation.events import Move, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
@@ -89,6 +89,16 @@ class ObstacleTopics:
             output = self._wrenches[name]
             if output.wanted:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
+
+    def log_recovery(self, frame: Frame) -> None:
+        """Log contacts that the events of a frame left with a reduced thickness: a warning, but for opened grippers."""
+        if frame.recovery is None:
+            return
+        text = frame.recovery.describe()
+        if any(isinstance(event, (SetParameters, Reset)) for event in frame.events):
+            self._log.warn("contact recovery", f"the cloth is {text}")
+        else:
+            self._log.info("contact recovery", f"a gripper opened while it pressed the cloth {text}")
 
     def describe(self) -> dict[str, str]:
         """Return what diagnostics say of contact; nothing where there is none."""

@@ -40,6 +40,8 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
     logger.info(introduction(simulation, follows_clock=follows_clock))
     for sentence in implausible_sizes(simulation.scene, simulation.state.x, simulation.model.masses):
         logger.warning(sentence)
+    if (recovery := simulation.contact_recovery) is not None:
+        logger.warning(f"the cloth starts {recovery.describe()}")
 
 
 @attrs.define

@@ -25,7 +25,7 @@ _REACH = 3.0
 class ContactRecovery:
     """Contacts of a state with a reduced thickness."""
 
-    #: Names of the obstacles that they are with, "the cloth itself" for its own.
+    #: Quoted names of the obstacles that they are with, "the cloth itself" for its own.
     names: tuple[str, ...]
     #: Number of particles that have one; 0 where edges of obstacles alone have.
     particles: int
@@ -33,6 +33,15 @@ class ContactRecovery:
     lift: float
     #: Until all have the whole thickness [s].
     duration: float
+
+    def describe(self) -> str:
+        """Return what there is, how long it lasts and the remedy, in one sentence."""
+        whom = " and ".join(self.names)
+        count = f"{self.particles} particle{'' if self.particles == 1 else 's'}" if self.particles else "no particle"
+        return (
+            f"closer than contact.thickness to {whom}: {count}; contact begins thinner there and grows to "
+            f"contact.thickness within {self.duration:.3g} s; move them {1e3 * self.lift:.3g} mm apart to avoid it"
+        )
 
 
 def reduce_contacts(
@@ -44,8 +53,7 @@ def reduce_contacts(
     relieved: NDArray[np.int64] | None = None,
     limited: bool = True,
 ) -> None:
-    """Let contacts that an event compresses, or relieves, go on with a reduced thickness if they hold more energy than at
-    the rest gap.
+    """Reduce the thickness of contacts that an event compresses or relieves and that hold more than the rest gap's energy.
 
     Args:
         plan: whose obstacles stand where they are at that time.
@@ -80,6 +88,7 @@ def reduce_contacts(
         reduced = kept if reduced is None else np.minimum(kept, reduced)
     if reduced is not None and (reduced < thickness).any():
         state.memory[THICKNESS] = reduced
+    contact.take(state)
 
 
 def _about(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -112,7 +121,7 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
         return None
     thickness = contact.force.thickness
     below = reduced < thickness
-    named = [*(obstacle.name for obstacle in contact.force.obstacles), "the cloth itself"]
+    named = [*(f"'{obstacle.name}'" for obstacle in contact.force.obstacles), "the cloth itself"]
     return ContactRecovery(
         names=tuple(name for name, row in zip(named, below, strict=True) if row.any()),
         particles=int(below[:, :-1].any(axis=0).sum()),
@@ -136,15 +145,20 @@ def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
 
 
 def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
-    """Return the particles in contact with obstacles that another scene has not, or not so; the plan is of the scene
-    before.
+    """Return the particles that another scene's obstacles or grippers press less: those in contact with obstacles that it
+    has not, or not so, and those that softer grippers hold. The plan is of the scene before.
     """
+    found = np.empty(0, dtype=np.int64)
+    if plan.contact is None:
+        return found
+    if scene.gripper.stiffness < before.gripper.stiffness:
+        found = state.memory["grip.particles"]
     gone = [_shape(before, name) != _shape(scene, name) for name in before.obstacle_names]
-    if plan.contact is None or not any(gone):
-        return np.empty(0, dtype=np.int64)
-    plan.contact.take(state)
-    gaps = plan.contact.gap_rows(t, state.x)[: len(gone), :-1][np.array(gone)]
-    return np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0))
+    if any(gone):
+        plan.contact.take(state)
+        gaps = plan.contact.gap_rows(t, state.x)[: len(gone), :-1][np.array(gone)]
+        found = np.union1d(found, np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0)))
+    return found
 
 
 def _shape(scene: Scene, name: str) -> object:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 
@@ -12,6 +12,9 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.grippers import GraspResult
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.contact_recovery import ContactRecovery
 
 
 # Without slots: then attrs sets a frozen class's members in half the time.
@@ -35,6 +38,8 @@ class Frame:
     #: Name and pose at the frame's end, position [m] and quaternion x, y, z, w, of each gripper that did not reach its
     #: target: its limit of speed held it back, or it is among `halted`.
     lagging: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    #: Contacts with a reduced thickness as the frame's events left them; None without such contacts or events.
+    recovery: ContactRecovery | None = None
     #: Whether simulated time passed.
     moved: bool
     #: Name of the integrator that ran; of the one that is chosen where no time passed.
@@ -64,5 +69,5 @@ class Frame:
 
     def again(self, index: int, time: float) -> Frame:
         """Return the frame that a sleeping cloth repeats, without the events that this one had."""
-        now = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=())
+        now = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=(), recovery=None)
         return attrs.evolve(now, moved=True, wrenches=self.wrenches.copy(), loads=self.loads.copy())

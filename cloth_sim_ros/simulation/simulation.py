@@ -61,6 +61,10 @@ if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
 
 
+#: Events that may compress contacts, or relieve them.
+_MAY_REDUCE = (Grasp, SetParameters, Reset)
+
+
 class Simulation(ExclusiveAccess):
     """A cloth that moves frame by frame.
 
@@ -94,12 +98,16 @@ class Simulation(ExclusiveAccess):
         self._slept: Frame | None = None
         self._plans = Plans(scene)
         self._apply_scene(scene)
-        if not self.state.frame and self.plan.contact is not None:  # later ones came of a start that was clear
-            self.plan.contact.check_clear(self.time, self.state.x)
-            try:
-                reduce_contacts(self.plan, self.state, self.time)
-            except ValueError as error:
-                raise ValueError(f"the cloth {error}") from error
+        # A later state came of a start that was clear, unless contact has another thickness now.
+        if self.plan.contact is not None:
+            thickness = scene.contact.thickness
+            if not self.state.frame or self.state.thickness not in (None, thickness):
+                self.plan.contact.check_clear(self.time, self.state.x)
+                try:
+                    reduce_contacts(self.plan, self.state, self.time)
+                except ValueError as error:
+                    raise ValueError(f"the cloth {error}") from error
+            self.state.thickness = thickness
 
     @property
     def scene(self) -> Scene:
@@ -272,6 +280,8 @@ class Simulation(ExclusiveAccess):
                     stepped = True
                 case Reset():
                     self._reset()
+        concerned = any(isinstance(event, _MAY_REDUCE) for event in events)
+        recovery = contact_recovery(self.plan, self.state) if concerned else None
         moved = stepped or not self.paused
         done = self._move() if moved else None
         pinches = self.pinching.settle(self.plan, self.time) if moved and self.pinching is not None else []
@@ -286,6 +296,7 @@ class Simulation(ExclusiveAccess):
             pinches=tuple(pinches),
             halted=halted,
             lagging=self.grippers.lagging(halted) if lags else (),
+            recovery=recovery,
             moved=moved,
             integrator=done.integrator if done else self._integrator.name,
             tolerance=self._tolerance,
@@ -313,6 +324,7 @@ class Simulation(ExclusiveAccess):
             restart(self.state, entirely=stable)
         wake(self.state)
         stop(self.state, np.setdiff1d(self.model.anchors, anchors))
+        self.state.thickness = None if self.plan.contact is None else scene.contact.thickness
         rows = compressed_rows(before, scene)
         if rows.any() or relieved.size:
             self._reduce_contacts("the cloth", rows=rows, relieved=relieved)
