@@ -4,16 +4,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
-import attrs
-
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene import parameter_file, sections
 from cloth_sim_ros.scene.parameters import ParameterError
 
 #: A session holds every parameter of its scene. One that lacks these was recorded when there was no such parameter, and
 #: runs again as it ran then.
 BEFORE: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0}
+
+
+class RebuiltScene(Protocol):
+    """What of a `Scene` builds it again with another value."""
+
+    @property
+    def cloth(self) -> sections.Cloth: ...
+
+    @property
+    def files(self) -> dict[str, bytes]: ...
+
+    def parameters(self) -> dict[str, Any]: ...
+
+    def from_parameters(self, values: dict[str, Any], *, files: Mapping[str, bytes]) -> object: ...
 
 
 def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
@@ -29,12 +42,12 @@ def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
     return {**BEFORE, **parameter_file.parse(scene_yaml, node=node, source="scene.yaml")}
 
 
-def merge_hint(scene: Any) -> str:
+def merge_hint(scene: RebuiltScene) -> str:
     """Return the end of a sentence on an initial state that fits a scene only with `cloth.merge: false`; else empty."""
     if not scene.cloth.mesh or not scene.cloth.merge:
         return ""
     try:
-        attrs.evolve(scene, cloth=attrs.evolve(scene.cloth, merge=False))
+        scene.from_parameters({**scene.parameters(), "cloth.merge": False}, files=scene.files)
     except ParameterError:
         return ""
     return ": vertices of the mesh were merged since; with cloth.merge: false it fits"

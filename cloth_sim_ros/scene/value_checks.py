@@ -5,15 +5,49 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Protocol
 
 from cloth_sim_ros.physics.gripper_path import normalised
-from cloth_sim_ros.scene import gripper_parameters, obstacles
+from cloth_sim_ros.scene import gripper_parameters, obstacles, sections
 from cloth_sim_ros.scene.limits import MAX_PARTICLES, MIN_TOLERANCE
 from cloth_sim_ros.scene.parameters import Faults
 
 
-def check_values(scene: Any) -> None:
+class SceneValues(Protocol):
+    """What of a `Scene` these checks read."""
+
+    @property
+    def cloth(self) -> sections.Cloth: ...
+
+    @property
+    def contact(self) -> sections.Contact: ...
+
+    @property
+    def tolerance(self) -> float: ...
+
+    @property
+    def frame_id(self) -> str: ...
+
+    @property
+    def tf(self) -> sections.Tf: ...
+
+    @property
+    def gripper_names(self) -> list[str]: ...
+
+    @property
+    def individual(self) -> dict[str, Any]: ...
+
+    @property
+    def obstacle_names(self) -> list[str]: ...
+
+    @property
+    def described(self) -> dict[str, sections.Obstacle]: ...
+
+    @staticmethod
+    def groups() -> frozenset[str]: ...
+
+
+def check_values(scene: SceneValues) -> None:
     """Refuse values whose faults depend on no other check; all of them are named together.
 
     Raises:
@@ -29,7 +63,7 @@ def check_values(scene: Any) -> None:
     faults.refuse()
 
 
-def _faults(scene: Any) -> Iterator[str]:
+def _faults(scene: SceneValues) -> Iterator[str]:
     rows, columns = scene.cloth.resolution
     if rows * columns > MAX_PARTICLES:
         yield f"cloth.resolution {rows} x {columns} makes {rows * columns} particles; at most {MAX_PARTICLES}"
