@@ -28,6 +28,8 @@ _DEAD_BAND = 200_000
 _READING = 50_000
 #: How long a frame under way is waited for at the end [s].
 _PATIENCE = 0.2
+#: Longest time that frames wait for a requested turn of the executor, from the request or its last turn since [s].
+EXECUTOR_TIMEOUT = 0.5
 #: When /clock goes ahead by more than this, older frames are left out [s].
 CATCH_UP = 1.0
 #: /clock stands when its time has not changed for so long, or for so many times its own last interval, within bounds
@@ -74,9 +76,14 @@ class Pacer(Protocol):
 class WallPacer:
     """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral.
 
-    A thread of its own waits for their times and asks the executor for a turn, which looks at all that the node waits
-    for, and takes as long as the frame of a small cloth. So frames may run beside it, in that thread, as long as no
-    commands have come since the frame before, and that one was not late: then there is nothing to be taken first.
+    A thread of its own waits for their times and asks the executor for a turn: it takes the commands that have arrived,
+    then runs the frame. A turn looks at all that the node waits for, and takes as long as the frame of a small cloth.
+    So frames may run beside the executor, in that thread, if nothing is to be taken first: no command has come since
+    the frame before, that frame was not late, and no turn is pending.
+
+    A turn is pending from the request until the executor begins a frame, however many due times pass meanwhile: the
+    executor is late, and frames wait for it. If it takes no turn for `EXECUTOR_TIMEOUT`, it does not spin: frames run
+    without it until it takes a turn again.
 
     Args:
         node: has the guard condition that the executor is asked by.
@@ -111,8 +118,9 @@ class WallPacer:
         self._bell: threading.Thread | None = None
         # Held by the thread that a frame runs in.
         self._running = threading.Lock()
-        #: Whether a frame fell due while the executor ran one: it takes the commands that wait before it runs the next.
-        self._is_requested = False
+        #: When the pending turn was requested, or the executor's last turn since, by a steady clock [ns]; None if none
+        #: is pending. Set before the guard condition is triggered, cleared by the executor only.
+        self._pending_since: int | None = None
         self._trouble: BaseException | None = None
 
     def start(self) -> None:
@@ -146,12 +154,10 @@ class WallPacer:
             if self._ended.acquire(timeout=max(0, wait) / _SECOND):
                 return
             self._rung = self._number()
-            is_concurrent = self._beside and not late and not self._is_requested and self._settled()
-            if is_concurrent and not self._running.acquire(blocking=False):
-                # While a frame is under way in the executor that one takes no commands, and this one will be late.
-                is_concurrent, self._is_requested = False, True
-            if not is_concurrent:
-                self._guard.trigger()
+            is_concurrent = self._beside and not late and not self._waits_for_executor() and self._settled()
+            # While a frame is under way in the executor that one takes no commands, and this one will be late.
+            if not is_concurrent or not self._running.acquire(blocking=False):
+                self._request_turn()
                 continue
             try:
                 self._run()
@@ -163,20 +169,38 @@ class WallPacer:
             finally:
                 self._running.release()
 
+    def _request_turn(self) -> None:
+        if self._pending_since is None:
+            self._pending_since = time.monotonic_ns()
+        self._guard.trigger()
+
+    def _waits_for_executor(self) -> bool:
+        """Whether a turn is pending, and the executor has been silent for less than its time limit."""
+        since = self._pending_since
+        return since is not None and time.monotonic_ns() - since < EXECUTOR_TIMEOUT * _SECOND
+
+    def _note_turn(self) -> None:
+        """Note that the executor spins: the time limit of a pending turn begins anew."""
+        if self._pending_since is not None:
+            self._pending_since = time.monotonic_ns()
+
     def _serve(self) -> None:
         if self._trouble is not None:
             raise self._trouble
         if self._bell is None:
             return
+        self._note_turn()
         if not self._settled():
-            self._guard.trigger()
+            self._request_turn()
             return
         # A frame under way that waits for nobody: the next one is rung for.
         if self._running.acquire(blocking=False):
             try:
-                self._is_requested = False
+                self._pending_since = None
                 self._run()
             finally:
+                # A turn that was requested during the frame could not begin before its end.
+                self._note_turn()
                 self._running.release()
 
     def _run(self) -> None:

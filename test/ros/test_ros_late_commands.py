@@ -1,18 +1,18 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that come while a frame takes too long: the next frame takes them."""
+"""Commands that come while a frame takes too long, and executors that are late or gone."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.clock import Due, WallPacer
+from cloth_sim_ros.ros.clock import EXECUTOR_TIMEOUT, Due, WallPacer
 
 RATE = 50.0
 
@@ -20,7 +20,9 @@ RATE = 50.0
 class Executor:
     """Serves the pacer's guard condition, a turn at a time, and hands over commands first, as an executor does."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, delay: float = 0.0) -> None:
+        """Delay: before each turn [s]."""
+        self._delay = delay
         self.sent = self.received = 0
         self._seen = 0
         self._requested = threading.Event()
@@ -37,9 +39,12 @@ class Executor:
         return not received
 
     def spin(self, until: Callable[[], bool]) -> None:
+        limit = time.monotonic() + 60.0
         while not until():
+            assert time.monotonic() < limit
             if self._requested.wait(0.002):
                 self._requested.clear()
+                threading.Event().wait(self._delay)
                 self.received = self.sent
                 self._serve()
 
@@ -48,20 +53,75 @@ class Executor:
         return SimpleNamespace(trigger=self._requested.set)
 
 
-@pytest.mark.parametrize("factor", [1.3, 2.6])
-def test_frame_after_a_long_one_takes_what_came_meanwhile(factor: float) -> None:
-    executor = Executor()
+@pytest.fixture
+def start_pacer() -> Iterator[Callable[..., None]]:
+    """`start_pacer(executor, on_frame_tick)`: frames beside the executor, until the test ends."""
+    pacers = list[WallPacer]()
+
+    def start(executor: Executor, on_frame_tick: Callable[[Due], None]) -> None:
+        pacers.append(WallPacer(executor.node, rate=RATE, on_due=on_frame_tick, settled=executor.settled, beside=True))
+        pacers[-1].start()
+
+    yield start
+    for pacer in pacers:
+        assert pacer.stop()
+
+
+@pytest.mark.parametrize(
+    ("frame", "delay", "count"),
+    [
+        (1.3 / RATE, 0.0, 12),
+        (2.6 / RATE, 0.0, 12),
+        (1.3 / RATE, 1.4 / RATE, 12),
+        (2.6 / RATE, 1.4 / RATE, 12),
+        # Each frame, or two turns together, take longer than frames wait for an executor that takes no turn.
+        (1.2 * EXECUTOR_TIMEOUT, 1.4 / RATE, 5),
+        (1.3 / RATE, 0.6 * EXECUTOR_TIMEOUT, 5),
+    ],
+    ids=["long", "longer", "long-late", "longer-late", "longest-late", "long-latest"],
+)
+def test_frame_after_a_long_one_takes_what_came_meanwhile(
+    start_pacer: Callable[..., None], frame: float, delay: float, count: int
+) -> None:
+    executor = Executor(delay=delay)
     left = list[int]()
 
     def on_frame_tick(_tick: Due) -> None:
         left.append(executor.sent - executor.received)
         # The frame takes longer than its period; a command comes meanwhile.
-        threading.Event().wait(factor / RATE)
+        threading.Event().wait(frame)
         executor.sent += 1
 
-    pacer = WallPacer(executor.node, rate=RATE, on_due=on_frame_tick, settled=executor.settled, beside=True)
-    pacer.start()
-    executor.spin(lambda: len(left) >= 12)
-    assert pacer.stop()
+    start_pacer(executor, on_frame_tick)
+    executor.spin(lambda: len(left) >= count)
     # The first of a silence may run beside the executor.
-    assert left[2:12] == [0] * 10
+    assert left[2:count] == [0] * (count - 2)
+
+
+def test_frames_wait_for_a_stopped_executor_once_at_most(
+    start_pacer: Callable[..., None], wait_until: Callable[..., object]
+) -> None:
+    executor = Executor(delay=1.4 / RATE)
+    threads, skipped = list[int](), list[int]()
+
+    def on_frame_tick(tick: Due) -> None:
+        threads.append(threading.get_ident())
+        skipped.append(tick.skipped)
+        # Late: each frame asks for the executor's next turn.
+        threading.Event().wait(1.3 / RATE)
+
+    def is_executors_frame() -> bool:
+        return threads[-1:] == [threading.get_ident()]
+
+    start_pacer(executor, on_frame_tick)
+    executor.spin(is_executors_frame)
+    # A frame fell due while that one ran, and nobody takes turns any more.
+    count = len(threads)
+    wait_until(lambda: len(threads) >= count + 150, what="frames without the executor")
+    assert threading.get_ident() not in threads[count:]
+    assert skipped[count] >= EXECUTOR_TIMEOUT * RATE - 2
+    # It comes back, and is asked first again.
+    executor.spin(is_executors_frame)
+    count = len(threads)
+    executor.spin(lambda: len(threads) >= count + 10)
+    assert threads[count:] == [threading.get_ident()] * 10
