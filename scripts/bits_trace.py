@@ -59,6 +59,10 @@ def _obstacles(factor: int) -> Size:
     return lambda _, plan: factor * plan["obstacles"]
 
 
+def _contacts(_: Sequence[Any], plan: dict[str, Any]) -> int:
+    return (plan["obstacles"] + 1) * (plan["n"] + 1)
+
+
 def _pinches(factor: int) -> Size:
     return lambda _, plan: factor * plan["pinches"]
 
@@ -159,6 +163,9 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_contact_bounds": ("i", ("h", "d", _X, _B, _B)),
     "cloth_contact_ahead": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_contact_crosses": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_contact_thickness": ("i", ("h", _contacts, "d", "d", "d")),
+    "cloth_contact_gap_rows": ("i", ("h", "d", _X, _contacts)),
+    "cloth_contact_grown": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),
     "cloth_self_keeps": ("i", ("h", "i")),
     "cloth_self_bounds": ("i", ("h", "d", _X, _B, _B)),

@@ -61,7 +61,7 @@ def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:
         if gap >= least:
             continue
         where = f"obstacle '{name}'" if name else "itself"
-        count = int((row[:-1] < least).sum())
+        count = int(np.count_nonzero(row[:-1] < least))
         particles = f" at particle {int(np.argmin(row[:-1]))}" if count else ""
         particles += f" and {count - 1} more" if count > 1 else ""
         raise ValueError(

@@ -53,7 +53,7 @@ def reduce_contacts(
     relieved: NDArray[np.int64] | None = None,
     limited: bool = True,
 ) -> None:
-    """Reduce the thickness of contacts that an event compresses or relieves and that hold more than the rest gap's energy.
+    """Reduce the thickness of contacts that an event compresses or relieves to where they hold the rest gap's energy.
 
     Args:
         plan: whose obstacles stand where they are at that time.
@@ -75,7 +75,7 @@ def reduce_contacts(
     if rows is not None:
         concerned[rows] = True
     if relieved is not None:
-        concerned[:, np.append(_about(contact.force, state.x, relieved), False)] = True
+        concerned[:, np.append(_about(contact.force, state.x, relieved), relieved.size > 0)] = True
     gaps[~concerned] = np.inf
     if limited:
         try:
@@ -124,7 +124,7 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
     named = [*(f"'{obstacle.name}'" for obstacle in contact.force.obstacles), "the cloth itself"]
     return ContactRecovery(
         names=tuple(name for name, row in zip(named, below, strict=True) if row.any()),
-        particles=int(below[:, :-1].any(axis=0).sum()),
+        particles=int(np.count_nonzero(below[:, :-1].any(axis=0))),
         lift=thickness - float(reduced.min()),
         duration=recovery_time(reduced, thickness),
     )
@@ -145,8 +145,8 @@ def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
 
 
 def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
-    """Return the particles that another scene's obstacles or grippers press less: those in contact with obstacles that it
-    has not, or not so, and those that softer grippers hold. The plan is of the scene before.
+    """Return the particles that obstacles or grippers of another scene press less than those of the plan's: in contact
+    with obstacles that it has not, or not so, or held by softer grippers.
     """
     found = np.empty(0, dtype=np.int64)
     if plan.contact is None:
