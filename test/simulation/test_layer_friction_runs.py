@@ -92,14 +92,14 @@ def test_friction_only_takes_energy_and_the_balance_tells_how_much():
 
 def test_what_slides_along_an_edge_does_not_change_sides_in_every_step():
     # Folded along its own lines, particles slide along edges and over corners; with the nearest triangle, whichever it
-    # is, the ninth frame alone took 1.8 million evaluations, for no step was short enough.
+    # is, a single frame took 1.8 million evaluations, for no step was short enough.
     simulation = fold(tolerance=1e-4)
     evaluations, holds = [], []
-    for _ in range(9):
+    for _ in range(20):
         evaluations.append(simulation.advance().advance.evaluations)
         holds.append(bool((layers(simulation)[:, 3] > 0.0).any()))
     assert any(holds)
-    assert evaluations[-1] < 20_000
+    assert max(evaluations) < 20_000
 
 
 def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
