@@ -15,7 +15,7 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 #: Thickness of contact in these attacks [m]: the cloth's cells are 0.14 m wide.
 THICKNESS = 0.01
 #: Of that, the gap with which a cloth starts that is nearly on an obstacle, or on itself, and to which plates crush it.
-NEARLY_ON, FOLDED, CRUSHED = 0.01, 0.3, 0.3
+NEARLY_ON, FOLDED, CRUSHED = 0.021, 0.3, 0.3
 _COMMON: dict[str, Any] = {"cloth.resolution": [8, 8], "contact.thickness": THICKNESS, "gripper.max_speed": 0.0}
 _PLATE: dict[str, Any] = {"shape": "box", "size": [1.2, 0.1, 1.2], "friction": [0.5, 0.4]}
 

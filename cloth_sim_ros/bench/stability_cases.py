@@ -166,8 +166,8 @@ class WatchedSimulation(Simulation):
 
     @property
     def work(self) -> float:
-        """Work done on the cloth by the grippers [J], what the grips store and lose included."""
-        return self._book.work if self._book is not None else 0.0
+        """Work done on the cloth by grippers and recovering contacts [J], what grips store and lose included."""
+        return self._book.work + self._book.recovered if self._book is not None else 0.0
 
     def work_of_parameters(self, events: list[Event]) -> float:
         """Energy that a change of parameters is about to put in [J]: the same places, other springs."""

@@ -234,10 +234,12 @@ class Columns:
         contact.pass_on(state, self._t + self.duration, self._runs[:columns], weights(self.counts[:columns]))
 
     def work(self, columns: int) -> float:
-        """Return the work [J] that grippers did over T_K, K = columns, and obstacles and air where these are noted."""
+        """Return the work [J] that grippers did over T_K, K = columns, and obstacles, recovering contacts and air if
+        these are noted.
+        """
         book = Book(self._plan.gripper_count, powers=self._powers, obstacle_count=self._plan.obstacle_count)
         self.note(columns, book)
-        return book.work + book.given
+        return book.work + book.given + book.recovered
 
     def note(self, columns: int, book: Book) -> None:
         """Note T_K, K = columns: what was noted along the runs is extrapolated as the state is."""

@@ -46,12 +46,14 @@ def pushed(plan: Plan, t: float, h: float, done: Step) -> Array:
 
 
 def work(plan: Plan, t: float, h: float, done: Step) -> float:
-    """Return the work of grippers, of obstacles and of moving air over a step [J], as a book notes it."""
+    """Return the work of grippers, obstacles, recovering contacts and air over a step [J], as a book notes it."""
     total = 0.0
     for moment, weight, x, v in done.stages:
         total += weight * plan.supply(moment, x, v)
         if plan.gripper_count:
             total = in_order(plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), total)
+        if plan.contact is not None:
+            total += weight * plan.contact.recovering(moment, x, v)
         if plan.contact is not None and not done.whole:
             total = in_order(plan.contact.rates(moment, x, v, weight)[:, 6].tolist(), total)
     return in_order(pushed(plan, t, h, done)[:, 6].tolist(), total) if done.whole else total

@@ -350,11 +350,14 @@ class ImplicitAdvance:
         place, a = x + d * u, np.empty_like(x)
         self._plan.accelerations(t, place, u, a)
         self._evaluations += 1
-        if self._plan.contact is not None and not np.isfinite(a).all():
-            # Beyond an obstacle's surface there is no way back.
-            return np.full_like(a, np.nan)
+        thickness = None
+        if self._plan.contact is not None:
+            thickness = self._plan.contact.thickness
+            if not np.isfinite(a).all():
+                # Beyond an obstacle's surface there is no way back.
+                return np.full_like(a, np.nan)
         correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
-        self._matrix.update(t, place, d, self._state.memory.get(PINCHED))
+        self._matrix.update(t, place, d, self._state.memory.get(PINCHED), thickness)
         self._matrix.solve(correction)
         return correction
 

@@ -63,9 +63,12 @@ class StageMatrix:
             np.maximum.at(largest, ends[:, side], size)
         return ends[size >= _NEGLIGIBLE * largest[ends].min(axis=1)]
 
-    def update(self, t: float, x: Array, d: float, pinched: Array | None = None) -> None:
+    def update(
+        self, t: float, x: Array, d: float, pinched: Array | None = None, thickness: Array | None = None
+    ) -> None:
         """Factorise M + d^2 K + d D at time t and positions x (3, n), d [s]; K and D are stiffness and damping. Pads of
-        grippers are where `pinched` says, see `Touching.pinched_shape`.
+        grippers are where `pinched` says, see `Touching.pinched_shape`; contacts are as thick as `thickness` says, see
+        `Touching.thickness_shape`.
 
         Raises:
             UnstableError: if an entry is not finite.
@@ -73,6 +76,7 @@ class StageMatrix:
         stiffness, damping = np.zeros((2, 6, self._model.particle_count))
         if self._others.contact is not None:
             self._others.contact.lay_pads(pinched)
+            self._others.contact.lay_thickness(thickness)
         self._others.add_bounds(x, stiffness, damping, t)
         self._matrix.update(self._blocks(x, d * d, d), self._model.masses, d * d * stiffness + d * damping)
 
