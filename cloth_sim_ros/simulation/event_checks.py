@@ -151,9 +151,12 @@ def check_added(scene: Scene, wanted: Scene, state: State) -> None:
     added = [name for name in wanted.obstacle_names if name not in kept]
     # New ones come to where they are described to start.
     _check_start(wanted, added, State(state.positions), "the cloth")
-    if kept and (wanted.cloth.anchors, wanted.contact.thickness) != (scene.cloth.anchors, scene.contact.thickness):
+    if (wanted.cloth.anchors, wanted.contact.thickness) != (scene.cloth.anchors, scene.contact.thickness):
         there = attrs.evolve(wanted, obstacles=scene.obstacles)
-        _check_start(there, kept, state, "the cloth, once it is let go,")
+        if kept:
+            _check_start(there, kept, state, "the cloth, once it is let go,")
+        elif wanted.contact.self_:
+            _check_faces(there, [], np.empty((0, 7)), state)
 
 
 def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) -> None:
@@ -172,7 +175,10 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) ->
 
 
 def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: State) -> None:
-    """Refuse obstacles that, at their poses, come through a cloth between its particles."""
+    """Refuse obstacles that, at their poses, come through a cloth between its particles, or too near to it; so is a
+    cloth that is too near to itself.
+    """
+    from cloth_sim_ros.physics.contact_thickness import check_gaps
     from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
     from cloth_sim_ros.physics.model import Model
     from cloth_sim_ros.physics.plan import compile
@@ -180,7 +186,8 @@ def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: 
 
     thickness = scene.contact.thickness
     faces = OwnSurface(scene.sheet.triangles(), scene.sheet.positions(), thickness=thickness)
-    contact = Contact(solids, thickness=thickness, faces=faces)
+    surface = faces if scene.contact.self_ else None
+    contact = Contact(solids, thickness=thickness, faces=faces, surface=surface)
     contact.move(standing(0.0, poses))
     plan = compile(Model(np.ones(state.x.shape[1]), [contact], anchors=scene.anchored_particles()))
     assert plan.contact is not None
@@ -188,3 +195,7 @@ def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: 
         plan.contact.check_clear(0.0, state.x)
     except ValueError as error:
         raise EventError(str(error)) from error
+    try:
+        check_gaps(plan.contact.gap_rows(0.0, state.x), thickness, [solid.name for solid in solids])
+    except ValueError as error:
+        raise EventError(f"the cloth {error}") from error

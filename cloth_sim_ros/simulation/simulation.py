@@ -259,7 +259,7 @@ class Simulation(ExclusiveAccess):
         for event in events:
             match event:
                 case Target():
-                    self.grippers.set_target(event)
+                    self._set_target(event)
                 case Move():
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
@@ -307,6 +307,21 @@ class Simulation(ExclusiveAccess):
         if done and not done.steps and not self.paused and self._settled:
             self._slept = frame
         return frame
+
+    def _set_target(self, event: Target) -> None:
+        """Take note of a gripper's target; the first one of a gripper that pinches brings its pads to the cloth."""
+        placed = self.grippers.is_placed(self.grippers.names.index(event.gripper))
+        self.grippers.set_target(event)
+        if placed or self.pinching is None or event.gripper not in self.pinching.names:
+            return
+        self._stand_obstacles()
+        rows = [name.rpartition(".")[0] == event.gripper for name in self._obstacle_names()]
+        reduce_contacts(self.plan, self.state, self.time, rows=np.array([*rows, False]))
+
+    def _obstacle_names(self) -> list[str]:
+        """Names of obstacles and, behind them, pads."""
+        assert self.plan.contact is not None
+        return [obstacle.name for obstacle in self.plan.contact.force.obstacles]
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
