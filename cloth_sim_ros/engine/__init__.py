@@ -9,4 +9,4 @@ then `grid_row.hpp` (one row of a sheet, one step), `frame.hpp` (a frame) and `l
 
 #: Number of the package's arithmetic, recorded with every session: it is raised whenever the same scene and events give
 #: other bits than before. 1 stands for the versions before the engine, which recorded none.
-NUMERICS = 18
+NUMERICS = 19

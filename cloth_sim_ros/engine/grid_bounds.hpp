@@ -1,10 +1,11 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bounds of the stiffness and damping of a sheet's springs: for each particle the sum over its springs of what the law
-// bounds them by. Each spring is looked at once, by its own row; particles gather from the last three rows.
+// Bounds of the stiffness and damping of a sheet's springs, and of the air on its cells: for each particle the sum over
+// them of what the law bounds them by. Each is looked at once, by its own row; particles gather from the last three rows.
 #pragma once
 
+#include "grid_cells.hpp"
 #include "grid_measures.hpp"
 
 namespace cloth {
@@ -12,9 +13,11 @@ namespace cloth {
 template <class T>
 class GridBounds {
 public:
-    /// In single precision blocks are in units of the largest k_s / l0 and c, so that no square is out of range.
-    GridBounds(const Grid& grid, const Tables<T>& tables, const double* x)
-        : damped(grid.damped()), grid_(grid), tables_(tables), places_(grid, x, nullptr),
+    /// In single precision blocks are in units of the largest k_s / l0 and c, so that no square is out of range. `air` is
+    /// what the panels of `cells` have in common; null where there are none.
+    GridBounds(const Grid& grid, const Tables<T>& tables, const double* x, const CellTable<T>* cells = nullptr,
+               const double* air = nullptr)
+        : damped(air || grid.damped()), grid_(grid), tables_(tables), table_(cells), air_(air), places_(grid, x, nullptr),
           length_(row_length<T>(grid.columns)), table_pitch_(tables.pitch),
           pitch_(length_ + reach <= tables.pitch ? tables.pitch : tables.pitch + room) {
         for (const GridFamily& family : grid.families) {
@@ -24,7 +27,7 @@ public:
         }
         if (sizeof(T) == 8 || unit_stiffness == 0.0) unit_stiffness = 1.0;
         if (sizeof(T) == 8 || unit_damping == 0.0) unit_damping = 1.0;
-        numbers_.assign(3 * family_count * parts * pitch_ + 2 * room, T(0));
+        numbers_.assign((3 * family_count + (air ? 2 : 0)) * parts * pitch_ + 2 * room, T(0));
     }
 
     /// Rows have to be taken in order, from the first on.
@@ -52,6 +55,7 @@ public:
                 store<T>(to + 5 * pitch_ + j, w * at.damping);
             }
         }
+        if (air_) take_cells(row);
     }
     /// Blocks of a vector of particles of the row taken last.
     void of(std::int64_t row, std::int64_t j, Sym3<vec<T>>& stiff, Sym3<vec<T>>& damp) const {
@@ -62,6 +66,8 @@ public:
             add(row - e.row0, f, j - e.column0, stiff, damp);
             add(row - e.row1, f, j - e.column1, stiff, damp);
         }
+        for (std::int64_t up = std::max<std::int64_t>(row - 1, 0); air_ && up <= row; ++up)
+            for (const std::int64_t left : {j - 1, j}) add_cell(cells(up) + left, stiff, damp);
     }
 
     /// The part of their stiffness that lies across springs.
@@ -89,6 +95,38 @@ private:
     }
     const T* numbers(std::int64_t row, int f) const { return const_cast<GridBounds*>(this)->numbers(row, f); }
 
+    /// Area vectors of the cells below a row, their shares across and along, and what their turning adds.
+    T* cells(std::int64_t row) { return numbers(0, 0) + (3 * family_count + row % 2) * parts * pitch_; }
+    const T* cells(std::int64_t row) const { return const_cast<GridBounds*>(this)->cells(row); }
+    void take_cells(std::int64_t row) {
+        using V = vec<T>;
+        double damped_by[5], turned_by[5];
+        for (int k = 0; k < 5; ++k) {
+            damped_by[k] = air_[k] / (k < 2 ? unit_damping : 1.0);
+            turned_by[k] = air_[k] / (k < 2 ? unit_stiffness : 1.0);
+        }
+        const auto damping = law_params<Panel<4>, V>(nullptr, damped_by);
+        const auto turning = law_params<Panel<4>, V>(nullptr, turned_by);
+        for (std::int64_t j = 0; j < length_; j += lanes<T>) {
+            const auto point = [&](int down, int right) { return padded_point(places_, row + down, j + right, 0); };
+            const Vec3<V> first = point(0, 0), d[3] = {point(0, 1) - first, point(1, 1) - first, point(1, 0) - first};
+            const V part = load(table_->of(row) + j);
+            const auto s = Panel<4>::shares(damping, part, d[1], d[2] - d[0]);
+            T* const to = cells(row) + j;
+            store<T>(to, s.n.x), store<T>(to + pitch_, s.n.y), store<T>(to + 2 * pitch_, s.n.z);
+            store<T>(to + 3 * pitch_, s.across), store<T>(to + 4 * pitch_, s.along);
+            store<T>(to + 5 * pitch_, select(part > V{}, Panel<4>::turning(turning, d), V{}));
+        }
+    }
+    void add_cell(const T* from, Sym3<vec<T>>& stiff, Sym3<vec<T>>& damp) const {
+        const Vec3<vec<T>> n{load(from), load(from + pitch_), load(from + 2 * pitch_)};
+        const Sym3<vec<T>> block = outer(load(from + 3 * pitch_), n, load(from + 4 * pitch_));
+        const vec<T> turning = load(from + 5 * pitch_);
+        damp.xx = damp.xx + block.xx, damp.yy = damp.yy + block.yy, damp.zz = damp.zz + block.zz;
+        damp.xy = damp.xy + block.xy, damp.xz = damp.xz + block.xz, damp.yz = damp.yz + block.yz;
+        stiff.xx = stiff.xx + turning, stiff.yy = stiff.yy + turning, stiff.zz = stiff.zz + turning;
+    }
+
     void add(std::int64_t row, int f, std::int64_t j, Sym3<vec<T>>& stiff, Sym3<vec<T>>& damp) const {
         using V = vec<T>;
         if (row < 0) return;
@@ -114,6 +152,8 @@ private:
 
     const Grid& grid_;
     const Tables<T>& tables_;
+    const CellTable<T>* const table_;
+    const double* const air_;
     const Padded<T> places_;
     std::int64_t length_, table_pitch_, pitch_;
     Array<T> numbers_;

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "beside.hpp"
+#include "grid_air.hpp"
 #include "grid_bends.hpp"
 #include "grid_takers.hpp"
 
@@ -17,8 +18,9 @@ public:
     /// Accelerations at the start of a run without steps go where its velocities at the end would.
     GridForces(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), beside_(plan, run), window_(plan.room<T>().window),
-          bends_(plan.row_tables<T>()), pitch_(plan.tables.pitch), moving_(plan.mode() != Mode::still) {
-        window_.resize((rows_of_window * (seen + 3) + 2 * 3 * 3 + 3) * pitch_ + 64 / sizeof(T));
+          bends_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), pitch_(plan.tables.pitch), moving_(plan.mode() != Mode::still) {
+        const std::int64_t kept = cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_);
+        window_.resize((rows_of_window * (seen + 3) + 2 * 3 * 3 + 3) * pitch_ + kept + 64 / sizeof(T));
         beside_.hold(1);
         beside_.touch_rows(1, pitch_);
     }
@@ -36,8 +38,8 @@ public:
         const TakeRow<T> take = row_taker<T>(grid_.shape(), plan_.mode());
         const GridConstants<T> constants = grid_constants<T>(plan_);
         T *const ring = window_.data() + rows_of_window * (seen + 3) * pitch_, *const bent = ring + 3 * 3 * pitch_;
-        T* const out = bent + 3 * 3 * pitch_;
-        std::fill(ring, out, T(0));
+        T *const out = bent + 3 * 3 * pitch_, *const kept = out + 3 * pitch_;
+        std::fill(ring, window_.data() + window_.size(), T(0));
         load_row(0);
         load_row(1);
         // Rows of whole vectors are written where they belong.
@@ -58,6 +60,7 @@ public:
             T* sums[3];
             for (int k = 0; k < 3; ++k) sums[k] = bent + (row + k) % 3 * 3 * pitch_;
             if (!bends_.empty()) take_bends(bends_, row, at, sums, true, nullptr, false);
+            if (!cells_.empty()) take_air(at, cells_.of(row), plan_.cells_air(), kept, row, true, nullptr);
             take(at, constants, {}, true);
             for (int c = 0; !whole && c < 3; ++c)
                 std::copy_n(out + c * pitch_, grid_.columns, run_.v + c * plan_.count + row * grid_.columns);
@@ -93,6 +96,7 @@ private:
     Beside<T> beside_;
     Array<T>& window_;
     const std::vector<RowTable<T>>& bends_;
+    const CellTable<T>& cells_;
     const std::int64_t pitch_;
     const bool moving_;
 };

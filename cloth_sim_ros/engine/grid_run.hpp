@@ -7,6 +7,7 @@
 #pragma once
 
 #include "beside.hpp"
+#include "grid_air.hpp"
 #include "grid_bends.hpp"
 #include "grid_takers.hpp"
 #include "threads.hpp"
@@ -18,7 +19,7 @@ class GridRun {
 public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), beside_(plan, run),
-          bends_(plan.row_tables<T>()), mode_(plan.mode()), state_(plan.room<T>(run.room).state),
+          bends_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mode_(plan.mode()), state_(plan.room<T>(run.room).state),
           ring_(plan.room<T>(run.room).ring), boxes_(plan.room<T>(run.room).boxes), pitch_(tables_.pitch),
           length_(row_length<T>(grid_.columns)),
           stride_(components<T> * pitch_) {
@@ -42,7 +43,7 @@ public:
         ring_.resize(state_.size());
         for (int b = 0; b < bands_; ++b) {
             state_[b].resize((border_[b + 1] - border_[b] + 2 * halo_ + reach) * stride_ + 64 / sizeof(T));
-            ring_[b].resize(levels_ * rings() * 9 * pitch_ + 64 / sizeof(T));
+            ring_[b].resize(levels_ * numbers_of_level() + 64 / sizeof(T));
         }
         boxes_.resize(std::max<std::size_t>((bands_ - 1) * 4, boxes_.size()));
         for (auto& box : boxes_) box.resize(halo_ * stride_);
@@ -56,7 +57,10 @@ public:
         const Done done = beside_.needed() ? go_together(turns) : go_apart(turns);
         for (int b = 0; (beside_.self || beside_.features) && b < bands_; ++b) export_rows(b);
         // One thread works where powers are noted.
-        if (run_.powers) run_.powers[0] += run_.step * powers_.sum(powers_.lost);
+        if (run_.powers) {
+            run_.powers[0] += run_.step * powers_.sum(powers_.lost);
+            run_.powers[1] += run_.step * powers_.sum(powers_.given);
+        }
         if (done == Done::well) beside_.finish();
         return done;
     }
@@ -76,6 +80,10 @@ private:
     }
     /// Rings of three rows of forces: the springs', and one for what else is taken by rows.
     int rings() const { return bends_.empty() ? 1 : 2; }
+    /// Those of one step of a sweep, and what air keeps of two rows of cells.
+    std::int64_t numbers_of_level() const {
+        return rings() * 9 * pitch_ + (cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_));
+    }
     T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
 
     /// Sheets with nothing beside: neighbours alone wait for each other.
@@ -244,6 +252,10 @@ private:
         if (own) beside_.add_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
         Powers* const powers = run_.powers && step >= 0 ? &powers_ : nullptr;
         if (!bends_.empty()) take_bends(bends_, row, at, sums, own, powers, beside_.sparse);
+        if (!cells_.empty()) {
+            T* const kept = ring_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
+            take_air(at, cells_.of(row), plan_.cells_air(), kept, row, own, powers);
+        }
         take_(at, constants_, motion_of<T>(run_, step), own);
     }
     void export_rows(int b) {
@@ -274,6 +286,7 @@ private:
     const Tables<T>& tables_;
     Beside<T> beside_;
     const std::vector<RowTable<T>>& bends_;
+    const CellTable<T>& cells_;
     Powers powers_;
     Mode mode_;
     std::vector<Array<T>>&state_, &ring_, &boxes_;

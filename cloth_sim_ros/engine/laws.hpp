@@ -325,25 +325,34 @@ struct Panel {
         V across, along;
     };
 
+    /// Of a panel with N = a x b / 2, of which a corner has the part `one`: 1 / corners, or 0 where there is no panel.
     template <class V>
-    static CLOTH_INLINE Shares<V> shares(const Params<V>& p, const Vec3<V>* d) {
+    static CLOTH_INLINE Shares<V> shares(const Params<V>& p, V one, Vec3<V> a, Vec3<V> b) {
         Shares<V> r;
-        r.n = splat<V>(0.5) * (Corners == 3 ? cross(d[0], d[1]) : cross(d[1], d[Corners - 2] - d[0]));
+        r.n = splat<V>(0.5) * cross(a, b);
         const V square = norm2(r.n);
         const auto some = square > splat<V>(least);
         const V area = root(select(some, square, splat<V>(1)));
-        const V one = select(some, splat<V>(scalar<V>(1) / Corners), V{});
+        one = select(some, one, V{});
         r.across = one * (p.normal - p.tangential) / area;
         r.along = one * p.tangential * area;
         return r;
     }
     template <class V>
+    static CLOTH_INLINE Shares<V> shares(const Params<V>& p, const Vec3<V>* d) {
+        const V one = splat<V>(scalar<V>(1) / Corners);
+        return Corners == 3 ? shares(p, one, d[0], d[1]) : shares(p, one, d[1], d[Corners - 2] - d[0]);
+    }
+    /// What a corner gives the air, u its velocity relative to it. Along: whether there is any drag along the surface.
+    template <bool Along = true, class V>
+    static CLOTH_INLINE Vec3<V> taken(const Shares<V>& s, Vec3<V> u) {
+        const Vec3<V> across = (s.across * dot(u, s.n)) * s.n;
+        return Along ? across + s.along * u : across;
+    }
+    template <class V>
     static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v, Vec3<V>* f, bool) {
         const Shares<V> s = shares(p, d);
-        for (int i = 0; i < Corners; ++i) {
-            const Vec3<V> u = v[i] - p.wind;
-            f[i] = -((s.across * dot(u, s.n)) * s.n + s.along * u);
-        }
+        for (int i = 0; i < Corners; ++i) f[i] = -taken(s, v[i] - p.wind);
     }
     template <class V>
     static CLOTH_INLINE V energy(const Params<V>&, const Vec3<V>*) {
@@ -369,19 +378,23 @@ struct Panel {
         for (int i = 0; i < Corners; ++i) sum = sum + (blown * dot(v[i], s.n) + s.along * dot(p.wind, v[i]));
         return sum;
     }
-    /// The damping is exact. With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w
-    /// feels at most (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
+    /// With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w feels at most
+    /// (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
     template <class V>
-    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
-        const Shares<V> s = shares(p, d);
+    static CLOTH_INLINE V turning(const Params<V>& p, const Vec3<V>* d) {
         V longest{};
         for (int i = 0; i < Corners - 1; ++i) {
             longest = larger(longest, norm2(d[i]));
             for (int j = 0; j < i; ++j) longest = larger(longest, norm2(d[i] - d[j]));
         }
         const V speed = root(norm2(p.wind));
-        const V strength =
-            splat<V>(0.5) * (splat<V>(2) * absolute(p.normal - p.tangential) + p.tangential) * speed * root(longest);
+        return splat<V>(0.5) * (splat<V>(2) * absolute(p.normal - p.tangential) + p.tangential) * speed * root(longest);
+    }
+    /// The damping is exact.
+    template <class V>
+    static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
+        const Shares<V> s = shares(p, d);
+        const V strength = turning(p, d);
         for (int i = 0; i < Corners; ++i) b[i] = {Sym3<V>{}, outer(s.across, s.n, s.along), V{}, strength};
     }
 };

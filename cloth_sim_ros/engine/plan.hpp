@@ -10,6 +10,7 @@
 
 #include "contact.hpp"
 #include "contact_feature_pairs.hpp"
+#include "grid_cells.hpp"
 #include "grid_lies.hpp"
 #include "held.hpp"
 #include "list.hpp"
@@ -43,7 +44,8 @@ struct Rooms {
     /// Halves of hinges' next impulses over masses as foretold, in turn, and quarters of the last ones.
     Array<T> leads[3];
     std::vector<RowTable<T>> tables;
-    bool tabled = false;  ///< whether `tables` is of the plan's lists
+    CellTable<T> cells;
+    bool tabled = false;  ///< whether `tables` and `cells` are of the plan's lists
 };
 
 /// Runs that are made at once at most: each writes into rooms of its own.
@@ -58,6 +60,8 @@ struct Plan {
     std::vector<List> lists;
     /// Where those that a sheet's rows take have their numbers, see `row_places`; empty for each other.
     std::vector<std::vector<std::int64_t>> places;
+    /// The list whose panels are the cells of a sheet that its rows take, see `cell_places`; -1 if there is none.
+    std::int64_t air = -1;
     /// Rate of linear drag [1/s], and accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Held held;
@@ -100,8 +104,8 @@ struct Plan {
         places.clear();
         rooms[0].tabled = narrow_rooms[0].tabled = false;
     }
-    /// Find out which lists a sheet's rows take: its hinges, and then the springs between their wings. Sheets without
-    /// hinges have their springs in families.
+    /// Find out which lists a sheet's rows take: its hinges, and then the springs between their wings; and its first list
+    /// of panels. Sheets without hinges have their springs in families.
     void place_lists() {
         if (places.size() == lists.size()) return;
         std::vector<std::vector<std::int64_t>> found(lists.size());
@@ -113,6 +117,11 @@ struct Plan {
         }
         for (std::size_t k = 0; hinges && k < lists.size(); ++k)
             if (lists[k].kind == Kind::spring) found[k] = row_places<Spring>(*grid, lists[k]);
+        air = -1;
+        for (std::size_t k = 0; grid && air < 0 && k < lists.size(); ++k) {
+            if (lists[k].kind == Kind::panel4) found[k] = cell_places(*grid, lists[k]);
+            if (lists[k].kind == Kind::panel4 && !found[k].empty()) air = static_cast<std::int64_t>(k);
+        }
         places = std::move(found);
     }
     /// Whether there are lists that no rows take; and whether any of these are others than hinges.
@@ -128,17 +137,29 @@ struct Plan {
             if (places[k].empty() && !lists[k].slow) return true;
         return false;
     }
-    /// The lists that a sheet's rows take; they stand in the first room alone.
+    /// What the panels that a sheet's rows take have in common.
+    const double* cells_air() const { return lists[air].common; }
+    /// The hinges and springs that a sheet's rows take, and its panels; they stand in the first room alone.
     template <class T>
     const std::vector<RowTable<T>>& row_tables() {
+        return tabled<T>().tables;
+    }
+    template <class T>
+    const CellTable<T>& cell_table() {
+        return tabled<T>().cells;
+    }
+    template <class T>
+    const Rooms<T>& tabled() {
         Rooms<T>& own = room<T>();
-        if (own.tabled) return own.tables;
+        if (own.tabled) return own;
         place_lists();
         own.tables.clear();
         for (std::size_t k = 0; k < lists.size(); ++k)
-            if (!places[k].empty()) own.tables.emplace_back(*grid, lists[k], places[k]);
+            if (!places[k].empty() && static_cast<std::int64_t>(k) != air)
+                own.tables.emplace_back(*grid, lists[k], places[k]);
+        own.cells = air < 0 ? CellTable<T>() : CellTable<T>(*grid, places[air]);
         own.tabled = true;
-        return own.tables;
+        return own;
     }
     /// The lists shared out among threads by borders between particles: those that no rows take, and all hinges where
     /// runs are `sparse`.
@@ -223,7 +244,7 @@ struct Plan {
         place_lists();
         if (!grid) return;
         grid_tables<T>();
-        row_tables<T>();
+        tabled<T>();
     }
     /// Whether forces depend on velocities, and how.
     Mode mode() const {

@@ -235,10 +235,13 @@ inline Rates rates_of(Plan& plan, const double* x, const double* stiff, const do
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
     Rates rates{};
-    if (plan.lists.empty() && plan.grid && !stiff) {
+    plan.place_lists();
+    const bool airy = plan.air >= 0;
+    if (plan.lists.size() == (airy ? 1 : 0) && plan.grid && !stiff) {
         // Single precision takes half the time. Its rounding is far below the safety margin of a step.
         const Grid& grid = *plan.grid;
-        GridBounds<float> bounds(grid, plan.grid_tables<float>(), x);
+        GridBounds<float> bounds(grid, plan.grid_tables<float>(), x, airy ? &plan.cell_table<float>() : nullptr,
+                                 airy ? plan.cells_air() : nullptr);
         for (std::int64_t row = 0; row < grid.rows; ++row) {
             bounds.take_row(row);
             for (std::int64_t j = 0; j < grid.columns; j += lanes<float>) {

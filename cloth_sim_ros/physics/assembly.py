@@ -22,9 +22,9 @@ from cloth_sim_ros.physics.parts import Gridded, Listed, Surrounded, least_decay
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.contact import Contact
 
-#: Operations of a step: to move a particle, of a spring of a grid, of an element of a list, gathering included. What is
-#: chosen by them is the same on any machine.
-MOVE, GRID_SPRING = 40, 26
+#: Operations of a step: to move a particle, of a spring of a grid, of a panel of air on a grid's cell, of an element of a
+#: list, gathering included. What is chosen by them is the same on any machine.
+MOVE, GRID_SPRING, GRID_PANEL = 40, 26, 45
 #: Kinds of elements that may be asked for less often than the rest.
 HINGES = ("crossed", "altitude")
 ELEMENT = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
@@ -116,7 +116,7 @@ class Assembly:
         total = MOVE * count
         if self.gridded is not None:
             total += GRID_SPRING * count * len(self.gridded.families)
-        total += sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed)
+        total += sum(self._operations(part) for part in self.listed)
         # A call of Python takes the time of a hundred particles.
         return CONSTANTS.operation * total / count + CONSTANTS.own * (count + 100) / count * len(self.own)
 
@@ -124,6 +124,11 @@ class Assembly:
         """What hinges take of it [ns]."""
         total = sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed if part.kind in HINGES)
         return CONSTANTS.operation * total / self.model.particle_count
+
+    def _operations(self, part: Listed) -> int:
+        """Operations of a step of all elements of a list."""
+        by_rows = part.kind == "quad" and self.gridded is not None
+        return (GRID_PANEL if by_rows else ELEMENT[part.kind]) * len(part.particles)
 
     def _order(self, handle: int) -> None:
         """Let neighbours lie close together inside runs; nobody outside sees that order."""

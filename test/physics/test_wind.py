@@ -148,7 +148,8 @@ def test_heavy_drag_counts_in_the_step_limit():
     cloth = Simulation(Scene.from_parameters(values))
     _, rate = cloth.plan.rates(cloth.state.x)
     # A third of each triangle's drag at its corners, as the masses are: everywhere normal_drag / density.
-    assert rate >= 1000.0 / 0.2
+    # A sheet's bounds are calculated in single precision.
+    assert rate >= (1.0 - 1e-6) * 1000.0 / 0.2
     _, calm = Simulation(Scene.from_parameters(values | {"wind.normal_drag": 0.0})).plan.rates(cloth.state.x)
     assert rate < 2.0 * 1000.0 / 0.2 + calm
     for _ in range(20):

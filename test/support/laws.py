@@ -166,12 +166,14 @@ def hinge_springs(length, x, v, hinges, rest, stiffness, damping):
 
 
 def air_panels(x, v, panels, normal, tangential, wind):
-    """F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners."""
+    """F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners; none where there is no area."""
     f, lost, given = np.zeros_like(x), 0.0, 0.0
     for panel in panels:
         p = x.T[panel]
         area_vector = 0.5 * (np.cross(p[1] - p[0], p[2] - p[0]) if len(p) == 3 else np.cross(p[2] - p[0], p[3] - p[1]))
         area = np.linalg.norm(area_vector)
+        if not area > 1e-15:
+            continue
         across = np.outer(area_vector, area_vector) / area**2
         drag = area / len(p) * (normal * across + tangential * (np.eye(3) - across))
         for corner in panel:

@@ -1,0 +1,229 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Air on a grid's cells, which the engine takes by rows, against the reference law and the same panels from lists."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import laws
+from support.alone import of_blocks
+
+from cloth_sim_ros.engine.instruction_set import libraries
+from cloth_sim_ros.physics.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
+
+ROOT = Path(__file__).resolve().parents[2]
+SPACING, MASS = 0.05, 2e-3
+#: The narrowest ones, and rows that end within, with and just before a vector or a cache line.
+SHAPES = [(2, 2), (2, 9), (9, 2), (3, 3), (7, 38), (8, 40), (19, 16), (33, 37)]
+COEFFICIENTS = [(0.45, 0.0), (0.3, 0.1), (0.0, 0.2)]
+every_shape = pytest.mark.parametrize("shape", SHAPES)
+every_coefficients = pytest.mark.parametrize("coefficients", COEFFICIENTS)
+
+
+def scene(
+    shape,
+    coefficients=(0.3, 0.1),
+    *,
+    wind=(3.0, -1.0, 0.5),
+    left_out=0.0,
+    as_lists=False,
+    collapsed=False,
+    damped=True,
+    hinges=False,
+    order=0,
+):
+    """A creased sheet of springs and panels, its start, and the panels.
+
+    Without a grid all is taken from lists. `order` is that of the panels in their list and of the corners in them.
+    """
+    rows, columns = shape
+    random = np.random.default_rng(3)
+    count = rows * columns
+    cells = grid_cells(rows, columns)
+    cells = cells[(random.random(len(cells)) >= left_out) | (np.arange(len(cells)) == 0)]
+    shuffled = np.random.default_rng(order)
+    cells = np.array([np.roll(cell, shuffled.integers(4))[:: shuffled.choice([1, -1])] for cell in cells])
+    cells = shuffled.permutation(cells) if order else cells
+    families = [
+        GridFamily(name=name, stiffness=3.0, rest_length=reach * SPACING, damping=2e-3 * damped)
+        for name, reach in (("right", 1.0), ("down", 1.0), ("diagonal", 2.0**0.5), ("antidiagonal", 2.0**0.5))
+    ]
+    springs = GridSprings(rows, columns, families)
+    normal, tangential = coefficients
+    air = AirPanels(cells, normal=normal, tangential=tangential, wind=wind)
+    forces = [springs.listed if as_lists else springs, air, Gravity((0.0, 0.0, -9.81))]
+    if hinges:
+        forces.append(AltitudeSprings(grid_hinges(rows, columns), 0.0, 1.0, 1e-3))
+    x = np.zeros((3, rows, columns))
+    x[0], x[1] = SPACING * np.arange(columns), -SPACING * np.arange(rows)[:, None]
+    x = x.reshape(3, -1) + random.uniform(-0.2, 0.2, (3, count)) * SPACING
+    if collapsed:
+        x[:, cells[0]] = x[:, cells[0][:1]]  # to a point
+        x[1:, cells[-1]] = 0.25  # to a line
+    v = random.uniform(-0.5, 0.5, (3, count))
+    plan = compile(Model(np.full(count, MASS), forces, anchors=[0, columns - 1]))
+    return plan, np.ascontiguousarray(x), v
+
+
+def air_of(plan):
+    return next(force for force in plan.model.forces if isinstance(force, AirPanels))
+
+
+def run(given, steps=24, **options):
+    plan, x, v = given
+    (done,), _ = plan.runs(0.0, 2e-4 * steps, (x, v), [steps], **options)
+    return done
+
+
+def accelerations(given):
+    plan, x, v = given
+    out = np.empty_like(x)
+    plan.accelerations(0.0, x, v, out)
+    return out
+
+
+def near(one, other, rounding):
+    np.testing.assert_allclose(one, other, rtol=0.0, atol=rounding * np.abs(other).max())
+
+
+@pytest.mark.parametrize("collapsed", [False, True])
+@every_coefficients
+@every_shape
+def test_forces_of_rows_follow_the_law(shape, coefficients, collapsed):
+    given = plan, x, v = scene(shape, coefficients, collapsed=collapsed)
+    still = scene(shape, (0.0, 0.0), collapsed=collapsed)
+    air = air_of(plan)
+    force = laws.air_panels(x, v, air.panels, air.normal, air.tangential, air.wind).force * (
+        plan.model.inverse_masses > 0
+    )
+    assert np.abs(force).max() > 0.0 or shape == (2, 2)
+    difference = MASS * (accelerations(given) - accelerations(still))
+    np.testing.assert_allclose(difference, force, rtol=0.0, atol=1e-12 * MASS * np.abs(accelerations(given)).max())
+
+
+@pytest.mark.parametrize("left_out", [0.0, 0.2, 0.7])
+@every_coefficients
+@every_shape
+def test_rows_move_as_lists_do(shape, coefficients, left_out):
+    rows, lists = (scene(shape, coefficients, left_out=left_out, as_lists=as_lists) for as_lists in (False, True))
+    near(accelerations(rows), accelerations(lists), 1e-13)
+    for narrow, rounding in ((False, 1e-13), (True, 2e-6)):
+        one, other = run(rows, narrow=narrow), run(lists, narrow=narrow)
+        for here, there in zip(one.ends, other.ends, strict=True):
+            near(here, there, rounding)
+        assert np.isfinite(one.ends).all()
+        one, other = (run(given, narrow=narrow, powers=True).powers for given in (rows, lists))
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=(1e-5 if narrow else 1e-12) * np.abs(other).max())
+        assert other[0] > 0.0
+
+
+def test_rows_know_no_order_of_panels_nor_of_corners():
+    one, other = accelerations(scene((7, 9))), accelerations(scene((7, 9), order=1))
+    assert np.array_equal(one, other)
+
+
+def test_a_panel_that_is_no_cell_and_one_given_twice_act_as_they_are():
+    rows, columns = 6, 7
+    cells = grid_cells(rows, columns)
+    for odd in ([0, 1, 9, 2], cells[3], [0, 1, columns, columns + 1]):
+        plan, x, v = scene((rows, columns))
+        panels = AirPanels([*cells, odd], normal=0.3, tangential=0.1, wind=(1.0, 2.0, 3.0))
+        plan = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0], panels]))
+        other = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0].listed, panels]))
+        near(accelerations((plan, x, v)), accelerations((other, x, v)), 1e-13)
+
+
+def test_a_second_list_of_cells_acts_too():
+    plan, x, v = scene((6, 7))
+    more = AirPanels(grid_cells(6, 7), normal=0.9, tangential=0.1)
+    more.name = "more air"
+    one, other = (
+        compile(Model(np.full(42, MASS), [springs, *plan.model.forces[1:], more]))
+        for springs in (plan.model.forces[0], plan.model.forces[0].listed)
+    )
+    near(accelerations((one, x, v)), accelerations((other, x, v)), 1e-13)
+    assert one.rates(x) == pytest.approx(of_blocks(other, x), rel=1e-5)
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (30.0, -1.0, 0.5)])
+@pytest.mark.parametrize("damped", [True, False])
+@every_coefficients
+@every_shape
+def test_bounds_of_rows_are_those_of_the_law(shape, coefficients, damped, wind):
+    many = tuple(1e3 * each for each in coefficients)
+    plan, x, _ = scene(shape, many, damped=damped, wind=wind)
+    # With drag along the surface alone the two largest eigenvalues may be alike: single precision knows them less well.
+    assert plan.rates(x) == pytest.approx(of_blocks(plan, x), rel=1e-5 if coefficients[0] else 1e-3)
+    assert plan.rates(x)[1] > scene(shape, (0.0, 0.0), damped=damped)[0].rates(x)[1]
+
+
+@pytest.mark.parametrize("hinges", [False, True])
+@pytest.mark.parametrize("narrow", [False, True])
+def test_no_bit_depends_on_threads_nor_on_noted_powers(narrow, hinges):
+    given = scene((130, 97), hinges=hinges)
+    alone = run(given, narrow=narrow, threads=1).ends
+    for threads in (2, 5, 8, 16):
+        np.testing.assert_array_equal(run(given, narrow=narrow, threads=threads).ends, alone)
+    np.testing.assert_array_equal(run(given, narrow=narrow, powers=True).ends, alone)
+
+
+def test_hinges_asked_for_less_often_leave_the_air_alone():
+    rows, lists = (scene((19, 16), hinges=True, as_lists=as_lists) for as_lists in (False, True))
+    near(run(rows, every=3).ends[0], run(lists, every=3).ends[0], 1e-13)
+
+
+def test_new_wind_acts_in_rows():
+    plan, x, v = scene((7, 9), wind=(0.0, 0.0, 0.0))
+    blown = air_of(plan).blown((4.0, 2.0, 1.0))
+    before = accelerations((plan, x, v))
+    kept = [blown if isinstance(force, AirPanels) else force for force in plan.model.forces]
+    uniform = [force for force in kept if isinstance(force, Gravity)]
+    plan.change_uniform(kept, uniform, air=blown.common)
+    after = accelerations((plan, x, v))
+    assert np.abs(after - before).max() > 0.1
+    assert np.array_equal(after, accelerations(scene((7, 9), wind=(4.0, 2.0, 1.0))))
+
+
+def digest() -> str:
+    """Of runs by the engine that the process has."""
+    told = hashlib.sha256()
+    for shape in SHAPES:
+        for coefficients in COEFFICIENTS:
+            given = scene(shape, coefficients)
+            told.update(accelerations(given).tobytes())
+            told.update(np.array(given[0].rates(given[1])).tobytes())
+            for narrow in (False, True):
+                done = run(given, narrow=narrow, powers=True)
+                told.update(done.ends.tobytes() + done.notes.tobytes())
+    return told.hexdigest()
+
+
+@pytest.mark.parametrize("name", libraries())
+def test_no_bit_depends_on_the_instruction_set(name):
+    if not (ROOT / "cloth_sim_ros" / "engine" / f"_{name}.so").exists():
+        pytest.skip(f"{name}: not built")
+    done = subprocess.run(
+        [sys.executable, "-c", "import test_grid_air; print(test_grid_air.digest())"],
+        env={
+            **os.environ,
+            "CLOTH_SIM_ROS_ENGINE": name,
+            "PYTHONPATH": os.pathsep.join([str(ROOT), str(Path(__file__).parent), str(ROOT / "test")]),
+        },
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.strip() == digest(), done.stderr
