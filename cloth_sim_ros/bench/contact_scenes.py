@@ -29,6 +29,7 @@ SHEET: dict[str, Any] = {
     "cloth.anchors": [""],
     "grippers": [""],
     "air.drag": 0.0,
+    "wind.normal_drag": 0.0,
     "contact.thickness": THICKNESS,
 }
 

@@ -26,6 +26,7 @@ FOLD: dict[str, Any] = {
     "cloth.size": [0.4, 0.4],
     "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
     "cloth.anchors": [""],
+    "wind.normal_drag": 0.0,
     "tolerance": 1e-3,
     "grippers": ["left", "right"],
     "gripper.radius": 0.03,

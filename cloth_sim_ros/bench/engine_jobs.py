@@ -35,6 +35,7 @@ DEFAULT_CLOTH: dict[str, Any] = {
     "material.stretch_modulus": 1000.0,
     "material.shear_modulus": 100.0,
     "material.damping": 0.1,
+    "wind.normal_drag": 0.0,
     "grippers": ["gripper"],
     "gripper.radius": 0.05,
 }

@@ -95,6 +95,7 @@ def parameters(*, bending: str, tolerance: float) -> dict[str, Any]:
         "cloth.position": [0.0, 0.0, 1.0],
         "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
         "cloth.anchors": [""],
+        "wind.normal_drag": 0.0,
         "bending.model": bending,
         "grippers": list(SHOULDERS),
         "gripper.radius": 0.04,

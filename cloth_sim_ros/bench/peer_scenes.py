@@ -36,6 +36,7 @@ _COMMON: dict[str, Any] = {
     "material.density": 0.2,
     "material.stretch_modulus": 1000.0,
     "air.drag": DRAG,
+    "wind.normal_drag": 0.0,
     "contact.thickness": THICKNESS,
     "grippers": [""],
     "tolerance": TOLERANCE,

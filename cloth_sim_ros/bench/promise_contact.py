@@ -62,6 +62,7 @@ def draw_contact(seed: int, index: int) -> ContactDraw:
     bending = str(rng.choice(["none", "axial", "opposite", "crossed"]))
     values: dict[str, Any] = {
         "gripper.max_speed": 0.0,
+        "wind.normal_drag": 0.0,
         "cloth.resolution": [rows, columns],
         "cloth.size": [height, width],
         "cloth.orientation": [0.0, 0.0, 0.0, 1.0],

@@ -126,6 +126,7 @@ def _values(rng: np.random.Generator, calm: bool) -> tuple[dict[str, Any], dict[
         "rate": float(rng.integers(RATES[0], RATES[1] + 1)),
         "tolerance": log_uniform(rng, *TOLERANCES),
         "air.drag": 0.0 if rng.random() < 0.3 else log_uniform(rng, 0.2 if calm else 0.02, 2.0),
+        "wind.normal_drag": 0.0,
         "gravity": [0.0, 0.0, -9.81] if calm else _gravity(rng),
     }
     files: dict[str, bytes] = {}

@@ -79,6 +79,7 @@ def violent_scene(seed: int, index: int) -> tuple[Scene, np.random.Generator, st
             "material.damping": damping,
             "material.density": log_uniform(rng, *DENSITIES),
             "bending.model": model,
+            "wind.normal_drag": 0.0,
             "air.drag": float(rng.choice([0.0, 0.2])),
             "grippers": ["left", "right"][: int(rng.integers(1, 3))],
             "gripper.radius": float(rng.uniform(0.2, 0.6)) * height,

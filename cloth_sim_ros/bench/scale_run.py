@@ -62,7 +62,11 @@ def _scene(kind: str, resolution: int) -> Scene:
     # The scene's own stability limit would ask for a thousand steps a frame of the largest sheets: the rate is set so
     # that each takes `STEPS`.
     # The integrator is the one that `auto` takes for them, with the default tolerance.
-    values: dict[str, Any] = {"cloth.resolution": [resolution, resolution], "integrator": "extrapolated"}
+    values: dict[str, Any] = {
+        "cloth.resolution": [resolution, resolution],
+        "integrator": "extrapolated",
+        "wind.normal_drag": 0.0,
+    }
     files = {}
     if kind == "mesh":
         values |= {"cloth.mesh": _MESH, "cloth.anchors": ["0", str(resolution - 1)], "bending.model": "none"}

@@ -21,11 +21,12 @@ BARE: dict[str, Any] = {
     "integrator": "leapfrog",
     "material.damping": 0.0,
     "air.drag": 0.0,
+    "wind.normal_drag": 0.0,
     "gravity": [0.0, 0.0, 0.0],
     "bending.model": "none",
 }
 #: All forces of a sheet that hangs in air, without grippers or error control.
-FORCES: dict[str, Any] = {"grippers": [""], "tolerance": 0.0, "integrator": "leapfrog"}
+FORCES: dict[str, Any] = {"grippers": [""], "tolerance": 0.0, "integrator": "leapfrog", "wind.normal_drag": 0.0}
 #: A bending modulus for the models that have one [N m]: that of a thin cotton.
 _BENDING = {"material.bending_modulus": 1e-5}
 #: Frames that a scene is moved before it is timed: all that is made once is made, and the sheet swings.
@@ -66,6 +67,8 @@ def variants() -> list[Variant]:
         make("damping", "active"),
         make("drag", "absent", {"air.drag": 0.0}),
         make("drag", "active"),
+        make("air across the sheet", "absent"),
+        make("air across the sheet", "active", {"wind.normal_drag": 0.45}),
         make("gravity", "absent", {"gravity": [0.0, 0.0, 0.0]}),
         make("gravity", "active"),
         make("bending", "absent", {"bending.model": "none"}),

@@ -50,7 +50,11 @@ def mesh_time(particles: int, *, seconds: float) -> PlanTime:
 
 def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
     """Time a square grid with a bending model of hinges."""
-    values: dict[str, object] = {"cloth.resolution": [resolution, resolution], "bending.model": bending}
+    values: dict[str, object] = {
+        "cloth.resolution": [resolution, resolution],
+        "bending.model": bending,
+        "wind.normal_drag": 0.0,
+    }
     if bending in ("crossed", "altitude"):
         values["material.bending_modulus"] = 1e-5
     simulation = Simulation(Scene.from_parameters(values))
@@ -59,7 +63,9 @@ def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
 
 def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
     """Time a square grid held by a gripper that moves, and turns or not."""
-    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [resolution, resolution]}))
+    simulation = Simulation(
+        Scene.from_parameters({"cloth.resolution": [resolution, resolution], "wind.normal_drag": 0.0})
+    )
     name = simulation.scene.gripper_names[0]
     corner = simulation.positions[-1]
     simulation.advance([Target(name, corner)])

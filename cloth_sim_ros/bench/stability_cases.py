@@ -125,6 +125,7 @@ def scene(case: Case) -> Scene:
         "gripper.stiffness": 1000.0 * min(case.stiffness, 1e4),
         "gripper.radius": _EVERY[case.attack].radius,
         "gripper.max_speed": 0.0,
+        "wind.normal_drag": 0.0,
         "tolerance": TOLERANCE,
         **_moduli(case),
     }

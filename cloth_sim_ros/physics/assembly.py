@@ -22,8 +22,8 @@ from cloth_sim_ros.physics.parts import Gridded, Listed, Surrounded, least_decay
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.contact import Contact
 
-#: Operations of a step: to move a particle, of a spring of a grid, of a panel of air on a grid's cell, of an element of a
-#: list, gathering included. What is chosen by them is the same on any machine.
+#: Operations of a step: to move a particle, of a spring of a grid, of a panel of air on a grid's cell, of an element of
+#: a list, gathering included. What is chosen by them is the same on any machine.
 MOVE, GRID_SPRING, GRID_PANEL = 40, 26, 45
 #: Kinds of elements that may be asked for less often than the rest.
 HINGES = ("crossed", "altitude")

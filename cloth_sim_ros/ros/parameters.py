@@ -24,6 +24,7 @@ from cloth_sim_ros.scene import frame_ids, gripper_parameters, obstacles
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
 from cloth_sim_ros.scene.parameters import Faults, Parameter, ParameterError, read_only
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.sheet_checks import without_surface
 from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
 from cloth_sim_ros.scene.without_effect import without_effect
 
@@ -179,9 +180,9 @@ def declare(node: Node) -> Scene:
         node.undeclare_parameter(name)
     silence_reader()
     scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
-    known = Scene.declared_for(overrides)
+    known, defaults = Scene.declared_for(overrides), without_surface(values)
     for entry in known:
-        declare_one(node, entry, values.get(entry.name, entry.default))
+        declare_one(node, entry, {entry.name: entry.default, **defaults, **values}[entry.name])
     _warn_of_unknown(node, scene, [entry.name for entry in known])
     notes, warnings = mesh_notes(scene)
     for sentence in notes:

@@ -32,7 +32,9 @@ def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
     if scene.obstacle_names:
         names += f"; obstacles: {', '.join(scene.obstacle_names)}"
     size = cloth_size(scene, simulation.state.x, simulation.model.masses)
-    return f"{count} particles at {scene.rate:g} Hz of {'/clock' if follows_clock else 'wall time'}, {names}; {size}"
+    air = f"; air across the sheet {scene.wind.normal_drag:g} N s/m^3" if scene.wind.normal_drag else ""
+    clock = "/clock" if follows_clock else "wall time"
+    return f"{count} particles at {scene.rate:g} Hz of {clock}, {names}; {size}{air}"
 
 
 def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: bool) -> None:

@@ -12,7 +12,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 
 #: A session holds every parameter of its scene. One that lacks these was recorded when there was no such parameter, and
 #: runs again as it ran then.
-BEFORE: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0}
+BEFORE: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0}
 
 
 class RebuiltScene(Protocol):

@@ -52,7 +52,7 @@ from cloth_sim_ros.scene.sections import (
     Tf,
     Wind,
 )
-from cloth_sim_ros.scene.sheet_checks import check_sheet
+from cloth_sim_ros.scene.sheet_checks import check_sheet, without_surface
 from cloth_sim_ros.scene.unknown import is_of_ros
 from cloth_sim_ros.scene.value_checks import check_values
 
@@ -225,7 +225,9 @@ class Scene:
         """
         names = scene_obstacles.described(values, cls.groups())
         checked = parameters.check(
-            cls.declared_for(values), values, hint=lambda name: scene_obstacles.hint(name, cls.groups())
+            cls.declared_for(values),
+            {**without_surface(values), **values},
+            hint=lambda name: scene_obstacles.hint(name, cls.groups()),
         )
         content = scene_files.read(checked, files or {}, folder)
         described = scene_obstacles.read(checked, names)

@@ -4,10 +4,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.scene.build import Configuration, anchored_particles, grid_threads_of
 from cloth_sim_ros.scene.parameters import ParameterError
+
+
+def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what takes another default because a cloth is raw springs, which have no surface for the air.
+
+    Args:
+        values: parameters that are given, by full name.
+    """
+    if not values.get("cloth.springs") or "wind.normal_drag" in values:
+        return {}
+    return {"wind.normal_drag": 0.0}
 
 
 def check_sheet(scene: Configuration) -> None:
@@ -30,7 +44,9 @@ def check_sheet(scene: Configuration) -> None:
         raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
     anchored_particles(scene, sheet)
     if (scene.wind.normal_drag or scene.wind.tangential_drag) and not len(sheet.triangles()):
-        raise ParameterError("wind.normal_drag and wind.tangential_drag need a surface; raw springs have none")
+        raise ParameterError(
+            "wind.normal_drag and wind.tangential_drag need a surface; raw springs have none: set both to 0"
+        )
     if model in ("axial", "opposite") and modulus:
         from cloth_sim_ros.physics.sheets.bending import refuse_bending_modulus
 
