@@ -21,13 +21,27 @@ from cloth_sim_ros.bench import contact_self
 from cloth_sim_ros.bench.contact_layers import layers
 from cloth_sim_ros.bench.contact_pinch import pinch
 from cloth_sim_ros.bench.contact_scenes import BORNE, FRAME, SHEET, THICKNESS, Capstan, Motion, downhill, sheet, slope
+from cloth_sim_ros.bench.contact_starts import starts
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.bench.speed_turns import take_turns
 from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 
-PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "pinch", "layers", "cost", "folds", "hanging")
+PARTS = (
+    "slopes",
+    "drift",
+    "weight",
+    "capstan",
+    "impacts",
+    "order",
+    "pinch",
+    "layers",
+    "starts",
+    "cost",
+    "folds",
+    "hanging",
+)
 G = 9.81
 #: Angles off that of friction at which a sheet must stick or slip, and at which its acceleration is measured [degrees].
 NEAR, BEYOND = 0.1, 5.0
@@ -306,6 +320,7 @@ _MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "order": order,
     "pinch": pinch,
     "layers": layers,
+    "starts": starts,
     "cost": cost,
     "folds": contact_self.folds,
     "hanging": contact_self.hanging,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_sim_ros.bench import contact, contact_pinch, contact_self
+from cloth_sim_ros.bench import contact, contact_pinch, contact_self, contact_starts
 from cloth_sim_ros.bench.contact_scenes import FRAME, SHEET, Capstan
 from cloth_sim_ros.bench.main import main
 from cloth_sim_ros.physics.state import State
@@ -51,6 +51,23 @@ def test_a_pinch_holds_from_its_weight_on_and_what_is_not_met_is_told(capsys, mo
     told = capsys.readouterr().out
     assert "NOT MET: mu 0.5, grid of 28: it slides" in told
     assert "NOT MET: carried up, grid 4: gives by" in told
+
+
+def test_starts_stay_slow_and_limits_are_reported(capsys, monkeypatch):
+    monkeypatch.setattr(contact_starts, "GAPS", (0.3,))
+    monkeypatch.setattr(contact_starts, "PRESSES", (1e-3,))
+    monkeypatch.setattr(contact_starts, "RATE", 60)
+    situations = {"start": (contact_starts.start, ("plane", "fold")), "added": (contact_starts.added, ("sphere",))}
+    monkeypatch.setattr(contact_starts, "SITUATIONS", situations)
+    monkeypatch.setattr(contact_starts, "PRESSED_ON", ("plane",))
+    assert main(["contact", "--parts", "starts"]) == 0
+    for name in ("FASTEST", "HIGHEST", "OPEN"):
+        monkeypatch.setattr(contact_starts, name, 0.0)
+    assert main(["contact", "--parts", "starts"]) == 1
+    told = capsys.readouterr().out
+    assert "NOT MET: start, plane, 0.6 mm: a particle moves at" in told
+    assert "NOT MET: released on plane: a corner rises" in told
+    assert "NOT MET: start, plane: the energy balance leaves" in told
 
 
 def test_the_fold_is_that_of_the_configuration():
