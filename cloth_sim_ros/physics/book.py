@@ -66,6 +66,10 @@ class Book:
         self._sums = self._sums.copy()
         self._touches[:] += touches
 
+    def add_recovered(self, recovered: float) -> None:
+        """Note what contacts that regain their thickness put in [J]."""
+        self._recovered += recovered
+
     def add(
         self,
         grips: Array,
@@ -137,7 +141,8 @@ class Book:
 
 
 def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float, *, touches: bool = True) -> None:
-    """Note one point of a quadrature: time [s], positions and velocities (3, n), weight [s]; obstacles by `touches`."""
+    """Note one point of a quadrature: time [s], positions and velocities (3, n), weight [s]; obstacles and growing
+    contacts by `touches`."""
     lost, given = plan.powers(t, x, v) if book.powers else (0.0, 0.0)
     none = np.zeros((0, BOOKED_NUMBERS))
     grips = plan.grip_rates(t, x, v, weight) if book.gripper_count else none
@@ -147,5 +152,5 @@ def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float, *,
     rubbed = recovered = 0.0
     if plan.contact is not None and book.powers:
         rubbed = weight * plan.contact.rubbed(t, x, v)
-        recovered = weight * plan.contact.recovering(t, x, v)
+        recovered = weight * plan.contact.recovering(t, x, v) if touches else 0.0
     book.add(grips, met, (weight * lost, weight * given), weight, rubbed, recovered)

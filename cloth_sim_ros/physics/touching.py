@@ -109,8 +109,10 @@ class Touching(Uncopyable):
         self.lay_thickness(self.thickness)
 
     def place_ahead(self, duration: float) -> None:
-        """Let obstacles be where they are, and contacts as thick, by a duration [s] later than times say."""
+        """Let obstacles be where they are by a duration [s] later than times say, and contacts as thick."""
         self._ahead, self._moved = duration, -1
+        if self._reduced is not None:
+            self.lay_thickness(self._reduced[0])
 
     @property
     def anchors_shape(self) -> tuple[int, int, int]:

@@ -74,7 +74,8 @@ class PrecisionRule:
             book = Book(plan.gripper_count, powers=True, obstacle_count=plan.obstacle_count)
             book.add_runs((1.0,), (run,), part)
             ends.append(run)
-            energies.append(plan.energy(t + part, run.x, run.v) + book.lost - book.work - book.given)
+            put_in = book.work + book.given + book.recovered
+            energies.append(plan.energy(t + part, run.x, run.v) + book.lost - put_in)
         # Over a few steps what rounding did may have taken as much as it gave; what it moved is there all the same.
         away = ends[1].v - ends[0].v
         made = max(abs(energies[1] - energies[0]), 0.5 * weighted_dot(plan.model.masses, away, away))

@@ -234,8 +234,8 @@ class Columns:
         contact.pass_on(state, self._t + self.duration, self._runs[:columns], weights(self.counts[:columns]))
 
     def work(self, columns: int) -> float:
-        """Return the work [J] that grippers did over T_K, K = columns, and obstacles, recovering contacts and air if
-        these are noted.
+        """Return the work [J] that grippers did over T_K, K = columns; obstacles, air and contacts that regain their
+        thickness too where these are noted.
         """
         book = Book(self._plan.gripper_count, powers=self._powers, obstacle_count=self._plan.obstacle_count)
         self.note(columns, book)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What grippers, obstacles and moving air do over a step of the implicit method."""
+"""What grippers, obstacles, moving air and growing contacts do over a step of the implicit method."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Step:
     error: float
     #: Times, weights, positions and velocities of the points at which its forces act.
     stages: tuple[tuple[float, float, Array, Array], ...]
-    #: Whether obstacles act by the force of the last of these alone, all the way that they go.
+    #: Whether contact acts by the force of the last of these alone, all the way that obstacles go and contacts grow.
     whole: bool = False
 
 
@@ -45,18 +45,29 @@ def pushed(plan: Plan, t: float, h: float, done: Step) -> Array:
     return rows
 
 
+def recovered(plan: Plan, h: float, done: Step) -> float:
+    """Return what contacts that regain their thickness did over such a step [J].
+
+    It is the power at its end, all the time: contact's energy d_i^2 b(g / d_i) is convex in gap and thickness together,
+    because 2 b b'' > b'^2, so that this is no less than what a growing thickness adds; see `pushed`.
+    """
+    moment, _, x, v = done.stages[-1]
+    return 0.0 if plan.contact is None else h * plan.contact.recovering(moment, x, v)
+
+
 def work(plan: Plan, t: float, h: float, done: Step) -> float:
-    """Return the work of grippers, obstacles, recovering contacts and air over a step [J], as a book notes it."""
+    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J], as a book notes it."""
     total = 0.0
     for moment, weight, x, v in done.stages:
         total += weight * plan.supply(moment, x, v)
         if plan.gripper_count:
             total = in_order(plan.grip_rates(moment, x, v, weight)[:, 6].tolist(), total)
-        if plan.contact is not None:
-            total += weight * plan.contact.recovering(moment, x, v)
         if plan.contact is not None and not done.whole:
             total = in_order(plan.contact.rates(moment, x, v, weight)[:, 6].tolist(), total)
-    return in_order(pushed(plan, t, h, done)[:, 6].tolist(), total) if done.whole else total
+            total += weight * plan.contact.recovering(moment, x, v)
+    if not done.whole:
+        return total
+    return in_order(pushed(plan, t, h, done)[:, 6].tolist(), total) + recovered(plan, h, done)
 
 
 def note(book: books.Book, plan: Plan, t: float, h: float, done: Step) -> None:
@@ -65,3 +76,5 @@ def note(book: books.Book, plan: Plan, t: float, h: float, done: Step) -> None:
         books.note(book, plan, moment, x, v, weight, touches=not done.whole)
     if done.whole and book.obstacle_count:
         book.add_touches(pushed(plan, t, h, done))
+    if done.whole and book.powers:
+        book.add_recovered(recovered(plan, h, done))
