@@ -142,7 +142,8 @@ class Book:
 
 def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float, *, touches: bool = True) -> None:
     """Note one point of a quadrature: time [s], positions and velocities (3, n), weight [s]; obstacles and growing
-    contacts by `touches`."""
+    contacts by `touches`.
+    """
     lost, given = plan.powers(t, x, v) if book.powers else (0.0, 0.0)
     none = np.zeros((0, BOOKED_NUMBERS))
     grips = plan.grip_rates(t, x, v, weight) if book.gripper_count else none

@@ -106,7 +106,6 @@ class Touching(Uncopyable):
             drives = np.array(rows).reshape(len(rows), DRIVE_NUMBERS)
             check(self._library.cloth_plan_pinches(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
         self._seen, self._moved, self._heard = force.changes, force.moves, force.commands
-        self.lay_thickness(self.thickness)
 
     def place_ahead(self, duration: float) -> None:
         """Let obstacles be where they are by a duration [s] later than times say, and contacts as thick."""
