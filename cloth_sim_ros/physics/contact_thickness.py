@@ -16,21 +16,22 @@ RECOVERY_SPEED = 0.02
 #: Gap over thickness above which an event leaves a contact as it is. It holds the energy of 0.05 m/s there; under its
 #: own weight a cloth rests at 0.98.
 REST_GAP = 0.96
+#: Gap over the reduced thickness with which contacts go on: there they hold the energy of 0.014 m/s.
+START_GAP = 0.98
 #: Least gap over thickness that a start or a parameter may leave.
 LEAST_GAP = 0.02
 
 
 def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
-    """Return the thickness [m] with which contacts go on after an event: the whole one, or less where they would hold
-    more energy than at the rest gap. None where all have the whole one.
+    """Return the thickness [m] with which contacts go on after an event: that of the start gap if they hold more energy
+    than at the rest gap, else the whole one. None if all have the whole one.
 
     Args:
         gaps: of each contact [m], see `Touching.gap_rows`.
         thickness: the whole one [m].
     """
-    if not (gaps < REST_GAP * thickness).any():
-        return None
-    return np.minimum(np.maximum(gaps, 0.0) / REST_GAP, thickness)
+    compressed = gaps < REST_GAP * thickness
+    return np.where(compressed, np.maximum(gaps, 0.0) / START_GAP, thickness) if compressed.any() else None
 
 
 def regained(reduced: Array, thickness: float, duration: float) -> Array | None:
@@ -42,6 +43,12 @@ def regained(reduced: Array, thickness: float, duration: float) -> Array | None:
 def recovery_time(reduced: Array, thickness: float) -> float:
     """Return how long contacts take until all have regained the whole thickness [s]."""
     return (thickness - float(reduced.min())) / RECOVERY_SPEED
+
+
+def relative_growth(reduced: Array, thickness: float, duration: float) -> float:
+    """Return the largest growth of a thickness over a duration [s], relative to that thickness."""
+    least = float(reduced.min())
+    return min(RECOVERY_SPEED * duration, thickness - least) / least
 
 
 def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:

@@ -131,8 +131,7 @@ class Touching(Uncopyable):
         A state without any, or of other obstacles, has no anchors; its pads are open.
         """
         self.sync()
-        reduced = state.memory.get(THICKNESS)
-        self.lay_thickness(reduced if reduced is not None and reduced.shape == self.thickness_shape else None)
+        self.lay_thickness(state.memory.get(THICKNESS))
         if not self.force.remembered:
             return
         anchors, pinched = state.memory.get(ANCHORS), state.memory.get(PINCHED)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ _REACH = 3.0
 class ContactRecovery:
     """Contacts of a state with a reduced thickness."""
 
-    #: Quoted names of the obstacles that they are with, "the cloth itself" for its own.
+    #: Names of the obstacles that they are with; empty for the cloth itself.
     names: tuple[str, ...]
     #: Number of particles that have one; 0 where edges of obstacles alone have.
     particles: int
@@ -36,7 +38,7 @@ class ContactRecovery:
 
     def describe(self) -> str:
         """Return what there is, how long it lasts and the remedy, in one sentence."""
-        whom = " and ".join(self.names)
+        whom = " and ".join(f"'{name}'" if name else "itself" for name in self.names)
         count = f"{self.particles} particle{'' if self.particles == 1 else 's'}" if self.particles else "no particle"
         return (
             f"closer than contact.thickness to {whom}: {count}; contact begins thinner there and grows to "
@@ -48,10 +50,10 @@ def reduce_contacts(
     plan: Plan,
     state: State,
     t: float,
+    what: str = "",
     *,
     rows: NDArray[np.bool_] | None = None,
     relieved: NDArray[np.int64] | None = None,
-    limited: bool = True,
 ) -> None:
     """Reduce the thickness of contacts that an event compresses or relieves to where they hold the rest gap's energy.
 
@@ -59,12 +61,12 @@ def reduce_contacts(
         plan: whose obstacles stand where they are at that time.
         state: which keeps the thickness.
         t: time [s].
+        what: begin of the sentence that refuses contacts that are too narrow; none are refused without it.
         rows: which obstacles, pads and, last, the cloth itself the event compresses; all where both are left out.
         relieved: particles that something no longer presses; contacts about them are concerned, too.
-        limited: whether contacts that are too narrow are refused.
 
     Raises:
-        EventError: for such a contact; the end of a sentence about the cloth.
+        EventError: for a contact that is too narrow, naming the obstacle, the gap, the limit and the remedy.
     """
     before, contact = state.memory.pop(THICKNESS, None), plan.contact
     if contact is None or not contact.force.acts:
@@ -77,11 +79,11 @@ def reduce_contacts(
     if relieved is not None:
         concerned[:, np.append(_about(contact.force, state.x, relieved), relieved.size > 0)] = True
     gaps[~concerned] = np.inf
-    if limited:
+    if what:
         try:
-            check_gaps(gaps, thickness, [obstacle.name for obstacle in contact.force.obstacles])
+            check_gaps(gaps, thickness, _names(contact.force))
         except ValueError as error:
-            raise EventError(str(error)) from error
+            raise EventError(f"{what} {error}") from error
     reduced = reduced_thickness(gaps, thickness)
     if before is not None and before.shape == gaps.shape:
         kept = np.where(concerned, thickness, before)
@@ -121,13 +123,19 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
         return None
     thickness = contact.force.thickness
     below = reduced < thickness
-    named = [*(f"'{obstacle.name}'" for obstacle in contact.force.obstacles), "the cloth itself"]
+    named = [*_names(contact.force), ""]
     return ContactRecovery(
         names=tuple(name for name, row in zip(named, below, strict=True) if row.any()),
         particles=int(np.count_nonzero(below[:, :-1].any(axis=0))),
         lift=thickness - float(reduced.min()),
         duration=recovery_time(reduced, thickness),
     )
+
+
+def pad_rows(plan: Plan, gripper: str) -> NDArray[np.bool_]:
+    """Return which obstacles and, last, the cloth itself are the pads of a gripper."""
+    assert plan.contact is not None
+    return np.array([*(name.rpartition(".")[0] == gripper for name in _names(plan.contact.force)), False])
 
 
 def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
@@ -149,16 +157,23 @@ def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene:
     with obstacles that it has not, or not so, or held by softer grippers.
     """
     found = np.empty(0, dtype=np.int64)
-    if plan.contact is None:
-        return found
     if scene.gripper.stiffness < before.gripper.stiffness:
         found = state.memory["grip.particles"]
     gone = [_shape(before, name) != _shape(scene, name) for name in before.obstacle_names]
-    if any(gone):
-        plan.contact.take(state)
-        gaps = plan.contact.gap_rows(t, state.x)[: len(gone), :-1][np.array(gone)]
-        found = np.union1d(found, np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0)))
-    return found
+    return np.union1d(found, touching_particles(plan, state, t, gone)) if any(gone) else found
+
+
+def touching_particles(plan: Plan, state: State, t: float, rows: Sequence[bool]) -> NDArray[np.int64]:
+    """Return the particles in contact with some obstacles, the first ones of the plan, at time t [s]."""
+    assert plan.contact is not None
+    plan.contact.take(state)
+    gaps = plan.contact.gap_rows(t, state.x)[: len(rows), :-1][np.array(rows)]
+    return np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0))
+
+
+def _names(force: Contact) -> list[str]:
+    """Names of obstacles and, behind them, pads."""
+    return [obstacle.name for obstacle in force.obstacles]
 
 
 def _shape(scene: Scene, name: str) -> object:

@@ -108,7 +108,7 @@ def _check_pads(event: Target, scene: Scene, state: State) -> None:
     pads = next(pads for pads in pads_of(scene, 1.0) if pads.gripper == event.gripper)
     try:
         poses = check_placed(pads, np.concatenate([event.position, turn]), state)
-        _check_faces(scene, pads.boxes(), poses, state)
+        _check_faces(scene, pads.boxes(), poses, state, "the cloth")
     except ValueError as error:
         raise EventError(f"target of '{event.gripper}': {error}") from error
 
@@ -154,9 +154,10 @@ def check_added(scene: Scene, wanted: Scene, state: State) -> None:
     if (wanted.cloth.anchors, wanted.contact.thickness) != (scene.cloth.anchors, scene.contact.thickness):
         there = attrs.evolve(wanted, obstacles=scene.obstacles)
         if kept:
-            _check_start(there, kept, state, "the cloth, once it is let go,")
+            let_go = wanted.cloth.anchors != scene.cloth.anchors
+            _check_start(there, kept, state, "the cloth, once it is let go," if let_go else "the cloth")
         elif wanted.contact.self_:
-            _check_faces(there, [], np.empty((0, 7)), state)
+            _check_faces(there, [], np.empty((0, 7)), state, "the cloth")
 
 
 def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) -> None:
@@ -171,10 +172,10 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) ->
     except ValueError as error:
         raise EventError(f"{what} {error}") from error
     kept = [k for k, name in enumerate(scene.obstacle_names) if name in names]
-    _check_faces(scene, [scene.solids[k] for k in kept], obstacles.poses()[kept], state)
+    _check_faces(scene, [scene.solids[k] for k in kept], obstacles.poses()[kept], state, what)
 
 
-def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: State) -> None:
+def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: State, what: str) -> None:
     """Refuse obstacles that, at their poses, come through a cloth between its particles, or too near to it; so is a
     cloth that is too near to itself.
     """
@@ -198,4 +199,4 @@ def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: 
     try:
         check_gaps(plan.contact.gap_rows(0.0, state.x), thickness, [solid.name for solid in solids])
     except ValueError as error:
-        raise EventError(f"the cloth {error}") from error
+        raise EventError(f"{what} {error}") from error

@@ -127,13 +127,15 @@ class Grippers:
             grips.go_back(held)
         self._laid = None if laid is None else (*laid, grips)
 
-    def set_target(self, event: Target) -> None:
-        """Take note of a target; the first one places the gripper there at once."""
+    def set_target(self, event: Target) -> bool:
+        """Take note of a target; return whether it is the first one, which places the gripper there at once."""
         g = self.names.index(event.gripper)
         target = self._movers.aim(g, event.position, event.orientation)
-        if not self._state.memory["gripper.placed"][g]:
+        first = not self._state.memory["gripper.placed"][g]
+        if first:
             renewed(self._state, "gripper.placed")[g] = True
             self._movers.renewed("pose")[g] = target
+        return first
 
     def max_speed(self, index: int, speed: float) -> float:
         """Return the limit of a gripper's speed [m/s], 0 for none, for the one that is set; pads have one always."""

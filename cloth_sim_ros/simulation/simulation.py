@@ -22,11 +22,13 @@ from cloth_sim_ros.simulation.contact_recovery import (
     ContactRecovery,
     compressed_rows,
     contact_recovery,
+    pad_rows,
     recover_contacts,
     reduce_contacts,
     relieved_particles,
+    touching_particles,
 )
-from cloth_sim_ros.simulation.event_checks import EventError, check, check_added, check_all
+from cloth_sim_ros.simulation.event_checks import check, check_added, check_all
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -103,10 +105,7 @@ class Simulation(ExclusiveAccess):
             thickness = scene.contact.thickness
             if not self.state.frame or self.state.thickness not in (None, thickness):
                 self.plan.contact.check_clear(self.time, self.state.x)
-                try:
-                    reduce_contacts(self.plan, self.state, self.time)
-                except ValueError as error:
-                    raise ValueError(f"the cloth {error}") from error
+                reduce_contacts(self.plan, self.state, self.time, "the cloth")
             self.state.thickness = thickness
 
     @property
@@ -258,16 +257,20 @@ class Simulation(ExclusiveAccess):
         stepped = False
         for event in events:
             match event:
-                case Target():
-                    self._set_target(event)
+                case Target(gripper=name):
+                    first = self.grippers.set_target(event)
+                    if first and self.pinching is not None and name in self.pinching.names:
+                        self._stand_obstacles()
+                        rows = pad_rows(self.plan, name)
+                        reduce_contacts(self.plan, self.state, self.time, f"target of '{name}': the cloth", rows=rows)
                 case Move():
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
                 case Grasp():
-                    held = self.grippers.held(self.grippers.names.index(event.gripper))
+                    held = np.empty(0, dtype=np.int64) if event.closed else self._held(event.gripper)
                     grasps.append(grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))
-                    if not event.closed and held.size:
-                        reduce_contacts(self.plan, self.state, self.time, relieved=held, limited=False)
+                    if held.size:
+                        reduce_contacts(self.plan, self.state, self.time, relieved=held)
                 case SetParameters(values=values):
                     self._set_parameters(values)
                 case Relax(factor=factor):
@@ -308,20 +311,11 @@ class Simulation(ExclusiveAccess):
             self._slept = frame
         return frame
 
-    def _set_target(self, event: Target) -> None:
-        """Take note of a gripper's target; the first one of a gripper that pinches brings its pads to the cloth."""
-        placed = self.grippers.is_placed(self.grippers.names.index(event.gripper))
-        self.grippers.set_target(event)
-        if placed or self.pinching is None or event.gripper not in self.pinching.names:
-            return
-        self._stand_obstacles()
-        rows = [name.rpartition(".")[0] == event.gripper for name in self._obstacle_names()]
-        reduce_contacts(self.plan, self.state, self.time, rows=np.array([*rows, False]))
-
-    def _obstacle_names(self) -> list[str]:
-        """Names of obstacles and, behind them, pads."""
-        assert self.plan.contact is not None
-        return [obstacle.name for obstacle in self.plan.contact.force.obstacles]
+    def _held(self, gripper: str) -> NDArray[np.int64]:
+        """Particles that a gripper holds, or that touch its pads."""
+        if self.pinching is not None and gripper in self.pinching.names:
+            return touching_particles(self.plan, self.state, self.time, pad_rows(self.plan, gripper).tolist()[:-1])
+        return self.grippers.held(self.grippers.names.index(gripper))
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
@@ -342,7 +336,7 @@ class Simulation(ExclusiveAccess):
         self.state.thickness = None if self.plan.contact is None else scene.contact.thickness
         rows = compressed_rows(before, scene)
         if rows.any() or relieved.size:
-            self._reduce_contacts("the cloth", rows=rows, relieved=relieved)
+            reduce_contacts(self.plan, self.state, self.time, "the cloth", rows=rows, relieved=relieved)
 
     def _move(self) -> Advance:
         state, start, period = self.state, self.time, self._period
@@ -414,16 +408,7 @@ class Simulation(ExclusiveAccess):
         self.grippers = grippers_of(self._scene, self.state)
         self.obstacles = obstacles_of(self._scene, self.state)
         self._stand_obstacles()
-        self._reduce_contacts("the cloth as it starts")
-
-    def _reduce_contacts(
-        self, what: str, rows: NDArray[np.bool_] | None = None, relieved: NDArray[np.int64] | None = None
-    ) -> None:
-        """Let contacts that new parameters or a start compress go on with a reduced thickness."""
-        try:
-            reduce_contacts(self.plan, self.state, self.time, rows=rows, relieved=relieved)
-        except EventError as error:
-            raise EventError(f"{what} {error}") from error
+        reduce_contacts(self.plan, self.state, self.time, "the cloth as it starts")
 
     @property
     @between_frames

@@ -59,7 +59,7 @@ def test_start_within_thickness_is_reported_and_calm(client: Client) -> None:
         (line,) = [line for line in lines if "closer than" in line]
         assert line == (
             "the cloth starts closer than contact.thickness to 'table': 42 particles; contact begins thinner there and "
-            "grows to contact.thickness within 0.0979 s; move them 1.96 mm apart to avoid it"
+            "grows to contact.thickness within 0.099 s; move them 1.98 mm apart to avoid it"
         )
         assert fastest(cloth, 12) < 0.1
 

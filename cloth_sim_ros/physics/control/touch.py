@@ -11,7 +11,7 @@ from cloth_sim_ros.physics.control.choice import Options
 from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.columns import Columns, larger_rates
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Stability, Touch
+from cloth_sim_ros.physics.remembered import PINCHED, THICKNESS, Stability, Touch
 from cloth_sim_ros.physics.runs import Told
 from cloth_sim_ros.physics.state import State
 
@@ -44,7 +44,8 @@ class TouchRule:
         """
         if (contact := self._plan.contact) is None:
             return 0.0
-        contact.take(state)
+        contact.lay_pads(state.memory.get(PINCHED))
+        contact.lay_thickness(state.memory.get(THICKNESS))
         try:
             omega2, damping, work = contact.ahead(t, duration, state.x, state.v)
         except ValueError as error:

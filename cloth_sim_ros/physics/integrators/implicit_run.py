@@ -12,6 +12,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.contact_thickness import relative_growth
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import carried
 from cloth_sim_ros.physics.integrators.base import Advance, MissedError, UnstableError
@@ -19,7 +20,7 @@ from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.implicit_book import Step, note, work
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import PINCHED
+from cloth_sim_ros.physics.remembered import PINCHED, THICKNESS
 from cloth_sim_ros.physics.remembered import Implicit as Memory
 from cloth_sim_ros.physics.state import State
 
@@ -42,6 +43,9 @@ _MOST_STEPS = 2048
 CONVERGED_DISTANCE = 1e-9
 #: Iterations of an advance, until one was run: two stages of five.
 EXPECTED_ITERATIONS = 10
+#: Most relative growth of a contact in a step: by more, corrections below the tolerance may leave the cloth
+#: where contact holds any energy.
+_GROWTH = 0.1
 #: A stage that takes more iterations is given up, and the step made smaller.
 MOST_ITERATIONS = 30
 #: So is one whose corrections shrink slowly from this iteration on: compression's negative stiffness,
@@ -100,6 +104,10 @@ class ImplicitAdvance:
         """Do it."""
         state, memory, integrator = self._state, self._memory, self._integrator
         least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
+        reduced, contact = state.memory.get(THICKNESS), self._plan.contact
+        if reduced is not None and contact is not None:
+            growth = relative_growth(reduced, contact.force.thickness, self._duration)
+            least = max(least, math.ceil(growth / _GROWTH))
         known = memory.step > 0.0 and self._allowed == math.inf
         steps = max(least, steps_for(self._duration, memory.step)) if known else least
         start, rejected = state.share(), 0

@@ -1,0 +1,196 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts of a reduced thickness that grows: energy, forces, the growth's power, bounds and derivatives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support import laws
+from support import self_scenes as own
+from support.alone import alone, blocks, force, gradient, matrix, product
+from support.contact_scenes import SHAPES, THICKNESS, contact, near, still
+from support.feature_scenes import SMALL, TIME, facing
+
+from cloth_sim_ros.physics.contact_thickness import RECOVERY_SPEED, check_gaps, reduced_thickness, regained
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan, compile
+
+COUNT, DAMPING = 40, 10.0
+#: How long thickness has grown at the time that is looked at, and how long it grows in all [s].
+GROWN, DURATION = 2e-3, 0.5
+STILL = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
+
+
+def reduce(plan: Plan, *, duration: float = DURATION) -> Array:
+    """Lay a random thickness into a plan, with which its growth began a while ago; return it."""
+    touching = plan.contact
+    assert touching is not None
+    whole = touching.force.thickness
+    reduced = np.random.default_rng(3).uniform(0.6, 0.95, touching.thickness_shape) * whole
+    touching.force.recover(TIME - GROWN, duration)
+    touching.sync()
+    touching.lay_thickness(reduced)
+    return reduced
+
+
+def scene(kind: str, damping: float) -> tuple[Plan, Array]:
+    """The plan of a contact alone, and places (3, n) at which it acts with a reduced thickness too."""
+    rng = np.random.default_rng(1)
+    if kind == "cloth":
+        triangles, rest, x, masses = own.sheets(0.0, 0.5 * 4e-3, rough=5e-4, shift=(0.0031, 0.0057), rows=3, columns=3)
+        return compile(own.alone(triangles, rest, masses, 4e-3, damping=damping)), np.ascontiguousarray(x.T)
+    if kind == "points and edges":
+        plan, _, x, _, _ = facing(SMALL["box"], 0, damping=damping, path=STILL, gap=0.25)
+        return plan, np.ascontiguousarray(x.T)
+    x = near(SHAPES[kind], STILL, TIME, COUNT, rng, deepest=0.3)
+    return alone(contact(kind, paths=[STILL], damping=damping), masses=rng.uniform(0.5, 2.0, COUNT)), x
+
+
+KINDS = pytest.mark.parametrize("kind", ["plane", "box", "sphere", "cylinder", "cloth", "points and edges"])
+
+
+def potential(plan: Plan, x: Array, t: float = TIME) -> float:
+    return plan.energies(t, x, np.zeros_like(x))[1]
+
+
+@KINDS
+def test_reduced_force_is_minus_the_energy_gradient(kind: str) -> None:
+    plan, x = scene(kind, 0.0)
+    whole = potential(plan, x)
+    reduce(plan, duration=0.0)
+    assert 0.0 < potential(plan, x) < whole
+    slopes = gradient(lambda places: potential(plan, places), x, step=1e-8)
+    assert force(plan, x, t=TIME) == pytest.approx(-slopes, abs=2e-5 * np.abs(slopes).max())
+
+
+def test_reduced_law_is_that_of_its_own_thickness() -> None:
+    plan, x = scene("sphere", 0.0)
+    masses = plan.model.masses
+    for thickness in (0.7 * THICKNESS, 0.9 * THICKNESS):
+        touching = plan.contact
+        assert touching is not None
+        touching.force.recover(TIME, 0.0)
+        touching.sync()
+        touching.lay_thickness(np.full(touching.thickness_shape, thickness))
+        # The law of another thickness with U in proportion to it: the same squared frequencies at the same s.
+        thin = contact("sphere", paths=[STILL], damping=0.0, thickness=thickness)
+        expected, _ = laws.contact(TIME, x, np.zeros_like(x), thin, masses)
+        share = thickness / THICKNESS
+        assert potential(plan, x) == pytest.approx(share**2 * expected.energy, rel=1e-9)
+        assert force(plan, x, t=TIME) == pytest.approx(
+            share**2 * expected.force, rel=1e-8, abs=1e-9 * np.abs(expected.force).max()
+        )
+
+
+@KINDS
+@pytest.mark.parametrize("damping", [0.0, DAMPING])
+def test_growth_power_closes_the_energy_balance(kind: str, damping: float) -> None:
+    plan, x = scene(kind, damping)
+    reduce(plan)
+    assert plan.contact is not None
+    v = 0.1 * np.random.default_rng(5).normal(size=x.shape)
+    h = 1e-7
+    # Of the motion with these forces: what they do on it, and what the energy of contact gains.
+    change = (potential(plan, x + h * v, TIME + h) - potential(plan, x - h * v, TIME - h)) / (2.0 * h)
+    done = float((force(plan, x, v, TIME) * v).sum())
+    grown, lost = plan.contact.recovering(TIME, x, v), plan.dissipation(TIME, x, v)
+    size = abs(change) + abs(done) + grown + lost
+    assert grown > 1e-3 * size
+    assert (lost > 0.0) == (damping > 0.0)
+    assert change + done - grown + lost == pytest.approx(0.0, abs=1e-5 * size)
+
+
+@KINDS
+def test_growth_ends_with_the_whole_law(kind: str) -> None:
+    # Damping feels the growth up to its end.
+    plan, x = scene(kind, 0.0)
+    v = np.random.default_rng(5).normal(size=x.shape)
+    whole = force(plan, x, v, TIME), potential(plan, x)
+    reduced = reduce(plan)
+    assert plan.contact is not None
+    later = TIME - GROWN + DURATION
+    assert not np.array_equal(force(plan, x, v, TIME), whole[0])
+    assert plan.contact.force.thickness - reduced.min() < RECOVERY_SPEED * DURATION
+    assert force(plan, x, v, later) == pytest.approx(whole[0], rel=1e-12, abs=1e-12 * np.abs(whole[0]).max())
+    assert potential(plan, x, later) == pytest.approx(whole[1], rel=1e-12)
+    plan.contact.lay_thickness(None)
+    assert np.array_equal(force(plan, x, v, TIME), whole[0])
+    assert plan.contact.recovering(TIME, x, v) == 0.0
+
+
+@KINDS
+def test_reduced_derivative_product_is_the_difference(kind: str) -> None:
+    plan, x = scene(kind, DAMPING)
+    reduce(plan)
+    rng = np.random.default_rng(2)
+    v, dx, dv = (0.3 * rng.normal(size=x.shape) for _ in range(3))
+    zero, h = np.zeros_like(x), 1e-9
+    by_place = (force(plan, x + h * dx, v, TIME) - force(plan, x - h * dx, v, TIME)) / (2.0 * h)
+    by_speed = (force(plan, x, v + 1e-6 * dv, TIME) - force(plan, x, v - 1e-6 * dv, TIME)) / 2e-6
+    assert product(plan, x, v, dx, zero, TIME) == pytest.approx(by_place, abs=2e-4 * np.abs(by_place).max())
+    assert product(plan, x, v, zero, dv, TIME) == pytest.approx(by_speed, abs=1e-5 * np.abs(by_speed).max())
+
+
+@KINDS
+def test_bounds_hold_with_a_reduced_thickness(kind: str) -> None:
+    plan, x = scene(kind, DAMPING)
+    # Where nothing moves, and thickness does not grow.
+    reduce(plan, duration=0.0)
+    stiff, damped = np.zeros((2, 6, x.shape[1]))
+    plan.add_bounds(x, stiff, damped, TIME)
+    zero = np.zeros_like(x)
+    for part, bound in (("x", stiff), ("v", damped)):
+        whole = matrix(plan, x, zero, part, TIME)
+        most = np.linalg.eigvalsh(0.5 * (whole + whole.T))[-1]
+        assert 0.0 < most <= bound[:3].sum(axis=0).max() * (1.0 + 1e-9)
+
+
+def test_rates_ahead_follow_the_growth() -> None:
+    plan, x = scene("plane", DAMPING)
+    touching = plan.contact
+    assert touching is not None
+    normals = force(plan, x, t=TIME)
+    assert (np.abs(normals).max(axis=0) > 0.0).sum() > 10
+    reduced = reduce(plan)
+    grows = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
+    touching.force.recover(TIME - GROWN, 0.0)
+    touching.lay_thickness(reduced)
+    stands = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
+    assert grows[0] > stands[0] > 0.0
+    # What a contact comes to at once is at most what was seen ahead.
+    reduce(plan)
+    stiff, damped = blocks(plan, x)[0], np.zeros((2, 6, COUNT))
+    plan.add_bounds(x, stiff * 0.0, damped[1], TIME)
+    matrices = matrix(plan, x, np.zeros_like(x), "x", TIME)
+    scaled = matrices / np.tile(plan.model.masses, 3)[:, None]
+    assert np.linalg.eigvals(scaled).real.max() <= grows[0] * (1.0 + 1e-9)
+
+
+def test_reduced_thickness_leaves_the_rest_gap() -> None:
+    gaps = np.array([[0.1, 0.95, 0.97], [np.inf, 2.0, 0.5]])
+    assert reduced_thickness(gaps, 1.0) == pytest.approx(
+        np.array([[0.1 / 0.98, 0.95 / 0.98, 1.0], [1.0, 1.0, 0.5 / 0.98]])
+    )
+    # Above the rest gap alone nothing is reduced.
+    assert reduced_thickness(np.array([[0.96, np.inf]]), 1.0) is None
+    after = regained(np.array([[1.2e-3, 1.9e-3]]), 2e-3, 0.01)
+    assert after is not None
+    assert after == pytest.approx(np.array([[1.4e-3, 2e-3]]))
+    assert regained(after, 2e-3, 0.03) is None
+
+
+@pytest.mark.parametrize(
+    ("gaps", "words"),
+    [
+        ([[0.019, 0.5, 1.0], [1.0, 1.0, 1.0]], r"0.019 m from obstacle 'it' at particle 0; it must be 0.02 m at least"),
+        ([[0.01, 0.015, 1.0], [1.0, 1.0, 1.0]], r"at particle 0 and 1 more; .* move them 0.99 m apart"),
+        ([[1.0, 1.0, 0.01], [1.0, 1.0, 1.0]], r"0.01 m from obstacle 'it'; it must"),
+        ([[1.0, 1.0, 1.0], [1.0, 0.01, 1.0]], r"0.01 m from itself at particle 1; .* 0.02 of contact.thickness"),
+    ],
+)
+def test_gaps_too_narrow_are_refused_with_the_lift(gaps: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        check_gaps(np.array(gaps), 1.0, ["it"])

@@ -1,0 +1,425 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Contacts that an event finds compressed: how they regain their thickness, what that adds, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.session_maker import SessionMaker
+
+from cloth_sim_ros.bench import contact_starts as starts
+from cloth_sim_ros.bench.contact_scenes import BORNE, SHEET, THICKNESS
+from cloth_sim_ros.physics.control import explicit
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.remembered import THICKNESS as KEY
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.accuracy import certify
+from cloth_sim_ros.verify.run import verify
+
+#: A sheet on a table, near enough to be compressed by a larger thickness.
+LYING: dict[str, Any] = {
+    **SHEET,
+    "cloth.resolution": [7, 7],
+    "cloth.position": [0.0, 0.0, BORNE * THICKNESS],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "tolerance": 1e-3,
+    "obstacles": ["table"],
+    "table.shape": "box",
+    "table.size": [0.6, 0.6, 0.1],
+    "table.position": [0.0, 0.0, -0.05],
+    "table.friction": [0.5, 0.4],
+}
+THICK = SetParameters({"contact.thickness": 5e-3})
+
+
+def lying(state: State | None = None, **more: Any) -> Simulation:
+    return Simulation(Scene.from_parameters({**LYING, **more}), state)
+
+
+def recovering(frames: int = 3, **more: Any) -> Simulation:
+    """A sheet whose contacts have regained some of their thickness."""
+    cloth = lying(**more)
+    cloth.advance([THICK])
+    for _ in range(frames - 1):
+        cloth.advance()
+    assert cloth.contact_recovery is not None
+    return cloth
+
+
+def start_at(height: float, **more: Any) -> Simulation:
+    return lying(**{"cloth.position": [0.0, 0.0, height], **more})
+
+
+SITUATIONS = [
+    (starts.start, "plane", 0.05),
+    (starts.start, "sphere", 0.5),
+    (starts.start, "cloth", 0.9),
+    (starts.start, "fold", 0.3),
+    (starts.thickened, "mesh", 0.1),
+    (starts.thickened, "cloth", 0.3),
+    (starts.added, "box", 0.3),
+    (starts.added, "box, hovering", 0.3),
+    (starts.loaded, "box", 0.7),
+    (starts.changed, "sphere", 0.1),
+]
+
+
+@pytest.mark.parametrize(("make", "support", "gap"), SITUATIONS)
+def test_events_add_no_speed_above_the_limit(make: Any, support: str, gap: float) -> None:
+    begun = make(support, gap * THICKNESS, starts.FINE)
+    seen = starts.watch(begun, 0.5)
+    assert begun.simulation.contact_recovery is None
+    assert 1e-3 < seen.speed < starts.FASTEST
+    assert seen.left_over < starts.OPEN
+    report = begun.simulation.energy_report
+    assert report is not None
+    assert report.recovered > 0.0
+
+
+@pytest.mark.parametrize("support", ["plane", "cloth"])
+def test_release_after_a_press_lifts_no_corner(support: str) -> None:
+    begun = starts.released(support, 0.01, starts.COARSE)
+    seen = starts.watch(begun, 0.3)
+    assert seen.speed < starts.FASTEST
+    assert seen.rise < starts.HIGHEST
+
+
+#: Integrators, their fixed steps [s], and the largest speed [m/s]: explicit ones stay below the limit.
+INTEGRATORS = [
+    ("auto", 0.0),
+    ("leapfrog", 0.0),
+    ("leapfrog", 1e-5),
+    ("extrapolated", 0.0),
+    ("symplectic_euler", 0.0),
+    ("symplectic_euler", 1e-5),
+    ("implicit", 0.0),
+    ("implicit", 1e-3),
+]
+
+
+@pytest.mark.parametrize(("integrator", "step"), INTEGRATORS)
+def test_integrators_let_contacts_recover(integrator: str, step: float) -> None:
+    smooth = {"table.friction": [0.0, 0.0], "tolerance": 0.0 if step else 1e-4}
+    cloth = start_at(0.3 * THICKNESS, integrator=integrator, step=step, **smooth)
+    fastest, flagged = 0.0, 0
+    for _ in range(10):
+        done = cloth.advance().advance
+        assert done is not None
+        fastest, flagged = max(fastest, float(np.abs(cloth.velocities).max())), flagged + done.flagged
+    assert cloth.contact_recovery is None
+    # Without the recovery in the balance of energy a frame looks as if it made energy: it is rejected.
+    assert integrator == "implicit" or not flagged
+    assert 0.01 < fastest < starts.FASTEST
+    assert cloth.positions[:, 2].min() > 0.9 * THICKNESS
+
+
+#: Without gravity, by the implicit method: rate [Hz], tolerance [m], and gap over thickness. One step a frame
+#: in which thickness would grow forty-fold; and frames whose steps are finished by those that make no energy.
+IMPLICIT = [(10.0, 1e-3, 0.021), (60.0, 1e-6, 0.05)]
+
+
+@pytest.mark.parametrize(("rate", "tolerance", "gap"), IMPLICIT)
+def test_implicit_steps_follow_the_growth(rate: float, tolerance: float, gap: float) -> None:
+    values = {"contact.damping": 100.0} if rate == 10.0 else {}
+    cloth = starts.simulation(
+        starts.sheet_on(
+            "plane", gap * THICKNESS, tolerance, integrator="implicit", rate=rate, gravity=[0.0, 0.0, 0.0], **values
+        )
+    )
+    for _ in range(round(0.3 * rate)):
+        cloth.advance()
+        assert np.abs(cloth.velocities).max() < 0.5 * starts.FASTEST
+
+
+def test_recovery_reports_what_recovers_and_for_how_long() -> None:
+    cloth = start_at(0.5 * THICKNESS)
+    found = cloth.contact_recovery
+    assert found is not None
+    assert (found.names, found.particles) == (("table",), 49)
+    assert found.lift == pytest.approx((1.0 - 0.5 / 0.98) * THICKNESS)
+    assert found.duration == pytest.approx(found.lift / 0.02)
+    frames = 0
+    while cloth.contact_recovery is not None:
+        cloth.advance()
+        frames += 1
+    assert frames == int(np.ceil(found.duration * cloth.scene.rate))
+    assert KEY not in cloth.state.memory
+
+
+@pytest.mark.parametrize("gap", [0.0199, 0.005])
+def test_starts_too_near_are_refused_with_the_lift(gap: float) -> None:
+    lift = f"{(1.0 - gap) * THICKNESS:.3g}"
+    with pytest.raises(ValueError, match=rf"the cloth is .* m from obstacle 'table' at particle 0 .*{lift} m apart"):
+        start_at(gap * THICKNESS)
+    start_at(0.0201 * THICKNESS)
+
+
+def test_layers_too_near_are_refused_with_the_lift() -> None:
+    with pytest.raises(ValueError, match=r"the cloth is 2e-05 m from itself .*layers 0.00198 m apart"):
+        starts.start("cloth", 0.01 * THICKNESS, starts.COARSE)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"contact.thickness": 0.02}, {"obstacles": ["table", "new"]}],
+)
+def test_parameters_that_leave_no_gap_are_refused(values: dict[str, Any]) -> None:
+    near = {"new.shape": "plane", "new.position": [0.0, 0.0, BORNE * THICKNESS - 0.01 * THICKNESS]}
+    # A thin one, so that 20 mm are fifty times as much.
+    thin = {"contact.thickness": 0.15 * THICKNESS, "cloth.position": [0.0, 0.0, 0.147 * THICKNESS]}
+    cloth = lying(**(thin if "contact.thickness" in values else near))
+    cloth.advance()
+    before = cloth.state.digest()
+    with pytest.raises(
+        EventError, match=r"the cloth is .* m at least, 0.02 of contact.thickness: move them .* m apart"
+    ):
+        cloth.advance([SetParameters(values)])
+    assert cloth.state.digest() == before
+    cloth.advance()
+
+
+def test_reset_to_a_compressed_start_recovers_again() -> None:
+    cloth = start_at(0.3 * THICKNESS)
+    found, first = cloth.contact_recovery, [cloth.advance() and cloth.positions for _ in range(8)]
+    assert cloth.contact_recovery is None
+    cloth.advance([Reset()])
+    assert found is not None
+    assert cloth.contact_recovery is not None
+    assert cloth.contact_recovery.lift == pytest.approx(found.lift - 0.02 / cloth.scene.rate)
+    again = [cloth.positions] + [cloth.advance() and cloth.positions for _ in range(7)]
+    assert again == [pytest.approx(place, abs=1e-6) for place in first]
+
+
+def test_reset_too_near_is_refused_and_changes_nothing() -> None:
+    cloth = start_at(0.3 * THICKNESS, **{"cloth.size": [0.9, 0.9]})
+    for _ in range(60):
+        cloth.advance()
+    cloth.advance([SetParameters({"contact.thickness": 0.035})])
+    before = cloth.state.digest()
+    with pytest.raises(EventError, match=r"the cloth as it starts is 0.0006 m from obstacle 'table'"):
+        cloth.advance([Reset()])
+    assert cloth.state.digest() == before
+
+
+def test_snapshots_amid_a_recovery_give_the_same_bits() -> None:
+    cloth = recovering()
+    kept = cloth.snapshot()
+    digests = [cloth.advance() and cloth.state.digest() for _ in range(12)]
+    assert cloth.contact_recovery is None
+    for other in (cloth, recovering(5), lying()):
+        if other.scene.contact.thickness != cloth.scene.contact.thickness:
+            other.advance([THICK])
+        other.restore(kept)
+        assert other.contact_recovery is not None
+        assert [other.advance() and other.state.digest() for _ in range(12)] == digests
+
+
+def test_states_amid_a_recovery_go_through_bytes() -> None:
+    cloth = recovering()
+    data = cloth.state.to_bytes()
+    assert KEY in State.from_bytes(data).memory
+    values = {**LYING, "contact.thickness": 5e-3}
+    other = Simulation(Scene.from_parameters(values), State.from_bytes(data))
+    for _ in range(10):
+        cloth.advance()
+        other.advance()
+        assert other.state.digest() == cloth.state.digest()
+
+
+def _narrow(reduced: Array) -> Array:
+    return reduced[:, 1:]
+
+
+def _zero(reduced: Array) -> Array:
+    return reduced * 0.0
+
+
+def _endless(reduced: Array) -> Array:
+    return reduced * np.nan
+
+
+@pytest.mark.parametrize("spoil", [_narrow, _zero, _endless])
+def test_states_with_a_bad_thickness_are_refused(spoil: Any) -> None:
+    state = recovering().state.copy()
+    state.memory[KEY] = np.ascontiguousarray(spoil(state.memory[KEY]))
+    with pytest.raises(ValueError, match=re.escape(f"memory '{KEY}'")):
+        State.from_bytes(state.to_bytes())
+
+
+def test_states_of_other_obstacles_are_refused_or_whole() -> None:
+    state = recovering().state.copy()
+    state.memory[KEY] = np.vstack([state.memory[KEY], state.memory[KEY][-1:]])
+    read = State.from_bytes(state.to_bytes())
+    with pytest.raises(ValueError, match=KEY):
+        Simulation(Scene.from_parameters({**LYING, "contact.thickness": 5e-3}), read).advance()
+
+
+def test_whole_contacts_leave_no_trace() -> None:
+    cloth, other = lying(), lying()
+    for k in range(30):
+        # What changes nothing of contact's geometry lets it as it is.
+        cloth.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
+        other.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
+        assert KEY not in cloth.state.memory
+    assert cloth.state.digest() == other.state.digest()
+
+
+def test_cloth_stays_awake_while_contacts_recover() -> None:
+    calm = {"air.drag": 50.0, "rate": 30.0, "tolerance": 1e-3, "contact.thickness": 0.016}
+    cloth = start_at(0.05 * 0.016, **calm)
+    slept = None
+    for k in range(200):
+        cloth.advance()
+        if cloth.contact_recovery is not None:
+            assert not cloth.asleep
+        if cloth.asleep:
+            slept = k
+            break
+    assert slept is not None
+    # It is woken by a thickness that compresses it.
+    cloth.advance([SetParameters({"contact.thickness": 0.02})])
+    assert not cloth.asleep
+    assert cloth.contact_recovery is not None
+
+
+def test_frames_that_are_tried_again_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
+    moved, other = recovering(), recovering()
+    order = Move("table", (0.0, 0.0, -0.051))
+    advance, calls = explicit.advance, []
+
+    def fails_once(*args: Any) -> Any:
+        calls.append(args)
+        if len(calls) == 1:
+            args[2].memory.pop(KEY)  # The state is advanced in place.
+            raise UnstableError("as if obstacles left no room")
+        return advance(*args)
+
+    monkeypatch.setattr(explicit, "advance", fails_once)
+    frame = moved.advance([order])
+    monkeypatch.setattr(explicit, "advance", advance)
+    assert frame.halted == ("table",)
+    assert len(calls) == 2
+    # The other one's table never got the order: a recovery goes on as it would have.
+    other.advance()
+    assert np.array_equal(moved.state.memory[KEY], other.state.memory[KEY])
+
+
+def test_failed_frames_leave_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
+    cloth = recovering()
+    before, kept = cloth.state.digest(), cloth.state.memory[KEY].copy()
+
+    def fails(*_: Any) -> Any:
+        raise UnstableError("never")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(explicit, "advance", fails)
+        with pytest.raises(UnstableError):
+            cloth.advance()
+    assert cloth.state.digest() == before
+    assert np.array_equal(cloth.state.memory[KEY], kept)
+    cloth.advance()
+
+
+PINCH: dict[str, Any] = {
+    "gripper.mode": "pinch",
+    "gripper.pad_size": [0.15, 0.02, 0.15],
+    "gripper.opening": 0.02,
+    "gripper.force": 30.0,
+    "cloth.resolution": [6, 6],
+    "cloth.size": [0.3, 0.3],
+    "cloth.position": [0.0, 0.0, 0.15],
+    "tolerance": 1e-3,
+    "air.drag": 0.0,
+}
+
+
+def test_pads_that_open_throw_nothing() -> None:
+    corner = (0.15, 0.0, 0.0)
+    cloth = Simulation(Scene.from_parameters(PINCH))
+    cloth.advance([Target("gripper", corner), Grasp("gripper", True)])
+    for _ in range(60):
+        cloth.advance()
+    assert cloth.held(0) > 0
+    cloth.advance([Grasp("gripper", False)])
+    found = cloth.contact_recovery
+    assert found is not None
+    assert set(found.names) == {"gripper.left_pad", "gripper.right_pad"}
+    for _ in range(30):
+        # Across the pads.
+        assert np.abs(cloth.velocities[:, 1]).max() < starts.FASTEST
+        cloth.advance()
+    assert cloth.contact_recovery is None
+    assert cloth.held(0) == 0
+
+
+def test_pads_placed_beside_the_cloth_throw_nothing() -> None:
+    cloth = Simulation(Scene.from_parameters({**PINCH, "gravity": [0.0, 0.0, 0.0]}))
+    cloth.advance()
+    before, thickness = cloth.state.digest(), cloth.scene.contact.thickness
+    with pytest.raises(EventError, match=r"target of 'gripper': the cloth is .* m from obstacle 'gripper.right_pad'"):
+        cloth.advance([Target("gripper", (0.15, 0.01 - 0.01 * thickness, 0.0))])
+    assert cloth.state.digest() == before
+    cloth.advance([Target("gripper", (0.15, 0.01 - 0.1 * thickness, 0.0))])
+    assert cloth.contact_recovery is not None
+    for _ in range(20):
+        assert np.abs(cloth.velocities).max() < starts.FASTEST
+        cloth.advance()
+    assert cloth.contact_recovery is None
+
+
+def _recorded(folder: Path, frames: int = 14, **more: Any) -> list[Path]:
+    """A session in which contacts recover from a start, and again from a larger thickness."""
+    values = {**LYING, "cloth.position": [0.0, 0.0, 0.5 * THICKNESS], "diagnostics.energy": True, **more}
+    maker = SessionMaker(folder, Scene.from_parameters(values))
+    assert maker.simulation.contact_recovery is not None
+    for k in range(frames):
+        events: list[Event] = [THICK] if k == 7 else []
+        if k == 9:
+            # The file opens with a state amid the recovery.
+            assert maker.simulation.contact_recovery is not None
+            maker.split()
+        maker.add(events)
+    maker.finish()
+    return sorted(folder.glob("*.mcap"))
+
+
+def test_sessions_amid_a_recovery_verify_to_the_last_bit(tmp_path: Path) -> None:
+    paths = _recorded(tmp_path)
+    for these, frames in ((paths, 14), (paths[1:], 5)):
+        verdict = verify(these)
+        assert verdict.same, verdict.first_reason
+        assert verdict.frames == frames
+
+
+def test_sessions_that_lost_the_thickness_differ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = _recorded(tmp_path)
+    read = State.from_bytes
+
+    def forgetful(data: bytes) -> State:
+        state = read(data)
+        state.memory.pop(KEY, None)
+        return state
+
+    monkeypatch.setattr(State, "from_bytes", forgetful)
+    assert not verify(paths[1:]).same
+
+
+def test_the_certificate_covers_recovering_contacts(tmp_path: Path) -> None:
+    verdict, certificate = certify(
+        _recorded(tmp_path, **{"table.friction": [0.0, 0.0], "tolerance": 1e-4}), every_sample=True
+    )
+    assert verdict.same
+    assert certificate.kept
+    # By an integrator that is not ours, of every frame.
+    assert len(certificate.samples) == 14
+    assert max(sample.difference for sample in certificate.samples) < 1e-6
