@@ -163,7 +163,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_contact_bounds": ("i", ("h", "d", _X, _B, _B)),
     "cloth_contact_ahead": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_contact_crosses": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
-    "cloth_contact_thickness": ("i", ("h", _contacts, "d", "d", "d")),
+    "cloth_contact_thickness": ("i", ("h", _contacts, _contacts, "d")),
     "cloth_contact_gap_rows": ("i", ("h", "d", _X, _contacts)),
     "cloth_contact_grown": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),

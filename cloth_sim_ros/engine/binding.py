@@ -125,7 +125,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_anchors": (_INT, _P, _P),
     "cloth_contact_settle": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
     "cloth_contact_crosses": (_INT, _P, _D, _D, _P, _P, _P),
-    "cloth_contact_thickness": (_INT, _P, _P, _D, _D, _D),
+    "cloth_contact_thickness": (_INT, _P, _P, _P, _D),
     "cloth_contact_gap_rows": (_INT, _P, _D, _P, _P),
     "cloth_contact_grown": (_INT, _P, _D, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),

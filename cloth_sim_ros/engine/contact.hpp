@@ -26,28 +26,27 @@ struct Obstacle {
     std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh
 };
 
-/// Contacts that have a reduced thickness for a while. They regain the whole one at a constant rate over a frame: at
-/// `speed` [m/s], or at that which leads to it by the frame's end.
+/// Contacts that have a reduced thickness for a while. They regain the whole one, each at a constant rate over a frame.
 struct ReducedThickness {
     /// Thickness [m] at the time `start` [s] of the contact of each obstacle with each particle, and in a last row of the
     /// cloth with itself; the last column is of obstacles' points and edges. Room for a vector lies behind. Empty where
     /// all contacts have the whole thickness.
     std::vector<double> at_start;
-    double whole = 0.0, speed = 0.0, start = 0.0, duration = 0.0;
+    std::vector<double> rates;  ///< of the same contacts [m/s]
+    double whole = 0.0, start = 0.0;
 
     bool any() const { return !at_start.empty(); }
-    /// Of contacts by their thickness at the start, at a time t [s].
+    /// Of contacts by their thickness at the start and its rate, at a time t [s].
     template <class V>
-    CLOTH_INLINE Scaling<V> scaling(V at_start, double t) const {
+    CLOTH_INLINE Scaling<V> scaling(V at_start, V rate, double t) const {
         const auto of = [](double a) CLOTH_INLINED { return splat<V>(scalar<V>(a)); };
-        const V left = of(whole) - at_start;
-        const V rate = duration > 0.0 ? smaller(of(speed), left / of(duration)) : V{};
         const V now = smaller(fma(rate, of(t - start), at_start), of(whole));
         return {of(whole) / now, rate / now};
     }
     /// Of one contact by its row and column, of so many columns.
     Scaling<double> scaling(std::int64_t row, std::int64_t column, std::int64_t columns, double t) const {
-        return any() ? scaling<double>(at_start[row * columns + column], t) : whole_thickness<double>();
+        const std::int64_t k = row * columns + column;
+        return any() ? scaling<double>(at_start[k], rates[k], t) : whole_thickness<double>();
     }
 };
 

@@ -74,8 +74,10 @@ inline double contact_ahead(const Plan& plan, double t, double duration, const d
                 speed = larger(s.closing + dot(more[k] + cross(spin[k], s.arm), s.normal), speed);
             V gap = s.gap, seen = speed, weight = splat<V>(2.0 * push);
             if (contacts.reduced.any()) {
-                const auto at_start = load(contacts.reduced.at_start.data() + obstacle * (plan.count + 1) + first + j);
-                const Scaling<V> scaling = contacts.reduced.scaling<V>(at_start, t);
+                const ReducedThickness& reduced = contacts.reduced;
+                const std::int64_t k = obstacle * (plan.count + 1) + first + j;
+                const Scaling<V> scaling =
+                    reduced.scaling<V>(load(reduced.at_start.data() + k), load(reduced.rates.data() + k), t);
                 speed = fma(scaling.growth, gap, speed);
                 seen = scaling.scale * speed;
                 gap = scaling.gap(gap);

@@ -35,9 +35,13 @@ public:
         if (!contacts_.reduced.any()) return;
         if (run.books) grown_.assign(blocks * ways, T(0));
         reduced_.assign(contacts_.count() * blocks * pitch, T(contacts_.thickness));
+        rates_.assign(reduced_.size(), T(0));
         for (std::int64_t k = 0; k < contacts_.count(); ++k)
-            for (std::int64_t i = 0; i < plan.count; ++i)
-                reduced_[k * blocks * pitch + place_of(i)] = T(contacts_.reduced.at_start[k * (plan.count + 1) + i]);
+            for (std::int64_t i = 0; i < plan.count; ++i) {
+                const std::int64_t to = k * blocks * pitch + place_of(i), from = k * (plan.count + 1) + i;
+                reduced_[to] = T(contacts_.reduced.at_start[from]);
+                rates_[to] = T(contacts_.reduced.rates[from]);
+            }
     }
 
     /// Move pads to a step, before any block is looked at: all blocks have been at the step before.
@@ -62,6 +66,7 @@ public:
             Reduced reduced;
             if (!reduced_.empty()) {
                 reduced.at_start = reduced_.data() + (obstacle * blocks_ + number) * pitch_;
+                reduced.rates = rates_.data() + (obstacle * blocks_ + number) * pitch_;
                 reduced.t = middle_of(run_, step);
                 reduced.grown = sums ? grown_.data() + number * ways : nullptr;
             }
@@ -135,10 +140,10 @@ private:
     /// [m/s] faster than now, and the obstacle at its fastest would cover the fraction `share` of the distance to contact.
     static constexpr double slack = 0.25, share = 0.25;
 
-    /// Of a block's contacts with an obstacle: their thickness at the start, null where it is the whole one, the time of
-    /// the step, and sums of the power of their growth, or null.
+    /// Of a block's contacts with an obstacle: their thickness at the start and its rates, null where it is the whole one,
+    /// the time of the step, and sums of the power of their growth, or null.
     struct Reduced {
-        const T* at_start = nullptr;
+        const T *at_start = nullptr, *rates = nullptr;
         double t = 0.0;
         T* grown = nullptr;
     };
@@ -285,7 +290,8 @@ private:
             Scaling<V> scaling = whole_thickness<V>();
             const V gap = s.gap;
             if (reduced.at_start) {
-                scaling = contacts_.reduced.template scaling<V>(load(reduced.at_start + j), reduced.t);
+                scaling =
+                    contacts_.reduced.template scaling<V>(load(reduced.at_start + j), load(reduced.rates + j), reduced.t);
                 closing = fma(scaling.growth, gap, closing);
                 s.gap = scaling.gap(gap);
                 s.closing = scaling.scale * closing;
@@ -380,7 +386,7 @@ private:
     Array<T>& masses_;
     std::vector<Mine> threads_;
     Array<T> sums_, held_, pushes_;  ///< the pushes of friction's last step
-    Array<T> reduced_, grown_;       ///< thickness of each contact, power of its growth by the block
+    Array<T> reduced_, rates_, grown_;  ///< thickness of each contact, its rate, power of growth by the block
     std::vector<std::int64_t> where_;  ///< of each particle among the blocks
 };
 

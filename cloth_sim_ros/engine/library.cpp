@@ -275,9 +275,9 @@ CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration,
                                     std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::contact_crosses(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
-/// Reduced thickness of contacts at a time, (obstacles + 1, n + 1), and how fast and how long they regain it, see
+/// Reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates at which they regain the whole one, see
 /// ReducedThickness. None where the numbers are null. Obstacles that are laid anew have the whole thickness.
-CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, double speed, double start, double duration) {
+CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const double* rates, double start) {
     return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
         contacts.reduced = {};
@@ -285,10 +285,10 @@ CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, double
         const std::int64_t size = (contacts.count() + 1) * (plan->count + 1);
         contacts.reduced.at_start.assign(at_start, at_start + size);
         contacts.reduced.at_start.resize(size + cloth::lanes<double>, contacts.thickness);
+        contacts.reduced.rates.assign(rates, rates + size);
+        contacts.reduced.rates.resize(size + cloth::lanes<double>, 0.0);
         contacts.reduced.whole = contacts.thickness;
-        contacts.reduced.speed = speed;
         contacts.reduced.start = start;
-        contacts.reduced.duration = duration;
     });
 }
 /// The gap of each contact [m], rows and columns as above; infinite where it is none or nothing is near.

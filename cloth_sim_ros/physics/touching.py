@@ -26,7 +26,6 @@ from cloth_sim_ros.engine.binding import (
 from cloth_sim_ros.physics import touching_layers, touching_pads
 from cloth_sim_ros.physics.arrays import combine
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.contact_thickness import RECOVERY_SPEED
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.owner import Owner
@@ -57,8 +56,8 @@ class Touching(Uncopyable):
         self._seen = self._moved = self._heard = -1
         self._ahead = 0.0
         self._taken: Array | None = None
-        # Reduced thickness as the engine has it, and when it is regained.
-        self._reduced: tuple[Array, tuple[float, float]] | None = None
+        # Reduced thickness as the engine has it, when its recovery begins, and what it leads to.
+        self._reduced: tuple[Array, float, Array | None] | None = None
         #: Room for what the engine tells of what is ahead, made once.
         self._told = (ctypes.c_double * 8)()
         self._told_at = ctypes.addressof(self._told)
@@ -148,21 +147,27 @@ class Touching(Uncopyable):
         """Thickness of contacts [m] that was laid last; None where all have the whole one."""
         return None if self._reduced is None else self._reduced[0]
 
+    @property
+    def regained(self) -> Array | None:
+        """Thickness of contacts [m] to which that grows, see `Contact.recover`; None where none does."""
+        return None if self._reduced is None else self._reduced[2]
+
     def lay_thickness(self, reduced: Array | None) -> None:
         """Let contacts have a reduced thickness [m] when their recovery begins; the whole one where left out."""
-        self.force.reduced = reduced is not None
         if reduced is None:
             if self._reduced is not None:
-                check(self._library.cloth_contact_thickness(self._handle, None, 0.0, 0.0, 0.0))
+                check(self._library.cloth_contact_thickness(self._handle, None, None, 0.0))
                 self._reduced = None
             return
-        start, duration = self.force.recovery
-        when = start - self._ahead, duration
-        if self._reduced is not None and self._reduced[0] is reduced and self._reduced[1] == when:
+        start, duration, after = self.force.recovery
+        start -= self._ahead
+        known = self._reduced
+        if known is not None and known[0] is reduced and known[1] == start and known[2] is after:
             return
-        address = doubles(THICKNESS, reduced, self.thickness_shape)
-        check(self._library.cloth_contact_thickness(self._handle, address, RECOVERY_SPEED, *when))
-        self._reduced = reduced, when
+        rates = np.zeros_like(reduced) if after is None else (after - reduced) / duration
+        addresses = doubles(THICKNESS, reduced, self.thickness_shape), address(rates)
+        check(self._library.cloth_contact_thickness(self._handle, *addresses, start))
+        self._reduced = reduced, start, after
 
     def lay_pads(self, pinched: Array | None) -> Array | None:
         """Let what follows start with pads where they are said to be, open where left out; return that, None where no

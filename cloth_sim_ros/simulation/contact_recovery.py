@@ -104,16 +104,32 @@ def _about(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np
     return near
 
 
-def recover_contacts(plan: Plan, state: State, t: float, duration: float) -> None:
-    """Let the contacts of a state regain their thickness over a frame that ended at time t [s]."""
+def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
+    """Let the contacts of a state regain their thickness over a frame of a duration [s] from time t [s] on."""
     contact = plan.contact
     if contact is None:
         return
-    contact.force.recover(t, 0.0)
-    reduced = state.memory.pop(THICKNESS, None)
-    after = None if reduced is None else regained(reduced, contact.force.thickness, duration)
-    if after is not None:
-        state.memory[THICKNESS] = after
+    contact.force.recover(t)
+    reduced = state.memory.get(THICKNESS)
+    if reduced is None:
+        return
+    contact.take(state)
+    gaps = contact.gap_rows(t, state.x)
+    contact.force.recover(t, duration, regained(reduced, gaps, contact.force.thickness, duration))
+
+
+def end_recovery(plan: Plan, state: State, t: float) -> None:
+    """Give the contacts of a state the thickness that they have at the end of a frame, at time t [s]."""
+    if plan.contact is None:
+        return
+    force = plan.contact.force
+    after = force.recovery[2]
+    force.recover(t)
+    if after is None:
+        return
+    state.memory[THICKNESS] = after
+    if not (after < force.thickness).any():
+        del state.memory[THICKNESS]
 
 
 def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:

@@ -20,10 +20,11 @@ from cloth_sim_ros.scene.rebuild import Plans
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.contact_recovery import (
     ContactRecovery,
+    begin_recovery,
     compressed_rows,
     contact_recovery,
+    end_recovery,
     pad_rows,
-    recover_contacts,
     reduce_contacts,
     relieved_particles,
     touching_particles,
@@ -370,7 +371,7 @@ class Simulation(ExclusiveAccess):
             if self._sleep.follow(state, start + period) and self._energy is not None and moving is not None:
                 self.energy_report = self._energy.stop(moving)
         state.frame += 1
-        recover_contacts(self.plan, state, self.time, period)
+        end_recovery(self.plan, state, self.time)
         return done
 
     @property
@@ -381,6 +382,7 @@ class Simulation(ExclusiveAccess):
     def _plan_movers(self, t: float) -> None:
         """Lay the paths of grippers and obstacles over the frame that starts at time t [s]."""
         change = plan_movers(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
+        begin_recovery(self.plan, self.state, t, self._period)
         if change > JUMP * self._period:
             restart(self.state)
 

@@ -125,7 +125,7 @@ def give_back(
         paths, driven = snapshot.contact
         plan.contact.force.move(paths)
         plan.contact.force.drive(driven)
-        plan.contact.force.recover(snapshot.time, 0.0)
+        plan.contact.force.recover(snapshot.time)
     if book is not None and snapshot.book is not None:
         book.go_back(snapshot.book)
     if watched is not None and snapshot.energy is not None:

@@ -94,7 +94,6 @@ def plan_movers(
     if plan.contact is None:
         return change
     force, paths, most = plan.contact.force, list[Array](), 0.0
-    force.recover(t, period)
     if obstacles is not None:
         rows, most = obstacles.plan_frame(t, period)
         paths.append(rows)
@@ -108,7 +107,7 @@ def plan_movers(
 
 def stand(force: Contact, obstacles: Obstacles | None, pinching: Pinching | None, grippers: Grippers, t: float) -> None:
     """Let contact know where obstacles and pads are at time t [s], until a frame moves them."""
-    force.recover(t, 0.0)
+    force.recover(t)
     paths = [] if obstacles is None else [obstacles.standing(t)]
     if pinching is not None:
         paths.append(pinching.rows(standing(t, grippers.poses())))

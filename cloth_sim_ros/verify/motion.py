@@ -57,6 +57,8 @@ class RunFrame:
     driven: NDArray[np.bool_] | None
     #: Thickness of contacts at its start, see `Touching.thickness_shape`; None where all have the whole one.
     thickness: Array | None
+    #: The same at its end; None where it is the same.
+    regained: Array | None
     #: Tolerance in force [m]; None where none is set.
     tolerance: float | None
     #: Whether the simulation said that its error may be above the tolerance's share.
@@ -109,6 +111,7 @@ class FrameWatch:
             surrounding=None if contact is None else contact.force.paths.copy(),
             driven=None if contact is None else contact.force.driven.copy(),
             thickness=None if contact is None else contact.thickness,
+            regained=None if contact is None else contact.regained,
             tolerance=frame.tolerance,
             flagged=bool(advance and advance.flagged),
             step=advance.step if advance and advance.steps else float("inf"),
@@ -133,7 +136,7 @@ class Equations:
             self._plan.contact.force.move(frame.surrounding)
             if frame.driven is not None:
                 self._plan.contact.force.drive(frame.driven)
-            self._plan.contact.force.recover(frame.t, frame.duration)
+            self._plan.contact.force.recover(frame.t, frame.duration, frame.regained)
             self._plan.contact.sync()
             self._plan.contact.lay_thickness(frame.thickness)
         return self._plan

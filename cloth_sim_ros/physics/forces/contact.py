@@ -115,10 +115,9 @@ class Contact(EngineForce):
         #: Whether each of those is anywhere, and whether it closes, shape (pinches, 2).
         self.driven = np.zeros((len(self.pads), 2), dtype=bool)
         self.surface, self.faces = surface, faces
-        #: When contacts with a reduced thickness begin to regain it, and for how long [s]; not at all by 0.
-        self.recovery = (0.0, 0.0)
-        #: Whether any contact has a reduced thickness, as the plan had it last.
-        self.reduced = False
+        #: When contacts with a reduced thickness begin to regain it, for how long [s], and their thickness then [m], of
+        #: shape `Touching.thickness_shape`; None where none does.
+        self.recovery: tuple[float, float, Array | None] = (0.0, 0.0, None)
         self.surround(obstacles)
 
     def surround(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
@@ -152,9 +151,11 @@ class Contact(EngineForce):
         self.paths = paths
         self.moves += 1
 
-    def recover(self, t: float, duration: float) -> None:
-        """Let contacts with a reduced thickness, that of time t [s], regain it for a duration [s]."""
-        self.recovery = (t, duration)
+    def recover(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
+        """Let contacts with a reduced thickness, that of time t [s], grow to another one [m] in a duration [s]; none
+        grows if that is left out.
+        """
+        self.recovery = (t, duration, thickness)
 
     def drive(self, driven: NDArray[np.bool_]) -> None:
         """Set whether each gripper that pinches is anywhere, and whether it closes, shape (pinches, 2)."""
@@ -198,4 +199,4 @@ class Contact(EngineForce):
 
     def steady(self) -> bool:
         """Whether no obstacle moves or turns over its path, and no contact regains its thickness."""
-        return not self.reduced and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())
+        return self.recovery[2] is None and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())

@@ -104,10 +104,9 @@ class ImplicitAdvance:
         """Do it."""
         state, memory, integrator = self._state, self._memory, self._integrator
         least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
-        reduced, contact = state.memory.get(THICKNESS), self._plan.contact
-        if reduced is not None and contact is not None:
-            growth = relative_growth(reduced, contact.force.thickness, self._duration)
-            least = max(least, math.ceil(growth / _GROWTH))
+        contact = self._plan.contact
+        if contact is not None and (after := contact.force.recovery[2]) is not None:
+            least = max(least, math.ceil(relative_growth(state.memory[THICKNESS], after) / _GROWTH))
         known = memory.step > 0.0 and self._allowed == math.inf
         steps = max(least, steps_for(self._duration, memory.step)) if known else least
         start, rejected = state.share(), 0
