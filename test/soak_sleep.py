@@ -59,6 +59,7 @@ def pendulum(period: float) -> dict[str, Any]:
     return {
         "gravity": [0.3 * 4.0 * math.pi**2 / period**2, 0.0, -(4.0 * math.pi**2) / period**2],
         "air.drag": 0.02,
+        "wind.normal_drag": 0.0,
         "cloth.anchors": ["top"],
     }
 

@@ -22,8 +22,9 @@ SINGLE = 3e-4
 SHEETS = [
     {},
     {"material.damping": 0.0},
-    {"material.damping": 0.0, "air.drag": 0.0, "cloth.resolution": [2, 2]},
+    {"material.damping": 0.0, "air.drag": 0.0, "wind.normal_drag": 0.0, "cloth.resolution": [2, 2]},
     {"cloth.shear_layout": "alternating", "bending.model": "none"},
+    {"cloth.shear_layout": "alternating", "wind.normal_drag": 0.0},
     {"cloth.shear_layout": "left", "cloth.resolution": [3, 40]},
     {"material.viscosity": 0.05, "cloth.resolution": [19, 2], "cloth.size": [1.0, 0.1]},
 ]
@@ -108,7 +109,7 @@ def mesh_file(count=1500):
     "values",
     [
         {},
-        {"material.damping": 0.0, "air.drag": 0.0},
+        {"material.damping": 0.0, "air.drag": 0.0, "wind.normal_drag": 0.0},
         {"bending.model": "crossed", "material.bending_modulus": 1e-4},
     ],
     ids=["damped", "undamped", "hinges"],

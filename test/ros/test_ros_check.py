@@ -53,7 +53,7 @@ def test_it_says_what_would_run_and_how_fast(tmp_path: Path, capsys: pytest.Capt
     assert check(path) == 0
     said = capsys.readouterr().out
     for words in (
-        "a grid of 12 x 10: 120 particles, 10 anchored; forces: structural, shear, bend, gravity, drag, grips",
+        "a grid of 12 x 10: 120 particles, 10 anchored; forces: structural, shear, bend, gravity, drag, air, grips",
         "50 frames a second; tolerance 0.001 m; grippers: left, right",
         "expected real-time factor: ",
         "steps a frame by the stability limit",
@@ -223,7 +223,8 @@ def test_what_few_edges_of_a_mesh_cost_is_told(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_the_limit_is_that_of_the_plan() -> None:
-    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [9, 9], "material.damping": 0.0}))
+    values = {"cloth.resolution": [9, 9], "material.damping": 0.0, "wind.normal_drag": 0.0}
+    simulation = Simulation(Scene.from_parameters(values))
     found = step_setters(simulation.plan, simulation.state.x)
     omega2, _ = simulation.plan.rates(simulation.state.x)
     assert found.limit == pytest.approx(2.0 / np.sqrt(omega2), rel=1e-3)

@@ -123,6 +123,7 @@ def test_what_a_scene_does_not_use_is_not_in_its_model():
         {
             "gravity": [0.0, 0.0, 0.0],
             "air.drag": 0.0,
+            "wind.normal_drag": 0.0,
             "grippers": [""],
             "bending.model": "none",
             "material.shear_modulus": 0.0,
@@ -156,7 +157,7 @@ def test_a_bending_model_is_its_forces_and_no_more(model, names):
     modulus = 1e-4 if model in ("crossed", "altitude") else 0.0
     values = {"bending.model": model, "material.bending_modulus": modulus, "cloth.resolution": [5, 6]}
     forces = [force.name for force in Scene.from_parameters(values).model().forces]
-    assert forces == ["structural", "shear", *names, "gravity", "drag", "grips"]
+    assert forces == ["structural", "shear", *names, "gravity", "drag", "air", "grips"]
 
 
 def test_a_viscosity_replaces_the_dimensionless_damping_and_converges():

@@ -23,8 +23,8 @@ SCENES = {
     "mesh": {"cloth.mesh": "m.obj", "cloth.anchors": ["0"], "bending.model": "none"},
     "folded mesh": {"cloth.mesh": "m.obj", "cloth.anchors": ["0"], "bending.model": "crossed", **MODULUS},
     "springs": {"cloth.springs": "s.yaml", "cloth.anchors": ["0"], "bending.model": "none"},
-    "calm": {"air.drag": 0.0},
-    "windy": {"air.drag": 0.3},
+    "calm": {"air.drag": 0.0, "wind.normal_drag": 0.0},
+    "windy": {"air.drag": 0.3, "wind.normal_drag": 0.0},
     "fixed step": {"step": 1e-4},
     "no grippers": {"grippers": [""]},
 }

@@ -21,6 +21,7 @@ LYING: dict[str, Any] = {
     "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
     "cloth.position": [0.0, 0.0, 0.0529],
     "cloth.anchors": [""],
+    "wind.normal_drag": 0.0,
     "tolerance": 1e-3,
     "obstacles": ["block"],
     "block.shape": "box",

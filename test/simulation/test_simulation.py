@@ -227,7 +227,7 @@ def test_a_state_of_another_cloth_is_refused():
 
 
 def test_a_changed_parameter_takes_effect_at_the_next_frame():
-    simulation = Simulation(small(cloth__anchors=[""], gravity=[0.0, 0.0, 0.0], air__drag=0.0))
+    simulation = Simulation(small(cloth__anchors=[""], gravity=[0.0, 0.0, 0.0], air__drag=0.0, wind__normal_drag=0.0))
     simulation.advance()
     assert np.abs(simulation.velocities).max() < 1e-12
     simulation.advance([SetParameters({"gravity": [3.0, 0.0, 0.0]})])

@@ -79,9 +79,9 @@ def near(obstacle, path, t, count, rng, thickness=THICKNESS, deepest=0.2, farthe
 
 
 def flat_sheet(rows, columns, *forces, size=1.0, gravity=True, drag=True, listed=False, anchors=(), **material):
-    """The model of a free grid that lies flat, and its positions (n, 3) about the origin, in the plane z = 0."""
+    """The model of a free grid that lies flat, no air across it, and its positions (n, 3) about the origin, z = 0."""
     values = {"cloth.resolution": [rows, columns], "cloth.size": [size * (rows - 1) / (columns - 1), size], **material}
-    own = Scene.from_parameters({"cloth.anchors": [""], **values}).plan().model
+    own = Scene.from_parameters({"cloth.anchors": [""], "wind.normal_drag": 0.0, **values}).plan().model
     kept = [
         force.listed if listed and isinstance(force, GridSprings) else force
         for force in own.forces

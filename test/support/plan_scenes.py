@@ -56,6 +56,7 @@ SHEET: dict[str, Any] = {
     "material.stretch_modulus": 100.0,
     "cloth.anchors": ["3", "77"],
     "bending.model": "none",
+    "wind.normal_drag": 0.0,
 }
 _BENDING = {"cloth.resolution": [7, 9], "material.bending_modulus": 1e-4}
 _AIR = {"wind.velocity": [1.0, 2.0, -0.5], "wind.normal_drag": 0.3, "wind.tangential_drag": 0.1}
@@ -64,14 +65,20 @@ SCENES: dict[str, dict[str, Any]] = {
     "bare": {
         "gravity": [0.0, 0.0, 0.0],
         "air.drag": 0.0,
+        "wind.normal_drag": 0.0,
         "bending.model": "none",
         "material.shear_modulus": 0.0,
         "material.damping": 0.0,
     },
     "left": {"cloth.shear_layout": "left", "cloth.anchors": ["top_left", "40"]},
-    "right, undamped": {"cloth.shear_layout": "right", "material.damping": 0.0, "air.drag": 0.0},
-    "alternating, free": {"cloth.shear_layout": "alternating", "cloth.anchors": [""]},
-    "viscous": {"material.viscosity": 0.05},
+    "right, undamped": {
+        "cloth.shear_layout": "right",
+        "material.damping": 0.0,
+        "air.drag": 0.0,
+        "wind.normal_drag": 0.0,
+    },
+    "alternating, free": {"cloth.shear_layout": "alternating", "cloth.anchors": [""], "wind.normal_drag": 0.0},
+    "viscous": {"material.viscosity": 0.05, "wind.normal_drag": 0.0},
     "hinges": {"bending.model": "crossed", "material.bending_modulus": 1e-4},
     "narrow": {"cloth.resolution": [3, 17], "cloth.size": [0.2, 1.1], "material.shear_modulus": 10.0},
     "two wide": {"cloth.resolution": [11, 2], "cloth.size": [1.0, 0.1]},
