@@ -18,9 +18,11 @@ RECOVERY_SPEED, LAYER_RECOVERY_SPEED = 0.01, 0.005
 REST_GAP = 0.96
 #: Gap over the reduced thickness with which contacts go on: there they hold the energy of 0.014 m/s.
 START_GAP = 0.98
-#: Gap over thickness below which a contact does not regain more: the cloth has to follow first. The push is 19 g there
-#: for 3 mm.
-FOLLOWED_GAP = 0.94
+#: Push on a mass [m/s^2] from which on a contact does not regain more: the cloth has to follow first. The lowest of
+#: twenty layers bears as much.
+MOST_PUSH = 200.0
+#: U of the law [m/s], see engine/contact_law.hpp.
+_SPEED = 35.0
 #: Least gap over thickness that a start or a parameter may leave.
 LEAST_GAP = 0.02
 
@@ -46,7 +48,10 @@ def regained(reduced: Array, gaps: Array, thickness: float, duration: float) -> 
         thickness: the whole one [m].
         duration: in which they grow at the recovery speed, where the cloth has followed so far [s].
     """
-    followed = (gaps >= FOLLOWED_GAP * reduced) & (reduced < thickness)
+    s = np.clip(gaps / reduced, 1e-3, 1.0)
+    steep = (1.0 - s) * (1.0 - s) * (1.0 - s) * (1.0 + 3.0 * s) / (s * s)
+    push = (0.5 * _SPEED * _SPEED / (thickness * thickness)) * reduced * steep
+    followed = (push <= MOST_PUSH) & (reduced < thickness)
     if not followed.any():
         return None
     return np.where(followed, np.minimum(reduced + duration * _speeds(reduced), thickness), reduced)
