@@ -28,7 +28,8 @@ struct AirPlace {
     std::ptrdiff_t pitch, apart, length;  ///< from a component to the next, of particles and of cells; see RowPlace
 };
 
-template <class T>
+/// Along: whether there is drag along the surface.
+template <class T, bool Along>
 __attribute__((noinline)) void look_at_cells(const AirPlace<T>& place, const double* common) {
     using V = vec<T>;
     const AirPlace<T> at = place;
@@ -41,12 +42,12 @@ __attribute__((noinline)) void look_at_cells(const AirPlace<T>& place, const dou
         const auto s = Panel<4>::shares(air, load(at.part + j), point(1, 1) - point(0, 0), point(1, 0) - point(0, 1));
         T* const to = at.below + j;
         store(to, s.n.x), store(to + at.apart, s.n.y), store(to + 2 * at.apart, s.n.z);
-        store(to + 3 * at.apart, s.across), store(to + 4 * at.apart, s.along);
+        store(to + 3 * at.apart, s.across);
+        if constexpr (Along) store(to + 4 * at.apart, s.along);
     }
 }
 
-/// Subtract what a row's particles give the air from their forces, and note the powers if Watched. Along: whether there is
-/// drag along the surface.
+/// Add what the air does to a row's particles to their forces, and note the powers if Watched.
 template <class T, bool Along, bool Watched>
 __attribute__((noinline)) void add_air(const AirPlace<T>& place, const double* common, Powers* powers) {
     using V = vec<T>;
@@ -63,10 +64,10 @@ __attribute__((noinline)) void add_air(const AirPlace<T>& place, const double* c
         const auto take = [&](const T* from) CLOTH_INLINED {
             typename Panel<4>::template Shares<V> s{three(from, at.apart), load(from + 3 * at.apart), V{}};
             if constexpr (Along) s.along = load(from + 4 * at.apart);
-            f = f - Panel<4>::taken<Along>(s, u);
+            f = Panel<4>::add<Along>(s, u, f);
             if constexpr (!Watched) return;
-            lost = lost + dot(v, Panel<4>::taken<Along>(s, v));
-            given = given + dot(v, Panel<4>::taken<Along>(s, air.wind));
+            lost = lost - dot(v, Panel<4>::add<Along>(s, v, Vec3<V>{}));
+            given = given - dot(v, Panel<4>::add<Along>(s, air.wind, Vec3<V>{}));
         };
         take(at.above + j - 1), take(at.above + j), take(at.below + j - 1), take(at.below + j);
         store(to, f.x), store(to + at.pitch, f.y), store(to + 2 * at.pitch, f.z);
@@ -93,15 +94,17 @@ inline void take_air(const RowPlace<T>& at, const T* part, const double* common,
                             at.pitch,
                             at.pitch + air_gap<T>,
                             at.length};
-    look_at_cells(place, common);
-    if (!own) return;
-    const bool along = common[1] > 0.0;
-    if (powers)
-        add_air<T, true, true>(place, common, powers);
-    else if (along)
-        add_air<T, true, false>(place, common, nullptr);
+    const auto take = [&]<bool Along>(std::bool_constant<Along>) {
+        look_at_cells<T, Along>(place, common);
+        if (own && powers)
+            add_air<T, Along, true>(place, common, powers);
+        else if (own)
+            add_air<T, Along, false>(place, common, nullptr);
+    };
+    if (common[1] > 0.0)
+        take(std::true_type{});
     else
-        add_air<T, false, false>(place, common, nullptr);
+        take(std::false_type{});
 }
 
 }  // namespace cloth

@@ -319,23 +319,24 @@ struct Panel {
         V normal, tangential;
         Vec3<V> wind;
     };
+    /// 2 N, and a corner's shares of the drag along that and along the surface.
     template <class V>
     struct Shares {
         Vec3<V> n;
         V across, along;
     };
 
-    /// Of a panel with N = a x b / 2, of which a corner has the part `one`: 1 / corners, or 0 where there is no panel.
+    /// Of a panel with 2 N = a x b, of which a corner has the part `one`: 1 / corners, or 0 where there is no panel.
     template <class V>
     static CLOTH_INLINE Shares<V> shares(const Params<V>& p, V one, Vec3<V> a, Vec3<V> b) {
         Shares<V> r;
-        r.n = splat<V>(0.5) * cross(a, b);
+        r.n = cross(a, b);
         const V square = norm2(r.n);
-        const auto some = square > splat<V>(least);
-        const V area = root(select(some, square, splat<V>(1)));
-        one = select(some, one, V{});
-        r.across = one * (p.normal - p.tangential) / area;
-        r.along = one * p.tangential * area;
+        const auto some = square > splat<V>(scalar<V>(4 * least));
+        const V twice = root(select(some, square, splat<V>(1)));
+        const V half = select(some, splat<V>(0.5) * one, V{});
+        r.across = half * (p.normal - p.tangential) / twice;
+        r.along = half * p.tangential * twice;
         return r;
     }
     template <class V>
@@ -343,16 +344,17 @@ struct Panel {
         const V one = splat<V>(scalar<V>(1) / Corners);
         return Corners == 3 ? shares(p, one, d[0], d[1]) : shares(p, one, d[1], d[Corners - 2] - d[0]);
     }
-    /// What a corner gives the air, u its velocity relative to it. Along: whether there is any drag along the surface.
+    /// Add what the air does to a corner to its force, u its velocity relative to it. Along: whether there is any drag
+    /// along the surface.
     template <bool Along = true, class V>
-    static CLOTH_INLINE Vec3<V> taken(const Shares<V>& s, Vec3<V> u) {
-        const Vec3<V> across = (s.across * dot(u, s.n)) * s.n;
-        return Along ? across + s.along * u : across;
+    static CLOTH_INLINE Vec3<V> add(const Shares<V>& s, Vec3<V> u, Vec3<V> f) {
+        const Vec3<V> across = fma(-(s.across * dot(u, s.n)), s.n, f);
+        return Along ? fma(-s.along, u, across) : across;
     }
     template <class V>
     static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v, Vec3<V>* f, bool) {
         const Shares<V> s = shares(p, d);
-        for (int i = 0; i < Corners; ++i) f[i] = -taken(s, v[i] - p.wind);
+        for (int i = 0; i < Corners; ++i) f[i] = add(s, v[i] - p.wind, Vec3<V>{});
     }
     template <class V>
     static CLOTH_INLINE V energy(const Params<V>&, const Vec3<V>*) {
