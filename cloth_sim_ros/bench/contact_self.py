@@ -21,7 +21,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: The scene of config/fold.yaml but for its resolution.
+#: The scene of config/fold.yaml but for its resolution, without air across the sheet.
 FOLD: dict[str, Any] = {
     "cloth.size": [0.4, 0.4],
     "cloth.orientation": [0.0, 0.0, 0.0, 1.0],

@@ -24,7 +24,7 @@ PERIOD = 1.0 / 60.0
 STILL = 1e-9
 #: No fewer steps than these are timed at once.
 FEWEST_STEPS = 40
-#: The scene of config/cloth_sim.yaml.
+#: The scene of config/cloth_sim.yaml, without air across the sheet.
 DEFAULT_CLOTH: dict[str, Any] = {
     "rate": 60.0,
     "cloth.size": [1.0, 1.0],
