@@ -14,23 +14,31 @@ from support.alone import alone, blocks, force, gradient, matrix, product
 from support.contact_scenes import SHAPES, THICKNESS, contact, near, still
 from support.feature_scenes import SMALL, TIME, facing
 
-from cloth_sim_ros.physics.contact_thickness import RECOVERY_SPEED, check_gaps, reduced_thickness, regained
+from cloth_sim_ros.physics.contact_thickness import (
+    LAYER_RECOVERY_SPEED,
+    MOST_PUSH,
+    RECOVERY_SPEED,
+    START_GAP,
+    check_gaps,
+    reduced_thickness,
+    regained,
+)
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan, compile
 
 COUNT, DAMPING = 40, 10.0
-#: How long thickness has grown at the time that is looked at, and how long it grows in all [s].
-GROWN, DURATION = 2e-3, 0.5
+#: How long thickness has grown at the time that is looked at, and how long it grows in all [s]: to the whole one.
+GROWN, DURATION = 2e-3, 5e-3 / LAYER_RECOVERY_SPEED
 STILL = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
 
 
 def reduce(plan: Plan, *, duration: float = DURATION) -> Array:
-    """Lay a random thickness into a plan, with which its growth began a while ago; return it."""
+    """Lay a random thickness into a plan, with which its growth to the whole one began a while ago; return it."""
     touching = plan.contact
     assert touching is not None
     whole = touching.force.thickness
     reduced = np.random.default_rng(3).uniform(0.6, 0.95, touching.thickness_shape) * whole
-    touching.force.recover(TIME - GROWN, duration)
+    touching.force.recover(TIME - GROWN, duration, np.full_like(reduced, whole) if duration else None)
     touching.sync()
     touching.lay_thickness(reduced)
     return reduced
@@ -72,7 +80,7 @@ def test_reduced_law_is_that_of_its_own_thickness() -> None:
     for thickness in (0.7 * THICKNESS, 0.9 * THICKNESS):
         touching = plan.contact
         assert touching is not None
-        touching.force.recover(TIME, 0.0)
+        touching.force.recover(TIME)
         touching.sync()
         touching.lay_thickness(np.full(touching.thickness_shape, thickness))
         # The law of another thickness with U in proportion to it: the same squared frequencies at the same s.
@@ -113,12 +121,50 @@ def test_growth_ends_with_the_whole_law(kind: str) -> None:
     assert plan.contact is not None
     later = TIME - GROWN + DURATION
     assert not np.array_equal(force(plan, x, v, TIME), whole[0])
-    assert plan.contact.force.thickness - reduced.min() < RECOVERY_SPEED * DURATION
+    assert reduced.max() < plan.contact.force.thickness
     assert force(plan, x, v, later) == pytest.approx(whole[0], rel=1e-12, abs=1e-12 * np.abs(whole[0]).max())
     assert potential(plan, x, later) == pytest.approx(whole[1], rel=1e-12)
     plan.contact.lay_thickness(None)
     assert np.array_equal(force(plan, x, v, TIME), whole[0])
     assert plan.contact.recovering(TIME, x, v) == 0.0
+
+
+@KINDS
+def test_contacts_grow_at_rates_of_their_own(kind: str) -> None:
+    plan, x = scene(kind, 0.0)
+    reduced, touching = reduce(plan), plan.contact
+    assert touching is not None
+    rng = np.random.default_rng(4)
+    # Half of them do not grow, the others to a part of the whole thickness.
+    parts = rng.uniform(0.0, 1.0, reduced.shape) * (rng.uniform(size=reduced.shape) < 0.5)
+    after = reduced + parts * (touching.force.thickness - reduced)
+    for share in (0.25, 1.0):
+        touching.force.recover(TIME - share * DURATION, DURATION, after)
+        touching.lay_thickness(reduced)
+        grown = force(plan, x, t=TIME)
+        touching.force.recover(TIME)
+        touching.lay_thickness(reduced + share * (after - reduced))
+        assert grown == pytest.approx(force(plan, x, t=TIME), rel=1e-9, abs=1e-9 * np.abs(grown).max())
+        assert touching.recovering(TIME, x, np.zeros_like(x)) == 0.0
+
+
+def test_contacts_grow_up_to_the_most_push() -> None:
+    plan, x = scene("plane", 0.0)
+    touching = plan.contact
+    assert touching is not None
+    # The push by the engine's law, at gaps about where contacts stop to grow.
+    gaps = touching.gap_rows(TIME, x)
+    reduced = gaps / np.linspace(0.9, 0.99, gaps.shape[1])
+    thickness = touching.force.thickness
+    reduced[~(reduced < thickness)] = thickness
+    touching.force.recover(TIME)
+    touching.lay_thickness(reduced)
+    push = np.linalg.norm(force(plan, x, t=TIME), axis=0) / plan.model.masses
+    after = regained(reduced, gaps, thickness, 1e-3)
+    assert after is not None
+    grows, below = (after > reduced)[0, :-1], reduced[0, :-1] < thickness
+    assert np.array_equal(grows, below & (push <= MOST_PUSH))
+    assert min(grows.sum(), (below & ~grows).sum()) > 5
 
 
 @KINDS
@@ -156,7 +202,7 @@ def test_rates_ahead_follow_the_growth() -> None:
     assert (np.abs(normals).max(axis=0) > 0.0).sum() > 10
     reduced = reduce(plan)
     grows = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
-    touching.force.recover(TIME - GROWN, 0.0)
+    touching.force.recover(TIME - GROWN)
     touching.lay_thickness(reduced)
     stands = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
     assert grows[0] > stands[0] > 0.0
@@ -176,10 +222,23 @@ def test_reduced_thickness_leaves_the_rest_gap() -> None:
     )
     # Above the rest gap alone nothing is reduced.
     assert reduced_thickness(np.array([[0.96, np.inf]]), 1.0) is None
-    after = regained(np.array([[1.2e-3, 1.9e-3]]), 2e-3, 0.01)
+
+
+def test_layers_regain_their_thickness_more_slowly() -> None:
+    # In the last row are those of the cloth with itself.
+    reduced, thickness = np.array([[1.2e-3, 1.9e-3, 2e-3], [1.2e-3, 1.95e-3, 2e-3]]), 2e-3
+    gaps, duration = START_GAP * reduced, 2e-4 / RECOVERY_SPEED
+    after = regained(reduced, gaps, thickness, duration)
     assert after is not None
-    assert after == pytest.approx(np.array([[1.4e-3, 2e-3]]))
-    assert regained(after, 2e-3, 0.03) is None
+    layer = 1.2e-3 + LAYER_RECOVERY_SPEED * duration
+    assert after == pytest.approx(np.array([[1.4e-3, 2e-3, 2e-3], [layer, 2e-3, 2e-3]]))
+    assert layer < 1.4e-3
+    whole = regained(after, START_GAP * after, thickness, (thickness - layer) / LAYER_RECOVERY_SPEED + duration)
+    assert whole is not None
+    assert (whole == thickness).all()
+    # Nothing is left to regain, or no contact's cloth has followed.
+    assert regained(whole, START_GAP * whole, thickness, duration) is None
+    assert regained(reduced, 0.5 * reduced, thickness, duration) is None
 
 
 @pytest.mark.parametrize(

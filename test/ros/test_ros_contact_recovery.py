@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from rclpy.parameter import Parameter
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
+from cloth_sim_ros.physics.contact_thickness import RECOVERY_SPEED, START_GAP
 from cloth_sim_ros.ros import main as node_main
 from cloth_sim_ros.scene import parameter_file
 
@@ -43,25 +45,28 @@ def logged(client: Client) -> list[str]:
     return lines
 
 
-def fastest(cloth: ClockedCloth, frames: int) -> float:
-    """Largest speed of a particle in some frames [m/s]."""
-    speeds = []
-    for _ in range(frames):
+def fastest(cloth: ClockedCloth, thickness: float) -> float:
+    """Largest speed of a particle until contacts have regained their thickness, so much at most [m], in m/s."""
+    simulation, speeds = cloth.simulation, []
+    for _ in range(math.ceil(thickness / RECOVERY_SPEED * simulation.scene.rate)):
         cloth.tick()
-        speeds.append(np.linalg.norm(cloth.simulation.velocities, axis=1).max())
+        speeds.append(np.linalg.norm(simulation.velocities, axis=1).max())
+    assert simulation.contact_recovery is None
     return float(max(speeds))
 
 
 def test_start_within_thickness_is_reported_and_calm(client: Client) -> None:
     lines = logged(client)
-    with ClockedCloth(client, lying(0.001)) as cloth:
+    with ClockedCloth(client, lying(0.001, **{"contact.thickness": 0.003})) as cloth:
+        lift = 0.003 - 0.001 / START_GAP
         client.spin_until(lambda: any("closer than" in line for line in lines), what="the warning")
         (line,) = [line for line in lines if "closer than" in line]
         assert line == (
             "the cloth starts closer than contact.thickness to 'table': 42 particles; contact begins thinner there and "
-            "grows to contact.thickness within 0.099 s; move them 1.98 mm apart to avoid it"
+            f"grows to contact.thickness within {lift / RECOVERY_SPEED:.3g} s; move them {1e3 * lift:.3g} mm apart to "
+            "avoid it"
         )
-        assert fastest(cloth, 12) < 0.1
+        assert fastest(cloth, 0.003) < 0.1
 
 
 def test_raised_thickness_is_reported_and_calm(client: Client) -> None:
@@ -70,7 +75,7 @@ def test_raised_thickness_is_reported_and_calm(client: Client) -> None:
         cloth.tick(2)
         result = cloth.node.node.set_parameters_atomically([Parameter("contact.thickness", value=0.01)])
         assert result.successful
-        assert fastest(cloth, 30) < 0.1
+        assert fastest(cloth, 0.01) < 0.1
         client.spin_until(lambda: any("closer than" in line for line in lines), what="the warning")
         assert "the cloth is closer than contact.thickness to 'table': 42 particles" in "\n".join(lines)
 
