@@ -42,7 +42,8 @@ class ContactRecovery:
         count = f"{self.particles} particle{'' if self.particles == 1 else 's'}" if self.particles else "no particle"
         return (
             f"closer than contact.thickness to {whom}: {count}; contact begins thinner there and grows to "
-            f"contact.thickness within {self.duration:.3g} s; move them {1e3 * self.lift:.3g} mm apart to avoid it"
+            f"contact.thickness in {self.duration:.3g} s or as soon as the cloth follows; move them "
+            f"{1e3 * self.lift:.3g} mm apart to avoid it"
         )
 
 
