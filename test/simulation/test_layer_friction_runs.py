@@ -31,6 +31,7 @@ GIVEN = {
     "table.shape": "plane",
     "table.position": [0.0, 0.0, -0.003],
     "table.friction": [0.3],
+    "wind.normal_drag": 0.0,
 }
 
 
