@@ -54,6 +54,8 @@ class MarkerCheck:
         self._known: set[str] = set(self._names)
         self._removed: tuple[str, ...] | None = None
         self._gone: tuple[str, ...] = ()
+        #: Whether the file had markers so far: a node deletes none that it has not sent.
+        self._sent = False
         self._layouts: dict[tuple[str, ...], _Layout] = {}
 
     @property
@@ -83,6 +85,7 @@ class MarkerCheck:
             stamp: ROS time that they must have [ns]; None if it is not known.
             changed: whether this frame has brought or removed obstacles.
         """
+        first, self._sent = not self._sent, True
         if stamp is not None and self._again(simulation, self._gone).is_same(message.data, self._poses, stamp):
             return
         try:
@@ -95,7 +98,7 @@ class MarkerCheck:
                 self._findings.difference("marker message", "the markers of obstacles: there is none")
             return
         told = tuple(dict.fromkeys(one.ns.removeprefix(f"{self._node}/") for one in recorded if one.action == _DELETE))
-        wrong = self._wrong_gone(told, changed)
+        wrong = self._wrong_gone(told, changed and not (first and not told))
         if wrong:
             self._findings.difference("marker message", f"the markers of obstacles, by {wrong}")
             return

@@ -97,6 +97,12 @@ def test_random_sessions_with_contact_run_again_to_the_last_bit_by_any_number_of
         assert verdict.frames
 
 
+def test_obstacles_changed_before_the_first_markers_verify(tmp_path: Path) -> None:
+    # A session whose first frame removes an obstacle: no marker of it was sent, and none is deleted.
+    verdict = verify(make_random_session(tmp_path, 26, frames=30, contact=True))
+    assert verdict.same, verdict.first_reason
+
+
 @pytest.mark.parametrize("bit", [0, 22, 31])
 def test_one_flipped_bit_in_a_cloud_is_found(tmp_path: Path, bit: int) -> None:
     # The last point's last coordinate, from its lowest bit to its sign.
