@@ -314,12 +314,17 @@ class Simulation(ExclusiveAccess):
 
     def _held(self, gripper: str) -> NDArray[np.int64]:
         """Particles that a gripper holds, or that touch its pads."""
+        if self.plan.contact is not None:
+            # Poses of the state: a path's end rounds otherwise, and a run from a saved state has none.
+            self._stand_obstacles()
         if self.pinching is not None and gripper in self.pinching.names:
             return touching_particles(self.plan, self.state, self.time, pad_rows(self.plan, gripper).tolist()[:-1])
         return self.grippers.held(self.grippers.names.index(gripper))
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
+        if self.plan.contact is not None:
+            self._stand_obstacles()  # see `_held`
         relieved = relieved_particles(self.plan, self.state, self.time, before, scene)
         observing = all(entry.observes for entry in scene.entries if entry.name in values)
         # A motion beyond the fixed step already is none of the parameters' doing.
