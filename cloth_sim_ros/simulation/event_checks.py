@@ -158,6 +158,20 @@ def check_added(scene: Scene, wanted: Scene, state: State) -> None:
             _check_start(there, kept, state, "the cloth, once it is let go," if let_go else "the cloth")
         elif wanted.contact.self_:
             _check_faces(there, [], np.empty((0, 7)), state, "the cloth")
+        _check_present_pads(there, state)
+
+
+def _check_present_pads(scene: Scene, state: State) -> None:
+    """Refuse a scene in which pads that are anywhere would be too near to the cloth, or come through it."""
+    if not scene.pinching or "gripper.pose" not in state.memory:
+        return
+    from cloth_sim_ros.simulation.grippers import Grippers
+    from cloth_sim_ros.simulation.pinching import Pinching
+
+    own = state.share()
+    pinching = Pinching(tuple(pads_of(scene, 1.0)), Grippers(scene.gripper_names, own), own)
+    if shown := pinching.shown():
+        _check_faces(scene, [pinching.boxes[k] for k in shown], pinching.poses()[shown], state, "the cloth")
 
 
 def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) -> None:

@@ -308,6 +308,32 @@ def test_states_amid_a_recovery_go_through_bytes() -> None:
         assert other.state.digest() == cloth.state.digest()
 
 
+@pytest.mark.parametrize("seed", [2, 3, 5])
+def test_release_on_a_moving_table_restarts_to_the_bit(seed: int) -> None:
+    # A path's end is a rounding off the pose that a saved state has.
+    random = np.random.default_rng(seed)
+    cloth = lying(grippers=["gripper"], **{"gripper.radius": 0.03, "gripper.stiffness": 1e4})
+    held, table = cloth.positions[-1], np.array([0.0, 0.0, -0.05])
+    cloth.advance([Target("gripper", tuple(held)), Grasp("gripper", True)])
+    for _ in range(12):
+        held = held - [0.0, 0.0, 1.5e-3]
+        table = table + random.normal(size=3) * [1e-3, 1e-3, 2e-4]
+        turn = random.normal(size=4) * [1e-3, 1e-3, 1e-2, 0.0] + [0.0, 0.0, 0.0, 1.0]
+        cloth.advance([Target("gripper", tuple(held)), Move("table", tuple(table), tuple(turn))])
+    again = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
+    for each in (cloth, again):
+        each.advance([Grasp("gripper", False)])
+    assert KEY in cloth.state.memory
+    assert again.state.digest() == cloth.state.digest()
+
+
+def test_thickness_that_reaches_pads_is_refused_in_check() -> None:
+    cloth = Simulation(Scene.from_parameters({**PINCH, "contact.thickness": 1e-4, "gravity": [0.0, 0.0, 0.0]}))
+    cloth.advance([Target("gripper", (0.15, 0.01 - 2e-4, 0.0))])
+    with pytest.raises(EventError, match=r"the cloth is .* m from obstacle 'gripper.right_pad'.* 0.02 of"):
+        cloth.check(SetParameters({"contact.thickness": 0.02}))
+
+
 def _narrow(reduced: Array) -> Array:
     return reduced[:, 1:]
 
