@@ -5,13 +5,10 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.instruction_sets import check_digest
 
 from cloth_sim_ros.engine.instruction_set import libraries
 from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
@@ -25,7 +22,6 @@ from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.sheets.surface import grid_hinges
 
-ROOT = Path(__file__).resolve().parents[2]
 SPACING = 0.05
 KINDS = ("altitude", "crossed")
 SHAPES = [(8, 9), (19, 16), (33, 37)]
@@ -160,16 +156,4 @@ def digest() -> str:
 
 @pytest.mark.parametrize("name", libraries())
 def test_no_bit_depends_on_the_instruction_set(name):
-    if not (ROOT / "cloth_sim_ros" / "engine" / f"_{name}.so").exists():
-        pytest.skip(f"{name}: not built")
-    done = subprocess.run(
-        [sys.executable, "-c", "import test_grid_bends; print(test_grid_bends.digest())"],
-        env={
-            **os.environ,
-            "CLOTH_SIM_ROS_ENGINE": name,
-            "PYTHONPATH": os.pathsep.join([str(ROOT), str(Path(__file__).parent)]),
-        },
-        capture_output=True,
-        text=True,
-    )
-    assert done.stdout.strip() == digest(), done.stderr
+    check_digest(__file__, name, digest())
