@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
-from cloth_sim_ros.physics.contact_thickness import LEAST_GAP
+from cloth_sim_ros.physics.contact_thickness import MIN_GAP
 from cloth_sim_ros.physics.forces.contact import OwnSurface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import nearest_points
@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.powers import in_rows
 
 #: A cloth may start as near to itself as this share of the thickness.
-NEAREST = LEAST_GAP
+NEAREST = MIN_GAP
 #: Particles, the stiffest of contact, of which the one nearest to a triangle is told.
 _LOOKED_AT = 16
 _REMEDY = "start from another state, or set contact.self to false"

@@ -20,11 +20,11 @@ REST_GAP = 0.96
 START_GAP = 0.98
 #: Push on a mass [m/s^2] from which on a contact does not regain more: the cloth has to follow first. The lowest of
 #: twenty layers bears as much.
-MOST_PUSH = 200.0
+MAX_PUSH = 200.0
 #: U of the law [m/s], see engine/contact_law.hpp.
 _SPEED = 35.0
 #: Least gap over thickness that a start or a parameter may leave.
-LEAST_GAP = 0.02
+MIN_GAP = 0.02
 
 
 def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
@@ -51,7 +51,7 @@ def regained(reduced: Array, gaps: Array, thickness: float, duration: float) -> 
     s = np.clip(gaps / reduced, 1e-3, 1.0)
     steep = (1.0 - s) * (1.0 - s) * (1.0 - s) * (1.0 + 3.0 * s) / (s * s)
     push = (0.5 * _SPEED * _SPEED / (thickness * thickness)) * reduced * steep
-    followed = (push <= MOST_PUSH) & (reduced < thickness)
+    followed = (push <= MAX_PUSH) & (reduced < thickness)
     if not followed.any():
         return None
     return np.where(followed, np.minimum(reduced + duration * _speeds(reduced), thickness), reduced)
@@ -85,7 +85,7 @@ def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:
     Raises:
         ValueError: naming the obstacle, the gap, the limit and the remedy; the end of a sentence about the cloth.
     """
-    least = LEAST_GAP * thickness
+    least = MIN_GAP * thickness
     for name, row in zip((*names, ""), gaps, strict=True):
         gap = float(row.min())
         if gap >= least:
@@ -95,6 +95,6 @@ def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:
         particles = f" at particle {int(np.argmin(row[:-1]))}" if count else ""
         particles += f" and {count - 1} more" if count > 1 else ""
         raise ValueError(
-            f"is {gap:.3g} m from {where}{particles}; it must be {least:.3g} m at least, {LEAST_GAP:g} of "
+            f"is {gap:.3g} m from {where}{particles}; it must be {least:.3g} m at least, {MIN_GAP:g} of "
             f"contact.thickness: move them {thickness - gap:.3g} m apart"
         )

@@ -16,7 +16,7 @@ from support.feature_scenes import SMALL, TIME, facing
 
 from cloth_sim_ros.physics.contact_thickness import (
     LAYER_RECOVERY_SPEED,
-    MOST_PUSH,
+    MAX_PUSH,
     RECOVERY_SPEED,
     START_GAP,
     check_gaps,
@@ -163,7 +163,7 @@ def test_contacts_grow_up_to_the_most_push() -> None:
     after = regained(reduced, gaps, thickness, 1e-3)
     assert after is not None
     grows, below = (after > reduced)[0, :-1], reduced[0, :-1] < thickness
-    assert np.array_equal(grows, below & (push <= MOST_PUSH))
+    assert np.array_equal(grows, below & (push <= MAX_PUSH))
     assert min(grows.sum(), (below & ~grows).sum()) > 5
 
 
