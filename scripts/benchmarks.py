@@ -22,7 +22,7 @@ PICTURES = ROOT / "docs" / "images"
 #: What is run for each section, in the order of the page.
 SECTIONS = {
     "conditioning": "conditioning",
-    "tolerance": "tolerance --energy --against bd9f05d",
+    "tolerance": "tolerance --energy",
     "work-precision-16": "work-precision --scene curtain16 --slow",
     "work-precision-32": "work-precision --scene curtain32 --slow --limit 30",
     "constants": "constants",
@@ -34,7 +34,6 @@ SECTIONS = {
     "contact": "contact",
     "speed": "speed",
     "skip": "skip",
-    "engine": "engine",
     "adds": "adds",
     "scale": "scale",
     "peers": "peers",

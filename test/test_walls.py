@@ -181,9 +181,7 @@ def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
 def test_rooms_do_not_import_through_the_users_door() -> None:
     # `from cloth_sim_ros import Simulation` loads a name from whichever room has it, which the tests above don't see.
     public = {f"cloth_sim_ros.{name}" for name in [*cloth_sim_ros.__all__, "_PLACES"]}
-    # engine_jobs.py also measures older versions of the package, so it uses the public names, which stay the same.
-    measured = PACKAGE / "bench" / "engine_jobs.py"
-    paths = [path for path in PACKAGE.rglob("*.py") if path not in (PACKAGE / "__init__.py", measured)]
+    paths = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
     found = {str(path.relative_to(PACKAGE)): imports_of(path) & public for path in paths}
     assert not {name: names for name, names in found.items() if names}
 

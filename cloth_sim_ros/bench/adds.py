@@ -20,7 +20,9 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.bench import engine_jobs, garment
+from cloth_sim_ros.bench import garment
+from cloth_sim_ros.bench.problems import PERIOD
+from cloth_sim_ros.bench.promise_meshes import shuffled_mesh
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.bench.speed_turns import Turns, take_turns
 from cloth_sim_ros.physics.forces.force import Array, Force
@@ -31,6 +33,21 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
+#: The scene of config/cloth_sim.yaml, without air across the sheet.
+DEFAULT_CLOTH: dict[str, Any] = {
+    "rate": 60.0,
+    "cloth.size": [1.0, 1.0],
+    "cloth.resolution": [30, 30],
+    "cloth.position": [0.0, 0.0, 1.0],
+    "cloth.anchors": ["top"],
+    "material.density": 0.2,
+    "material.stretch_modulus": 1000.0,
+    "material.shear_modulus": 100.0,
+    "material.damping": 0.1,
+    "wind.normal_drag": 0.0,
+    "grippers": ["gripper"],
+    "gripper.radius": 0.05,
+}
 #: AB - base is at most so many times the sum, and this share of base.
 TIMES, SHARE = 1.1, 0.02
 SHEETS = ("grid", "mesh")
@@ -142,8 +159,8 @@ def measured(sheet: str, options: argparse.Namespace) -> Cost:
     wanted = [frozenset[str](), *(frozenset([name]) for name in options.features)]
     wanted += [frozenset(pair) for pair in pairs(tuple(options.features))]
     limit = min(_limit(scene(sheet, options.resolution, names)) for names in wanted)
-    steps = math.ceil(engine_jobs.PERIOD / (_STEP_SHARE * limit))
-    step = engine_jobs.PERIOD / steps
+    steps = math.ceil(PERIOD / (_STEP_SHARE * limit))
+    step = PERIOD / steps
     _say(f"{sheet}: {len(wanted)} cloths, {steps} steps a frame")
     turns = take_turns(
         {str(k): turn(scene(sheet, options.resolution, names, step=step)) for k, names in enumerate(wanted)},
@@ -164,12 +181,12 @@ def _to_base(turns: Turns, number: int) -> float:
 
 def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float = 0.0) -> Scene:
     """The default cloth, as a grid or as an irregular mesh, without bending and gripper, with features added."""
-    values: dict[str, Any] = {**engine_jobs.DEFAULT_CLOTH, "integrator": "leapfrog", "step": step, "grippers": [""]}
+    values: dict[str, Any] = {**DEFAULT_CLOTH, "integrator": "leapfrog", "step": step, "grippers": [""]}
     files: dict[str, bytes] = {}
     if sheet == "grid":
         values["cloth.resolution"] = [resolution, resolution]
     else:
-        rest, triangles = engine_jobs.shuffled_mesh(resolution**2)
+        rest, triangles = shuffled_mesh(resolution**2)
         files["mesh.obj"] = garment.as_obj(rest - [0.5, 0.5, 0.0], triangles)
         edge = np.flatnonzero(rest[:, 1] == rest[:, 1].max())
         values |= {"cloth.mesh": "mesh.obj", "cloth.anchors": [str(particle) for particle in edge.tolist()]}
@@ -195,7 +212,7 @@ def turn(wanted: Scene) -> Callable[[], None]:
     def events(frame: int) -> list[Event]:
         if not wanted.gripper_names:
             return []
-        t = (frame + 1) * engine_jobs.PERIOD
+        t = (frame + 1) * PERIOD
         half = 0.5 * _TURN * t
         return [
             Target("gripper", corner + np.array([0.0, _SPEED * t, 0.0]), (0.0, 0.0, math.sin(half), math.cos(half)))

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.bench import engine_jobs, garment
+from cloth_sim_ros.bench import garment
 from cloth_sim_ros.bench.contact_scenes import FRAME, SHEET, THICKNESS
+from cloth_sim_ros.bench.promise_meshes import shuffled_mesh
 from cloth_sim_ros.bench.report import Report, Table
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.contact import Contact
@@ -120,7 +121,7 @@ def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:
     }
     if kind == "grid":
         return {**values, "cloth.resolution": [2 * columns - 1, columns]}, {}
-    rest, triangles = engine_jobs.shuffled_mesh(2 * columns * columns)
+    rest, triangles = shuffled_mesh(2 * columns * columns)
     del values["cloth.size"]
     values |= {"cloth.mesh": "mesh.obj", "bending.model": "opposite"}
     return values, {"mesh.obj": garment.as_obj(rest * [WIDTH, HEIGHT, 1.0], triangles)}

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cloth_sim_ros.bench import engine_jobs, garment
+from cloth_sim_ros.bench import garment
+from cloth_sim_ros.bench.promise_meshes import shuffled_mesh
 from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
@@ -38,7 +39,7 @@ def sheet(kind: str, count: int) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Parameters and files of a sheet of count x count particles, as a grid or as an irregular mesh."""
     if kind == "grid":
         return {**SHEET, "cloth.resolution": [count, count]}, {}
-    rest, triangles = engine_jobs.shuffled_mesh(count * count)
+    rest, triangles = shuffled_mesh(count * count)
     values = {name: value for name, value in SHEET.items() if name != "cloth.size"}
     values |= {"cloth.mesh": "mesh.obj", "bending.model": "opposite"}
     return values, {"mesh.obj": garment.as_obj(0.3 * (rest - [0.5, 0.5, 0.0]), triangles)}

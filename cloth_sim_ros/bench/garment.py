@@ -1,9 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A T-shirt's outline as an irregular mesh, and two grippers at its shoulders that swing it.
-
-Loaded by the worker of an older tree too, so it needs nothing of this package.
-"""
+"""A T-shirt's outline as an irregular mesh, and two grippers at its shoulders that swing it."""
 
 from __future__ import annotations
 

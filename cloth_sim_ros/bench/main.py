@@ -29,7 +29,6 @@ COMMANDS = {
     "peers": ("peers", "other engines on the same sheet, installed on demand into an environment of their own"),
     "peers-contact": ("peers_contact", "other engines where cloth touches: a drape, a fold, a pinch; depth and creep"),
     "scale": ("scale", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
-    "engine": ("engine", "this tree against an older commit of itself, in turns, in one run"),
     "adds": ("adds", "whether features cost together what they cost one by one, for every pair of them"),
     "mesh-moduli": ("mesh_moduli", "moduli of sheets on irregular triangles: the distribution over random meshes"),
     "batch": ("batch", "many cloths in one process: real-time factor, threads, memory, rollouts, a soak"),

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 
@@ -18,6 +18,20 @@ def drawn_alike(numbers: ArrayLike) -> Array:
     machine to machine, and a scene of a seed is to be the same on all of them.
     """
     return np.asarray(np.round(np.asarray(numbers, dtype=np.float64), 9))
+
+
+def shuffled_mesh(particles: int) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (n, 3) [m] in random order and triangles (m, 3) of an irregular square sheet of 1 m."""
+    from scipy.spatial import Delaunay
+
+    random = np.random.default_rng(5)
+    edge = max(round(particles**0.5), 2)
+    plane = np.stack(np.meshgrid(np.arange(edge), np.arange(edge)), axis=-1).reshape(-1, 2) / (edge - 1.0)
+    inner = ((plane > 0.0) & (plane < 1.0)).all(axis=1)
+    plane[inner] += random.uniform(-0.3, 0.3, (int(inner.sum()), 2)) / edge
+    plane = plane[random.permutation(len(plane))]
+    rest = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
+    return rest, Delaunay(plane).simplices.astype(np.int64)
 
 
 def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 import attrs
 import numpy as np
 
+from cloth_sim_ros.bench.promise_meshes import shuffled_mesh
 from cloth_sim_ros.bench.speed_turns import take_turns
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
@@ -78,16 +79,8 @@ def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
 
 def shuffled_sheet(particles: int) -> MeshSheet:
     """A square sheet of irregular triangles whose vertices come in random order."""
-    from scipy.spatial import Delaunay
-
-    random = np.random.default_rng(5)
-    side = max(round(particles**0.5), 2)
-    plane = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) / (side - 1.0)
-    inner = ((plane > 0.0) & (plane < 1.0)).all(axis=1)
-    plane[inner] += random.uniform(-0.3, 0.3, (int(inner.sum()), 2)) / side
-    plane = plane[random.permutation(len(plane))]
-    rest = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
-    return MeshSheet(rest=rest, surface=Surface.from_triangles(Delaunay(plane).simplices.astype(np.int64)))
+    rest, triangles = shuffled_mesh(particles)
+    return MeshSheet(rest=rest, surface=Surface.from_triangles(triangles))
 
 
 class _Swirl(Force):

@@ -11,7 +11,6 @@ from collections import Counter
 import attrs
 import numpy as np
 
-from cloth_sim_ros.bench import equal_error
 from cloth_sim_ros.bench.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 from cloth_sim_ros.bench.reference import Reference, reference
 from cloth_sim_ros.bench.report import Plot, Report, Table
@@ -33,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerances", nargs="+", type=float, default=list(TOLERANCES), metavar="METRES")
     parser.add_argument("--integrator", choices=INTEGRATORS, default="auto")
     parser.add_argument("--energy", action="store_true", help="close the energy balance of each run too (slower)")
-    parser.add_argument("--against", metavar="COMMIT", help="compare evaluations at equal error with an older commit")
 
 
 @attrs.frozen
@@ -115,10 +113,5 @@ def run(options: argparse.Namespace) -> Report:
             asked, got = np.log(accurate).T
             slope = float(np.polyfit(asked, got, 1)[0])
             slopes.rows.append([name, len(accurate), slope])
-    if options.against:
-        older = equal_error.of_older_tree(options.against, options.scenes, options.tolerances)
-        against, missed = equal_error.compared(equal_error.runs_by_scene(table), older, options.against)
-        report.tables.append(against)
-        report.failures += missed
     report.plots.append(Plot("Achieved error over tolerance", "tolerance [m]", "largest position error [m]", lines))
     return report
