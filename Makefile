@@ -7,7 +7,7 @@
 # Both make the environment when it is missing, and start at once when it is there.
 #
 # For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), docs-check, engine,
-# sanitize, bits, format, soak, bench, benchmarks, screenshots, colcon, clean; CONTRIBUTING.md explains each.
+# sanitize, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, clean; CONTRIBUTING.md explains each.
 # Variables: PYTHON (which Python), VENV (where the environment is), CXX (which compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
@@ -42,7 +42,7 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run docs docs-check engine engines sanitize bits test check format soak bench benchmarks screenshots colcon clean
+.PHONY: help run docs docs-check engine engines sanitize bits test check format soak bench validate benchmarks screenshots colcon clean
 .DEFAULT_GOAL := help
 
 help:
@@ -103,12 +103,16 @@ soak: $(DEV) engines
 	@$(BIN)/python test/soak_sleep.py --seconds 60
 	@$(BIN)/python test/soak_studies.py --runs 1000 --kills 50
 
+# Without ARGS the names of the benchmarks (benchmarks/) and of the commands that validate the physics (validation/).
 bench: $(DEV) engine
-	@$(BIN)/cloth_bench $(ARGS)
+	@$(BIN)/python -m benchmarks $(ARGS)
 
-# docs/benchmarks.md anew: an hour or two; ARGS names sections, as in make benchmarks ARGS="speed skip".
+validate: $(DEV) engine
+	@$(BIN)/python -m validation $(ARGS)
+
+# docs/benchmarks.md anew: an hour or two; ARGS names sections, as in make benchmarks ARGS="speed feature-cost".
 benchmarks: $(DEV) engine
-	@$(BIN)/python scripts/benchmarks.py $(ARGS)
+	@$(BIN)/python scripts/benchmarks_page.py $(ARGS)
 
 # The pictures of the README and docs, anew, from real sessions.
 screenshots: $(DEV) engine

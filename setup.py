@@ -85,6 +85,7 @@ EXTRAS = {
         "av>=14.0",
         "matplotlib>=3.8",
     ],
+    # For `make bench` and `make validate` in a clone.
     "bench": ["matplotlib>=3.8", "scikit-sundae>=1.1", "threadpoolctl>=3.1", "psutil>=5.9"],
     # The site, built as rosdoc2 builds it.
     "docs": ["sphinx>=7.2", "myst-parser>=2.0", "sphinx-rtd-theme>=2.0"],
@@ -132,9 +133,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # What lies beside the code and is not Python: the engine's sources, and the C kernel that `cloth_bench speed`
-    # compares with.
-    package_data={"": ["*.c", *engine.PATTERNS]},
+    # What lies beside the code and is not Python: the engine's sources.
+    package_data={"": engine.PATTERNS},
     ext_modules=extensions(),
     cmdclass={"build_ext": BuildEngine},
     data_files=[
@@ -155,7 +155,7 @@ setup(
             "cloth_batch = cloth_sim_ros.batch.command:main",
             "cloth_session = cloth_sim_ros.session.command:main",
             "cloth_fit = cloth_sim_ros.batch.fit_command:main",
-            "cloth_bench = cloth_sim_ros.bench.command:main",
+            "cloth_bench = cloth_sim_ros.session.moved_bench:main",
         ],
     },
 )

@@ -23,7 +23,7 @@ DOCS = ROOT / "docs"
 WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if path.parent != DOCS / "generated"]
 FILES = [
     str(path.relative_to(ROOT))
-    for folder in ("cloth_sim_ros", "docs", "examples", "launch", "scripts", "test")
+    for folder in ("benchmarks", "cloth_sim_ros", "docs", "examples", "launch", "scripts", "test", "validation")
     for path in (ROOT / folder).rglob("*.*")
 ]
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")

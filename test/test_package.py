@@ -23,7 +23,7 @@ import cloth_sim_ros
 
 ROOT = Path(__file__).resolve().parent.parent
 HEADER = "# Copyright 2026 the cloth_sim_ros authors\n# SPDX-License-Identifier: Apache-2.0\n"
-FOLDERS = ("cloth_sim_ros", "docs", "examples", "launch", "scripts", "test")
+FOLDERS = ("benchmarks", "cloth_sim_ros", "docs", "examples", "launch", "scripts", "test", "validation")
 SOURCES = [
     ROOT / "setup.py",
     *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py") if "__pycache__" not in path.parts),

@@ -38,7 +38,7 @@ LATE = {
     *VIEWER,
 }
 FILES = {"mcap", "rosbags", "yaml"}
-ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "batch", "ros", "replay", "bench")
+ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "batch", "ros", "replay")
 
 # Each room: the rooms it may load, and the libraries that must not come with it.
 WALLS: dict[str, tuple[set[str], set[str]]] = {
@@ -52,13 +52,16 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
     # Environments inherit from gymnasium's classes; their names in `batch` are imported when they are first used.
     "batch": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE - {"gymnasium"}),
-    # Problems that scipy solves for comparison import it at the top; the command imports a problem when asked for it.
-    # The promise where cloth touches is judged by the certificate's own integrator.
-    "bench": (
-        {"engine", "physics", "scene", "simulation", "session", "batch", "verify"},
-        ROS | LATE - {"scipy.sparse", "scipy.optimize"},
-    ),
     "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
+}
+
+
+# Folders at the top of the repository that measure the package and are not installed: the rooms of the package, and the
+# folders beside it, that each may import.
+_MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
+BESIDE: dict[str, tuple[set[str], set[str]]] = {
+    "validation": (_MEASURED, {"support"}),
+    "benchmarks": (_MEASURED | {"batch", "ros"}, {"support", "validation"}),
 }
 
 
@@ -124,7 +127,7 @@ def test_of_rclpy_only_what_is_public_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["session.main", "replay.main", "verify.main", "batch.main", "bench.main", "ros.gripper_main"]
+    "command", ["session.main", "replay.main", "verify.main", "batch.main", "session.moved_bench", "ros.gripper_main"]
 )
 def test_a_command_answers_before_it_loads_what_is_heavy(command: str) -> None:
     skip_without(command.split(".")[0])
@@ -159,6 +162,25 @@ def imports_of(path: Path) -> set[str]:
             assert node.level == 0, "imports name their module in full"
             imported |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
     return imported
+
+
+@pytest.mark.parametrize("folder", BESIDE)
+def test_measuring_folders_import_only_what_they_may(folder: str) -> None:
+    rooms, others = BESIDE[folder]
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        imported = imports_of(path)
+        tops = {name.split(".")[0] for name in imported}
+        assert tops & {*BESIDE, "support"} - {folder} <= others, path
+        assert {room for room in ROOMS if f"cloth_sim_ros.{room}" in imported} <= rooms, path
+        if path.parent.name != "ros":
+            assert not tops & ROS, f"{path}: ROS is measured in benchmarks/ros alone"
+
+
+@pytest.mark.parametrize("folder", BESIDE)
+def test_measuring_folders_answer_before_they_load_what_is_heavy(folder: str) -> None:
+    if not (ROOT / folder).is_dir():
+        pytest.skip(f"there is no {folder}")
+    assert not loaded_by([f"{folder}.__main__"]) & (ROS | LATE | {"numpy", "scipy"})
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every tuned number of step control, choice of integrator, cost model and sleep.
 
-What half and double of each does to error and work is measured by `cloth_bench constants`. Coefficients of methods,
-those of Newton's iteration among them, are not tuned and stand with their method; so do roundings, which the arithmetic
-sets, and halving and doubling.
+`make validate ARGS=constants` measures the effect of half and double of each on error and work. Coefficients of
+methods, those of Newton's iteration among them, are not tuned and stand with their method; so do roundings, which the
+arithmetic sets, and halving and doubling.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ from __future__ import annotations
 import attrs
 import numpy as np
 import pytest
+from support.reference_kernel import ReferenceKernel, find_compiler
 
-from cloth_sim_ros.bench.reference_kernel import ReferenceKernel, find_compiler
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.garment import obj_file, parameters
 
-from cloth_sim_ros.bench.garment import obj_file, parameters
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.model import Model

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.problems import PERIOD, Problem, curtain, problem
+from support.raw_sheet import RawSheet
+from support.reference import Reference, reference
 
-from cloth_sim_ros.bench.problems import PERIOD, Problem, curtain, problem
-from cloth_sim_ros.bench.raw_sheet import RawSheet
-from cloth_sim_ros.bench.reference import Reference, reference
-from cloth_sim_ros.bench.tolerance_sweep import measure
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, Choice, make_integrator
@@ -27,6 +26,7 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
+from validation.tolerance.sweep import measure
 
 
 @pytest.fixture(scope="module", params=["chain", "mesh"])

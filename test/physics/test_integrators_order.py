@@ -9,9 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from support.raw_sheet import RawSheet
+from support.reference import RightSide
 
-from cloth_sim_ros.bench.raw_sheet import RawSheet
-from cloth_sim_ros.bench.reference import RightSide
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.base import Integrator

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from support.raw_sheet import RawSheet
 
-from cloth_sim_ros.bench.raw_sheet import RawSheet
 from cloth_sim_ros.physics import cores
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial import Delaunay
 from support.alone import alone
 
-from cloth_sim_ros.bench.bending_patterns import triangulation
-from cloth_sim_ros.bench.mesh_moduli import moduli_of
 from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
 from cloth_sim_ros.physics.sheets.surface import Surface, grid_triangles
+from validation.bending.patterns import triangulation
+from validation.moduli.mesh import moduli_of
 
 Y = 1000.0
 

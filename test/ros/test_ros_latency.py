@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
-from cloth_sim_ros.ros import measure_latency
+from benchmarks.ros import latency as measure_latency
 from cloth_sim_ros.ros.commands import Commands
 
 

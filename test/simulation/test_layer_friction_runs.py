@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.self_scenes import folded
 
-from cloth_sim_ros.bench import contact_layers as bench
+from benchmarks.contact import layers as bench
 from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.parameters import ParameterError

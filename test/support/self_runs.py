@@ -12,7 +12,6 @@ import attrs
 import ipctk
 import numpy as np
 
-from cloth_sim_ros.bench.promise_meshes import outline_with_a_hole
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import parameter_file
@@ -22,6 +21,7 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 from cloth_sim_ros.simulation.script_events import ScriptEvents
 from cloth_sim_ros.simulation.simulation import Simulation
+from support.random_meshes import outline_with_a_hole
 from support.self_scenes import folded
 
 THICKNESS = 0.003

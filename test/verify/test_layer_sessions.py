@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from support.garment import as_obj
 from support.self_scenes import folded
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.bench.garment import as_obj
 from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.sheets.grid import grid_triangles
 from cloth_sim_ros.scene.scene import Scene

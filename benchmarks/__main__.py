@@ -1,0 +1,39 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Command line of the benchmarks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from validation.command import run_command
+
+#: Names: the module of each benchmark, and a line about it.
+COMMANDS = {
+    "speed": ("benchmarks.speed.overview", "ns per spring against C, simulated seconds per wall second, two threads"),
+    "cost-additivity": ("benchmarks.speed.cost_additivity", "cost of each pair of features against the sum of both"),
+    "feature-cost": ("benchmarks.speed.feature_cost", "cost of a feature absent, idle and active; counts; start-up"),
+    "scale": ("benchmarks.scale.overview", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
+    "peers": ("benchmarks.peers.throughput", "other engines on the same sheet, in an environment of their own"),
+    "peers-contact": ("benchmarks.peers.contact", "other engines on a drape, a fold and a pinch; depth and creep"),
+    "contact": ("benchmarks.contact.obstacles", "obstacles and friction against theory, and the cost of contact"),
+    "batch": ("benchmarks.batch.throughput", "many cloths in one process: speed, threads, memory, rollouts, a soak"),
+    "studies": ("benchmarks.batch.studies", "cloth_batch beside plain simulations, and Dask's cost per task"),
+    "ros-latency": ("benchmarks.ros.latency", "time from a target to the cloud that shows it"),
+    "ros-live": ("benchmarks.ros.live", "late frames of a live cloth that is carried, swung and released"),
+    "ros-node": ("benchmarks.ros.node", "time that the node adds to a frame; late frames while parameters are set"),
+    "ros-outputs": ("benchmarks.ros.outputs", "cost of a frame with and without subscriber and recorder"),
+    "ros-start": ("benchmarks.ros.start", "time from the start of the node to its first cloud"),
+    "ros-stream": ("benchmarks.ros.stream", "clouds lost or left out between node and subscriber"),
+    "recording": ("benchmarks.ros.recording", "size and work of recording, measured on the clouds of a session"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    return run_command("benchmarks", "Measures cloth_sim_ros.", COMMANDS, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,237 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cloths that `python -m benchmarks batch` steps: environments, two processes of them, rollouts, random steps."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import time
+from multiprocessing.connection import Connection
+from typing import Any, Self
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.batch.futures import rollouts
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: The gripper's circle: radius [m] and angular frequency [rad/s]; a speed of 0.3 m/s.
+RADIUS, FREQUENCY = 0.1, 3.0
+#: Frames before anything is timed, so that what came of the grasp is past.
+WARM = 30
+
+
+def hung(resolution: int, **values: Any) -> Scene:
+    """A square metre hung by its upper edge, as `config/cloth_sim.yaml` has it, at a tolerance of a millimetre."""
+    still = {"tolerance": 1e-3, "wind.normal_drag": 0.0}
+    return Scene.from_parameters({"cloth.resolution": [resolution, resolution], **still, **values})
+
+
+def take_corner(simulation: Simulation) -> None:
+    """Let the gripper hold the last corner."""
+    corner = simulation.positions[-1]
+    simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
+
+
+class Carried:
+    """An environment of cloths whose last corner a gripper carries on a circle, each with a phase of its own.
+
+    Args:
+        count: number of cloths.
+        resolution: particles a side.
+        threads: None takes all cores.
+    """
+
+    def __init__(self, count: int, resolution: int, threads: int | None = None) -> None:
+        from cloth_sim_ros.batch.vector_env import ClothVectorEnv
+
+        self.cloths = ClothVectorEnv(count, scene=hung(resolution), prepare=take_corner, threads=threads)
+        self.period = self.cloths.scene.period
+        self._corner = self.cloths.reset(seed=0)[0][0, -1].astype(np.float64)
+        self._phases = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+        self._frame = 0
+        for _ in range(WARM):
+            self.step()
+
+    def step(self) -> None:
+        """Move all by one frame."""
+        self._frame += 1
+        t = self._frame * self.period
+        # From the corner on to the circle within half a second.
+        angle, size = FREQUENCY * t + self._phases, RADIUS * min(1.0, 2.0 * t)
+        actions = np.ones((len(angle), 1, 4), dtype=np.float32)
+        actions[:, 0, :3] = self._corner
+        actions[:, 0, 0] -= size * (1.0 - np.cos(angle))
+        actions[:, 0, 1] += size * np.sin(angle)
+        self.cloths.step(actions)
+
+    def timed(self) -> tuple[float, float]:
+        """Move all by one frame; return wall time and processor time of all threads [s]."""
+        wall, core = time.perf_counter(), time.process_time()
+        self.step()
+        return time.perf_counter() - wall, time.process_time() - core
+
+    def evaluations(self, frames: int = 20) -> float:
+        """Force evaluations in a frame of the first cloth, on average over some that it would go on for."""
+        simulation = Simulation(self.cloths.scene)
+        simulation.restore(self.cloths.snapshots[0])
+        done = 0
+        for k in range(1, frames + 1):
+            angle = FREQUENCY * (self._frame + k) * self.period
+            way = np.array([RADIUS * (np.cos(angle) - 1.0), RADIUS * np.sin(angle), 0.0])
+            advance = simulation.advance([Target("gripper", self._corner + way)]).advance
+            done += advance.evaluations if advance is not None else 0
+        return done / frames
+
+    def digests(self) -> list[str]:
+        """Of all cloths' states."""
+        return [snapshot.state.digest() for snapshot in self.cloths.snapshots]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cloths.close()
+
+
+class Apart:
+    """Two processes, each with an environment of its own on one thread; a step lets both step once, at a time.
+
+    Args:
+        count: number of cloths of each.
+        resolution: particles a side.
+    """
+
+    def __init__(self, count: int, resolution: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipes: list[Connection] = []
+        self._processes = []
+        for _ in range(2):
+            here, there = context.Pipe()
+            process = context.Process(target=_steps, args=(there, count, resolution), daemon=True)
+            process.start()
+            self._pipes.append(here)
+            self._processes.append(process)
+        for pipe in self._pipes:
+            pipe.recv()
+
+    def step(self) -> None:
+        """Let both step once; return when both have."""
+        for pipe in self._pipes:
+            pipe.send(True)
+        for pipe in self._pipes:
+            pipe.recv()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for pipe, process in zip(self._pipes, self._processes, strict=True):
+            pipe.send(False)
+            process.join()
+
+
+def _steps(pipe: Any, count: int, resolution: int) -> None:
+    with Carried(count, resolution, threads=1) as carried:
+        pipe.send(True)
+        while pipe.recv():
+            carried.step()
+            pipe.send(True)
+
+
+class Futures:
+    """Rollouts of a second of a cloth whose corner a gripper moves.
+
+    Args:
+        count: futures.
+        resolution: particles a side.
+        own: whether the cloth is in contact with itself.
+    """
+
+    def __init__(self, count: int, resolution: int, own: bool) -> None:
+        simulation = Simulation(hung(resolution, **{"contact.self": own}))
+        take_corner(simulation)
+        self.frames = round(simulation.scene.rate)
+        self._snapshot = simulation.snapshot()
+        place = simulation.grippers.poses()[0, :3]
+        t = np.arange(1, self.frames + 1) * simulation.scene.period
+        ways = np.random.default_rng(0).uniform(-0.2, 0.2, (count, 3))
+        self._actions = np.ones((count, self.frames, 1, 4))
+        # A way there, smooth at both ends.
+        self._actions[:, :, 0, :3] = place + ways[:, None] * (t * t * (3.0 - 2.0 * t))[None, :, None]
+
+    def in_threads(self) -> None:
+        """Roll all out, on all cores."""
+        rollouts(self._snapshot, self._actions)
+
+    def in_processes(self) -> None:
+        """The same by a process for each core."""
+        rollouts(self._snapshot, self._actions, processes=len(os.sched_getaffinity(0)))
+
+
+def resident() -> float:
+    """Memory of this process that is there and its own [bytes]."""
+    gc.collect()
+    with open("/proc/self/smaps_rollup", encoding="ascii") as file:
+        return sum(1024.0 * float(line.split()[1]) for line in file if line.startswith("Private_"))
+
+
+def memory(count: int, resolution: int) -> tuple[float, float]:
+    """Return the bytes of a cloth's state, and what each further cloth of an environment takes.
+
+    Args:
+        count: number of cloths.
+        resolution: particles a side.
+    """
+    # In processes of their own: one gives little back to the system, and takes it again for the next cloths.
+    (state, less), (_, more) = (_in_a_process(cloths, resolution) for cloths in (count, 3 * count))
+    return state, (more - less) / (2 * count)
+
+
+def _in_a_process(count: int, resolution: int) -> tuple[float, float]:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(_taken, (count, resolution))
+
+
+def _taken(count: int, resolution: int) -> tuple[float, float]:
+    """Bytes of a cloth's state, and of a process with so many."""
+    with Carried(count, resolution) as some:
+        state = sum(array.nbytes for array in some.cloths.snapshots[0].state.arrays().values())
+        return float(state), resident()
+
+
+@attrs.frozen
+class Soak:
+    """A long run of random steps."""
+
+    steps: int
+    cloths: int
+    episodes: int
+    #: Memory after a quarter of the steps, and at the end [MB].
+    warm: float
+    last: float
+
+
+def soak(steps: int, count: int) -> Soak:
+    """Let cloths of 6 x 6 particles take random steps; episodes are of 50, a quarter of them of another cloth."""
+    from cloth_sim_ros.batch.vector_env import ClothVectorEnv
+
+    def other(random: np.random.Generator, _: Scene) -> dict[str, float] | None:
+        return {"material.density": float(random.uniform(0.1, 0.3))} if random.random() < 0.25 else None
+
+    cloths = ClothVectorEnv(count, scene=hung(6), randomise=other, max_episode_steps=50, frames_per_step=2)
+    cloths.reset(seed=0)
+    cloths.action_space.seed(0)
+    rounds, episodes, warm = -(-steps // count), 0, 0.0
+    for k in range(rounds):
+        *_, truncations, _ = cloths.step(cloths.action_space.sample())
+        episodes += int(truncations.sum())
+        if k == rounds // 4:
+            warm = resident()
+    last = resident()
+    cloths.close()
+    return Soak(rounds * count, count, episodes, warm / 1e6, last / 1e6)

@@ -1,0 +1,160 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a study costs besides its simulations: Dask a task, sessions, clouds; and what a million runs take by it."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from cloth_sim_ros.batch import study_file
+from cloth_sim_ros.batch.cluster import SchedulerAddress, connect, local_scheduler
+from cloth_sim_ros.batch.conduct import Conductor
+from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.batch.forecast import quantity
+from cloth_sim_ros.batch.sampling import sample
+from cloth_sim_ros.batch.study import Study
+from cloth_sim_ros.batch.study_run import Motion
+from validation.report import Report, Table
+
+#: Runs of the sizing on paper, and the length of each [s].
+_MILLION, _LENGTH = 1_000_000, 10.0
+#: Hours in which they shall be done.
+_HOURS = 24.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the subcommand."""
+    parser.add_argument("--resolution", type=int, default=30, help="particles a side (default: %(default)s)")
+    parser.add_argument("--runs", type=int, default=8, help="of each study (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=4.0, help="simulated, of each run (default: %(default)s)")
+    parser.add_argument("--workers", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument(
+        "--tasks", type=int, default=3000, help="empty tasks for Dask's own cost (default: %(default)s)"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure, and size a cluster by it."""
+    study = _study(options)
+    report = Report("Studies", f"python -m benchmarks studies --resolution {options.resolution} --runs {options.runs}")
+    with local_scheduler(options.workers, lambda _text: None) as address:
+        task = _task_cost(address, options.tasks)
+        rows: list[list[Any]] = [["simulations alone, in processes", *_plain(study, options.workers), 0.0]]
+        _through_cloth_batch(address, attrs.evolve(study, runs=options.workers))  # Workers import what they need.
+        for clouds in (False, True):
+            what = f"cloth_batch {'with' if clouds else 'without'} clouds"
+            rows.append([what, *_through_cloth_batch(address, attrs.evolve(study, clouds=clouds))])
+    simulated = options.runs * options.seconds
+    table = Table(
+        "throughput",
+        ["what", "wall s", "core s", "times real time", "a core", "of plain %", "a core %", "kB a simulated second"],
+    )
+    _, plain, plain_work, _ = rows[0]
+    for what, wall, work, size in rows:
+        shares = [simulated / wall, simulated / work, 100.0 * plain / wall, 100.0 * plain_work / work]
+        table.rows.append([what, wall, work, *shares, size / simulated / 1e3])
+    report.tables.append(table)
+    costs = [options.tasks, 1e3 * task[0], 1e3 * task[1]]
+    report.tables.append(Table("Dask", ["tasks", "wall ms a task", "core ms of scheduler and client a task"], [costs]))
+    report.tables.append(_sizing(options, rows, task[1]))
+    report.notes.append(
+        f"a cloth of {options.resolution} x {options.resolution} particles, a corner carried by a gripper all the "
+        f"time, tolerance 1 mm; {options.workers} processes with a thread each. Dask's cost is that of empty tasks "
+        "through one scheduler, client and workers on the same cores: an upper bound. Core seconds are the processes' "
+        "own; on a machine that does other things they tell more than wall seconds, and the sizing is made of them"
+    )
+    return report
+
+
+def _study(options: argparse.Namespace) -> Study:
+    """A corner that is grasped at once and never stands still."""
+    content = {
+        "scene": "cloth_sim.yaml",
+        "parameters": {
+            "cloth.resolution": [options.resolution, options.resolution],
+            "tolerance": 1e-3,
+            "gripper.radius": 0.1,
+        },
+        "scripts": "grasp.yaml",
+        "duration": options.seconds,
+        "runs": options.runs,
+        "vary": {"material.density": {"uniform": [0.18, 0.22]}},
+    }
+    study = study_file.from_dict(content, folder=Path())
+    (script,) = study.scripts
+    # Without the approach: from the grasp on the cloth moves.
+    grasp = script.grasps[0].time
+    begun = [attrs.evolve(w, time=w.time - grasp) for w in script.waypoints if w.time >= grasp]
+    grasps = (attrs.evolve(script.grasps[0], time=0.0),)
+    return attrs.evolve(study, scripts=(attrs.evolve(script, waypoints=tuple(begun), grasps=grasps),))
+
+
+def _task_cost(address: SchedulerAddress, tasks: int) -> tuple[float, float]:
+    """Wall time of an empty task, many at once, and core time of this process, which is scheduler and client [s]."""
+    client = connect(address, wait=30.0)
+    try:
+        client.gather(client.map(abs, range(100), pure=False))
+        begun, worked = time.perf_counter(), time.process_time()
+        client.gather(client.map(abs, range(tasks), pure=False))
+        return (time.perf_counter() - begun) / tasks, (time.process_time() - worked) / tasks
+    finally:
+        client.close()
+
+
+def _plain(study: Study, workers: int) -> tuple[float, float]:
+    """Wall time and core time of the same runs as plain simulations, in processes that share nothing [s]."""
+    samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
+    name = study.factors[0].name
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        # Each process imports and builds once before the clock runs.
+        warm = attrs.evolve(study, duration=0.1)
+        pool.starmap(_simulate, [(warm, run, {name: samples[run][0]}) for run in range(workers)], chunksize=1)
+        begun = time.perf_counter()
+        work = pool.starmap(_simulate, [(study, run, {name: v[0]}) for run, v in enumerate(samples)], chunksize=1)
+        return time.perf_counter() - begun, sum(work)
+
+
+def _simulate(study: Study, run: int, named: dict[str, Any]) -> float:
+    """Run a simulation; its core time [s]."""
+    begun = time.process_time()
+    motion = Motion.of(study, run, named)
+    for _ in range(motion.frames):
+        motion.advance()
+    return time.process_time() - begun
+
+
+def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float, float, float]:
+    """Wall time and core time [s] and bytes of the study's sessions, on a cluster that stands ready."""
+    samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
+    rows: dict[int, dict[str, Any]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        place = StudyFolder(Path(folder) / "study")
+        place.create(study, samples, "")
+        conductor = Conductor(place, study, samples, 10.0, rows.__setitem__)
+        begun = time.perf_counter()
+        conductor.conduct(address, range(study.runs), wait=30.0)
+        wall = time.perf_counter() - begun
+    return wall, sum(row["cpu_time"] for row in rows.values()), float(sum(row["bytes"] for row in rows.values()))
+
+
+def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> Table:
+    """What a million runs take, from what was measured."""
+    table = Table(
+        f"a million runs of {_LENGTH:g} s, on paper",
+        ["clouds", "core hours", f"cores for {_HOURS:g} h", "bytes", "tasks a second then", "scheduler busy %"],
+    )
+    simulated = options.runs * options.seconds
+    for what, _, work, size in rows[1:]:
+        hours = work / simulated * _LENGTH * _MILLION / 3600.0
+        rate = _MILLION / (_HOURS * 3600.0)
+        cloud = "yes" if what.endswith("with clouds") else "no"
+        total = quantity(size / simulated * _LENGTH * _MILLION, "B")
+        table.rows.append([cloud, f"{hours:,.0f}", f"{hours / _HOURS:,.0f}", total, rate, 100.0 * rate * task])
+    return table

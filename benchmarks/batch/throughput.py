@@ -1,0 +1,163 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many cloths in one process: how much faster than real time they are in all, what a second thread brings, what a cloth
+takes of memory, how long rollouts take, and whether a long run of random steps loses any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+
+import attrs
+
+from benchmarks.batch import cloths as batch_cloths
+from benchmarks.timing import take_turns
+from validation.report import Report, Table
+
+#: Simulated seconds of all cloths per wall second, on two cores.
+THROUGHPUT_PROMISE = 32.0
+#: Two threads are so many times as fast as one, or as two processes that share nothing, less the share.
+THREAD_PROMISE, APART_SHARE = 1.9, 0.03
+#: Memory of a cloth, by its state's.
+MEMORY_PROMISE = 4.0
+#: Wall time of the rollouts on two cores [s].
+ROLLOUT_PROMISE = 1.0
+#: Growth of memory over the soak, once it is warm, that counts as none [MB].
+LEAK = 8.0
+PARTS = ("throughput", "threads", "memory", "rollouts", "soak")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parts = ", ".join(PARTS)
+    usual = [part for part in PARTS if part != "soak"]
+    parser.add_argument(
+        "--only", nargs="+", choices=PARTS, default=usual, metavar="PART", help=f"of {parts}; all but soak"
+    )
+    parser.add_argument("--envs", type=int, default=64, metavar="N", help="cloths of an environment")
+    parser.add_argument("--resolution", type=int, default=30, metavar="N", help="particles a side of a cloth")
+    parser.add_argument("--rollouts", type=int, default=64, metavar="K", help="futures that are rolled out")
+    parser.add_argument("--rollout-resolution", type=int, default=20, metavar="N", help="particles a side of theirs")
+    parser.add_argument("--steps", type=int, default=100_000, help="of the soak, over all cloths")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of timing for each table")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure what was asked for."""
+    for name in ("envs", "resolution", "rollouts", "rollout_resolution", "steps"):
+        if getattr(options, name) < 2:
+            raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name)}; it must be at least 2")
+    report = Report("Many cloths", "python -m benchmarks batch")
+    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
+        "throughput": _throughput,
+        "threads": _threads,
+        "memory": _memory,
+        "rollouts": _rollouts,
+        "soak": _soak,
+    }
+    for part in PARTS:
+        if part in options.only:
+            parts[part](options, report)
+    return report
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0))
+
+
+def _throughput(options: argparse.Namespace, report: Report) -> None:
+    columns = [
+        "cloths",
+        "particles",
+        "threads",
+        "x real time",
+        "least",
+        "most",
+        "evaluations a frame",
+        "core ms a frame",
+    ]
+    table = Table("A vector environment, each cloth carried by a gripper on a circle, tolerance 1e-3 m", columns)
+    with batch_cloths.Carried(options.envs, options.resolution) as carried:
+        evaluations = carried.evaluations()
+        factors, milliseconds = list[float](), list[float]()
+        end = time.perf_counter() + options.seconds
+        while len(factors) < 5 or time.perf_counter() < end:
+            wall, core = carried.timed()
+            factors.append(options.envs * carried.period / wall)
+            milliseconds.append(1e3 * core / options.envs)
+    factors.sort()
+    factor = factors[len(factors) // 2]
+    middle = sorted(milliseconds)[len(milliseconds) // 2]
+    row = [options.envs, options.resolution**2, _cores(), factor, factors[0], factors[-1], evaluations, middle]
+    table.rows.append(row)
+    report.tables.append(table)
+    if factor < THROUGHPUT_PROMISE:
+        report.failures.append(f"{factor:.3g} x real time; promised {THROUGHPUT_PROMISE:g} on two cores")
+    report.notes.append("core ms a frame: processor time of all threads, gymnasium's part included")
+
+
+def _threads(options: argparse.Namespace, report: Report) -> None:
+    if _cores() < 2:
+        report.notes.append("one core alone is allowed here: two threads are not timed")
+        return
+    columns = ["cloths", "one thread ms", "two ms", "gain", "two processes"]
+    table = Table("A step of the vector environment on two threads against one", columns)
+    count = options.envs
+    with (
+        batch_cloths.Carried(count, options.resolution, threads=1) as one,
+        batch_cloths.Carried(count, options.resolution, threads=2) as two,
+        batch_cloths.Apart(count, options.resolution) as apart,
+    ):
+        turns = take_turns({"one": one.step, "two": two.step, "apart": apart.step}, seconds=options.seconds)
+        if one.digests() != two.digests():
+            report.failures.append("two threads gave other bits than one")
+    gain = turns.ratio("one", "two")
+    # Two processes step twice as many cloths.
+    most = 2.0 * turns.ratio("one", "apart")
+    table.rows.append([count, 1e3 * turns.median("one"), 1e3 * turns.median("two"), gain, most])
+    report.tables.append(table)
+    report.notes.append("two processes: by how much more two that share nothing get done than one of them alone")
+    if gain < min(THREAD_PROMISE, (1.0 - APART_SHARE) * most):
+        report.failures.append(f"two threads: {gain:.2f} times one; promised {THREAD_PROMISE:g} (apart {most:.2f})")
+
+
+def _memory(options: argparse.Namespace, report: Report) -> None:
+    columns = ["cloths", "particles", "state kB", "a cloth kB", "to its state"]
+    table = Table("Memory that a further cloth of a vector environment takes", columns)
+    state, each = batch_cloths.memory(options.envs, options.resolution)
+    table.rows.append([options.envs, options.resolution**2, state / 1e3, each / 1e3, each / state])
+    report.tables.append(table)
+    if each > MEMORY_PROMISE * state:
+        report.failures.append(f"a cloth takes {each / state:.2f} times its state; promised {MEMORY_PROMISE:g}")
+
+
+def _rollouts(options: argparse.Namespace, report: Report) -> None:
+    columns = ["futures", "frames", "particles", "contact with itself", "by", "wall s", "least", "most"]
+    table = Table("Rollouts of one second, the gripper moving", columns)
+    ways = {}
+    for own in (False, True):
+        futures = batch_cloths.Futures(options.rollouts, options.rollout_resolution, own)
+        futures.in_processes()  # They start, and import what they need.
+        ways[own, "threads"], ways[own, "processes"] = futures.in_threads, futures.in_processes
+    turns = take_turns({f"{own} {by}": way for (own, by), way in ways.items()}, seconds=options.seconds)
+    for own, by in ways:
+        seconds = turns.seconds[f"{own} {by}"]
+        row = [options.rollouts, futures.frames, options.rollout_resolution**2, "yes" if own else "no", by]
+        table.rows.append([*row, turns.median(f"{own} {by}"), min(seconds), max(seconds)])
+    report.tables.append(table)
+    best = min(turns.median("False threads"), turns.median("False processes"))
+    if best > ROLLOUT_PROMISE:
+        report.failures.append(f"rollouts took {best:.2f} s; promised {ROLLOUT_PROMISE:g} on two cores")
+
+
+def _soak(options: argparse.Namespace, report: Report) -> None:
+    columns = ["steps", "cloths", "episodes", "MB when warm", "MB at the end", "growth MB"]
+    table = Table("Random steps, episodes that begin anew, some cloths made anew", columns)
+    done = batch_cloths.soak(options.steps, options.envs)
+    table.rows.append([*attrs.astuple(done), done.last - done.warm])
+    report.tables.append(table)
+    if done.last - done.warm > LEAK:
+        report.failures.append(f"memory grew by {done.last - done.warm:.1f} MB over {done.steps} steps")

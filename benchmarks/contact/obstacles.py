@@ -1,0 +1,327 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Contact with obstacles against theory: slopes, weight, a strip over a drum, impacts, drift, and what it costs; and
+what the cloth's contact with itself costs.
+
+Sheets of 0.3 m of the default material, contact.thickness 2 mm, without air. Nothing sleeps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from support.obstacle_sheets import BORNE, FRAME, SHEET, THICKNESS, Capstan, Motion, downhill, sheet, slope
+
+from benchmarks.contact import self_contact as contact_self
+from benchmarks.contact.layers import layers
+from benchmarks.contact.pinch import pinch
+from benchmarks.contact.recovery import starts
+from benchmarks.timing import take_turns
+from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from validation.report import Report, Table
+
+PARTS = (
+    "slopes",
+    "drift",
+    "weight",
+    "capstan",
+    "impacts",
+    "order",
+    "pinch",
+    "layers",
+    "starts",
+    "cost",
+    "folds",
+    "hanging",
+)
+G = 9.81
+#: Angles off that of friction at which a sheet must stick or slip, and at which its acceleration is measured [degrees].
+NEAR, BEYOND = 0.1, 5.0
+#: A sheet that moves by this much in a second slips [m].
+SLIPPED = 1e-3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to measure (all)")
+    parser.add_argument(
+        "--drift", type=float, default=600.0, metavar="SECONDS", help="that a sheet lies on a slope, and hangs (600)"
+    )
+    parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="that each comparison of costs takes (20)")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure what was asked for."""
+    report = Report("Contact", "python -m benchmarks contact")
+    for part in options.parts:
+        sys.stderr.write(f"benchmarks contact: {part} ...\n")
+        sys.stderr.flush()
+        _MEASURES[part](report, options)
+    return report
+
+
+def _must(report: Report, holds: bool, what: str) -> None:
+    if not holds:
+        report.failures.append(what)
+
+
+def slopes(report: Report, options: argparse.Namespace) -> None:
+    """Sheets a tenth of a degree below and above the angle of friction, and five degrees above it."""
+    table = Table(
+        "Slopes", ["mu_s", "mu_k", "sheet", "below: way um", "anchors moved", "above: way mm", "g off at +5 deg %"]
+    )
+    for mu in (0.1, 0.3, 0.6, 1.0):
+        steep = math.degrees(math.atan(mu))
+        for kind in ("grid", "mesh"):
+            for count in (6, 10, 16, 24):
+                name = f"{kind} {count} x {count}"
+                way, moved = _held(kind, count, steep - NEAR, mu)
+                above = slope(kind, count, steep + NEAR, (mu, mu))
+                start = downhill(above, steep + NEAR)
+                for _ in range(60):
+                    above.advance()
+                slid = downhill(above, steep + NEAR) - start
+                off = _acceleration(kind, count, steep + BEYOND, mu)
+                table.rows.append([mu, 0.8 * mu, name, 1e6 * way, moved, 1e3 * slid, 100.0 * off])
+                _must(report, way < SLIPPED and not moved, f"mu {mu}, {name}: slips below the angle of friction")
+                _must(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
+                _must(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
+    report.tables.append(table)
+    report.notes.append("mu_k is that of the last column; below and above are with mu_s for both.")
+
+
+def _held(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
+    """Way [m] in the second after it has settled, and how many anchors moved by a bit in it."""
+    motion = slope(kind, count, degrees, (mu, mu))
+    for _ in range(60):
+        motion.advance()
+    start, kept = downhill(motion, degrees), motion.state.memory[ANCHORS].copy()
+    for _ in range(60):
+        motion.advance()
+    moved = int((motion.state.memory[ANCHORS] != kept).any(axis=1).sum())
+    return abs(downhill(motion, degrees) - start), moved
+
+
+def _acceleration(kind: str, count: int, degrees: float, mu: float) -> float:
+    """By which part the acceleration of a sliding sheet is off theory."""
+    motion, places = slope(kind, count, degrees, (mu, 0.8 * mu)), []
+    for _ in range(45):
+        motion.advance()
+        places.append(downhill(motion, degrees))
+    angle = math.radians(degrees)
+    expected = G * (math.sin(angle) - 0.8 * mu * math.cos(angle))
+    return (places[-1] - 2.0 * places[-16] + places[-31]) / (15 * FRAME) ** 2 / expected - 1.0
+
+
+def drift(report: Report, options: argparse.Namespace) -> None:
+    """A sheet that lies on a slope a tenth of a degree below the angle of friction."""
+    steep = math.degrees(math.atan(0.5)) - NEAR
+    motion = slope("grid", 8, steep, (0.5, 0.5))
+    for _ in range(60):
+        motion.advance()
+    start, kept = motion.state.x.copy(), motion.state.memory[ANCHORS].copy()
+    for _ in range(round(options.drift / FRAME)):
+        motion.advance()
+    way = float(np.abs(motion.state.x - start).max())
+    slipped = int((motion.state.memory[ANCHORS] != kept).sum())
+    report.tables.append(
+        Table(
+            "Drift",
+            ["seconds", "largest way um", "numbers of anchors that changed"],
+            [[options.drift, 1e6 * way, slipped]],
+        )
+    )
+    _must(report, way < 1e-6 and not slipped, f"a sheet that sticks drifted by {way:.2g} m")
+
+
+def weight(report: Report, options: argparse.Namespace) -> None:
+    """What a table, a ball and a drum bear of a sheet at rest."""
+    table = Table("Weight borne", ["on", "sheet", "off %", "fastest particle m/s"])
+    for name, shape in _SUPPORTS.items():
+        for kind in ("grid", "mesh"):
+            values, files = sheet(kind, 12)
+            values |= {"obstacles": ["it"], "tolerance": 1e-4, "it.friction": [0.8, 0.8], "air.drag": 5.0, **shape}
+            motion = Motion(values, files)
+            for _ in range(480):
+                motion.advance()
+            mass = motion.plan.model.mass
+            # What is still accelerated downward is not borne.
+            up = float(motion.borne()[:, 2].sum()) + mass * G
+            fastest = float(np.abs(motion.state.v).max())
+            off = up / (mass * G)
+            table.rows.append([name, kind, 100.0 * off, fastest])
+            _must(report, abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
+    report.tables.append(table)
+
+
+_SUPPORTS: dict[str, dict[str, Any]] = {
+    "plane": {"it.shape": "plane", "cloth.position": [0.0, 0.0, 0.003], "cloth.orientation": [0.0, 0.0, 0.0, 1.0]},
+    "box, over its edges": {
+        "it.shape": "box",
+        "it.size": [0.15, 0.15, 0.05],
+        "cloth.position": [0.0, 0.0, 0.03],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    },
+    "sphere": {
+        "it.shape": "sphere",
+        "it.size": [0.1],
+        "cloth.position": [0.0, 0.0, 0.105],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    },
+}
+
+
+def capstan(report: Report, options: argparse.Namespace) -> None:
+    """Tensions at the ends of a strip over a drum that turns under it."""
+    table = Table("Capstan", ["mu", "angle deg", "mu theta", "ratio", "exp(mu theta)", "off %"])
+    for mu, degrees in ((0.25, 90.0), (0.5, 90.0), (0.5, 180.0), (0.64, 180.0)):
+        strip = Capstan(mu, math.radians(degrees))
+        # The motion's own steps, by the library.
+        steps = Scene.from_parameters({**SHEET, "tolerance": 1e-4}).build_integrator()
+        state = State(strip.start)
+        pulls = np.zeros(2)
+        for frame in range(150):
+            strip.turn(frame * FRAME)
+            steps.advance(strip.plan, state, frame * FRAME, FRAME)
+            if frame >= 60:
+                pulls += strip.tensions(state.x, state.v)
+        ratio, wanted = float(pulls.max() / pulls.min()), math.exp(mu * math.radians(degrees))
+        off = ratio / wanted - 1.0
+        table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, wanted, 100.0 * off])
+        _must(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
+    report.tables.append(table)
+    report.notes.append("Capstan: means over 1.5 s, from 1 s on; the drum slides at 0.2 m/s under the strip.")
+
+
+def impacts(report: Report, options: argparse.Namespace) -> None:
+    """Sheets that fall flat, and edge on, onto a plane."""
+    table = Table(
+        "Impacts", ["speed m/s", "sheet falls", "deepest gap / thickness", "finest step us", "evaluations", "flagged"]
+    )
+    for speed in (1.0, 5.0, 20.0):
+        for name, orientation in (
+            ("flat", [0.0, 0.0, 0.0, 1.0]),
+            ("edge on", [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]),
+        ):
+            values, _ = sheet("grid", 12)
+            values |= {
+                "cloth.position": [0.0, 0.0, 0.01 + (0.15 if name == "edge on" else 0.0)],
+                "cloth.orientation": orientation,
+                "obstacles": ["floor"],
+                "floor.shape": "plane",
+                "tolerance": 1e-3,
+            }
+            motion = Motion(values)
+            motion.state.v[2] = -speed
+            deepest, finest, evaluations, flagged = math.inf, math.inf, 0, 0
+            for _ in range(30):
+                start = motion.state.x.copy(), motion.state.v.copy()
+                done = motion.advance()
+                # The same frame once more in one run, which tells the least gap that it met.
+                steps = [math.ceil(FRAME / done.step)]
+                (again,), _ = motion.plan.runs(motion.frames * FRAME - FRAME, FRAME, start, steps, touches=True)
+                deepest = min(deepest, again.gap)
+                finest, evaluations = min(finest, done.step), evaluations + done.evaluations
+                flagged += done.flagged
+            table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])
+            _must(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
+    report.tables.append(table)
+    report.notes.append(
+        "Impacts: 30 frames after a start 10 mm above; a frame is flagged where its work limit was reached."
+    )
+
+
+def order(report: Report, options: argparse.Namespace) -> None:
+    """A sheet that slides over a ball, at tolerances, against itself at a tenth of the least, and how a kick grows."""
+    values, _ = sheet("grid", 8)
+    place = [0.04, 0.0, 0.11]
+    values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": place}
+    table = Table(
+        "Sliding over a ball for a third of a second",
+        ["tolerance m", "largest error m", "of the promise", "evaluations"],
+    )
+
+    def end(tolerance: float, kick: float = 0.0) -> tuple[Any, int, int]:
+        motion = Motion({**values, "tolerance": tolerance, "work_limit": 1e3})
+        motion.state.x += kick * np.random.default_rng(1).normal(size=motion.state.x.shape) / math.sqrt(3.0)
+        done = [motion.advance() for _ in range(20)]
+        return motion.state.x, sum(each.evaluations for each in done), sum(each.flagged for each in done)
+
+    best, _, _ = end(1e-6)
+    kicked, _, _ = end(1e-6, 1e-5)
+    growth = max(1.0, float(np.linalg.norm(kicked - best, axis=0).max()) / 1e-5)
+    for tolerance in (1e-3, 1e-4, 1e-5):
+        x, evaluations, flagged = end(tolerance)
+        error = float(np.linalg.norm(x - best, axis=0).max())
+        table.rows.append([tolerance, error, error / (tolerance * growth), evaluations])
+        _must(report, flagged > 0 or error <= tolerance * growth, f"{tolerance:g} m: {error:.2g} m off, unflagged")
+    report.tables.append(table)
+    report.notes.append(f"Sliding: a kick of 10 um grew {growth:.3g} times.")
+
+
+def cost(report: Report, options: argparse.Namespace) -> None:
+    """Frames of a sheet that lies on a table against those of one that floats freely; and an obstacle out of reach."""
+    table = Table("Cost", ["what", "sheet", "against", "times", "at most"])
+    flat = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "tolerance": 1e-3}
+    for count in (30, 64):
+        common = {**SHEET, "cloth.size": [1.0, 1.0], "cloth.resolution": [count, count], **flat}
+        lying = {**common, "cloth.position": [0.0, 0.0, BORNE * THICKNESS], "obstacles": ["it"], "it.shape": "plane"}
+        for name, friction in (("on a table", 0.0), ("on a table with friction", 0.5)):
+            on = Motion({**lying, "it.friction": [friction, friction]})
+            free = Motion({**common, "gravity": [0.0, 0.0, 0.0]})
+            ratio = _compared(on, free, options.seconds)
+            table.rows.append([name, f"{count} x {count}", "floating", ratio, 1.3])
+            _must(report, ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
+        hung = {
+            **common,
+            "cloth.anchors": ["top"],
+            "cloth.orientation": [0.7071067811865476, 0.0, 0.0, 0.7071067811865476],
+        }
+        ball = {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.2], "it.position": [3.0, 0.0, 0.0]}
+        ratio = _compared(Motion({**hung, **ball}), Motion(hung), options.seconds)
+        table.rows.append(["a ball out of reach", f"{count} x {count}", "none", ratio, 1.02])
+        _must(report, ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
+    report.tables.append(table)
+
+
+def _compared(one: Motion, other: Motion, seconds: float) -> float:
+    """How many times as long as the other's frames one's take, in turns, once both have settled."""
+    for motion in (one, other):
+        for _ in range(60):
+            motion.advance()
+
+    def turn(motion: Motion) -> Callable[[], None]:
+        def frames() -> None:
+            # As many frames as it takes to have judged once.
+            for _ in range(80):
+                motion.advance()
+
+        return frames
+
+    turns = take_turns({"one": turn(one), "other": turn(other)}, seconds=seconds, clock=time.process_time)
+    return turns.ratio("one", "other")
+
+
+_MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
+    "slopes": slopes,
+    "drift": drift,
+    "weight": weight,
+    "capstan": capstan,
+    "impacts": impacts,
+    "order": order,
+    "pinch": pinch,
+    "layers": layers,
+    "starts": starts,
+    "cost": cost,
+    "folds": contact_self.folds,
+    "hanging": contact_self.hanging,
+}

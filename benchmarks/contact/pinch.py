@@ -1,0 +1,213 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What two pads hold by friction, against theory: from which force on, how still, and how far it gives when carried.
+
+A sheet of 0.18 x 0.09 m and 0.2 kg/m^2 hangs by its upper part between two pads; thickness 2 mm, tolerance 1e-5 m.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+from support import garment
+from support.obstacle_sheets import FRAME, SHEET, THICKNESS
+from support.random_meshes import shuffled_mesh
+
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.pinch import Pads, inertia
+from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from validation.report import Report, Table
+
+G = 9.81
+HEIGHT, WIDTH = 0.18, 0.09
+#: Height of the part that is between the pads [m].
+BETWEEN = 0.045
+#: Frames after which the sheet bears all of its weight and has come to rest, and frames in which it must then stay.
+SETTLED, WATCHED = 70, 60
+#: Part by which the force may be off at which the sheet begins to hold; excursion in spacings; creep and rest [m].
+OFF, GIVES, CREEPS = 0.01, 0.01, 1e-6
+#: Carried at most at so many [m/s], with so many [m/s^2].
+SPEED, RISE = 1.0, 2.0
+
+
+class Pinched:
+    """A sheet between pads that have closed on it, its weight upon them.
+
+    Args:
+        kind: grid or mesh.
+        columns: particles across; a grid is twice as high.
+        mu: coefficient, at rest and in motion.
+        share: force of a pad over the least that holds, m g / (2 mu).
+    """
+
+    def __init__(self, kind: str, columns: int, mu: float, share: float) -> None:
+        values, files = _sheet(kind, columns)
+        scene = Scene.from_parameters(values, files=files)
+        rest, free = scene.sheet.positions(), scene.model()
+        places = np.stack([rest[:, 0], np.zeros(len(rest)), rest[:, 1]], axis=1)
+        places[:, 0] -= 0.5 * (places[:, 0].min() + places[:, 0].max())
+        places[:, 2] -= places[:, 2].max()
+        mass = float(free.masses.sum())
+        force, speed = share * mass * G / (2.0 * mu), 0.05
+        pads = Pads(
+            gripper="hand",
+            size=(2.0 * WIDTH, 0.01, 2.0 * BETWEEN),
+            friction=(mu, mu),
+            force=force,
+            speed=speed,
+            opening=0.02,
+            inertia=inertia(mass, force, speed),
+        )
+        self.contact = Contact([], thickness=THICKNESS, pads=[pads])
+        kept = [each for each in free.forces if each.name not in ("gravity", "drag")]
+        self._kept = [*kept, self.contact]
+        self.plan = compile(Model(free.masses, self._kept))
+        self.state = State(places)
+        self.state.memory[PINCHED] = np.array([[1.2 * THICKNESS, 0.0]])
+        self._steps, self._frames = make_integrator("auto", tolerance=1e-5), 0
+        self.between = places[:, 2] > -BETWEEN
+        self.spacing = WIDTH / (columns - 1)
+        self.move(np.zeros(3), np.zeros(3), np.zeros(3))
+        self.contact.drive(np.array([[True, True]]))
+        # Its weight comes on it within half a second, through thick air, so that it does not fall into the pads.
+        for k in range(SETTLED):
+            self._uniform(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
+            self.advance()
+        self._uniform(G, 0.2)
+
+    def thicken(self) -> None:
+        """Let the air about it be thick."""
+        self._uniform(G, 5.0)
+
+    def _uniform(self, gravity: float, drag: float) -> None:
+        uniform = [*([Gravity((0.0, 0.0, -gravity))] if gravity else []), Drag(drag)]
+        self.plan.change_uniform([*self._kept, *uniform], uniform)
+
+    def move(self, place: Any, speed: Any, rise: Any) -> None:
+        """Let both pads be at a place [m] now, with a speed [m/s] and an acceleration [m/s^2] for the next frame."""
+        path = np.zeros((2, 26))
+        path[:, 0], path[:, 16] = self._frames * FRAME, 1.0
+        path[:, 1:4], path[:, 4:7], path[:, 7:10] = place, speed, 0.5 * np.asarray(rise)
+        self.contact.move(path)
+
+    def advance(self, frames: int = 1) -> None:
+        """Let frames pass."""
+        for _ in range(frames):
+            self._steps.advance(self.plan, self.state, self._frames * FRAME, FRAME)
+            self._frames += 1
+
+    @property
+    def anchors(self) -> Any:
+        """Friction's."""
+        return self.state.memory[ANCHORS].copy()
+
+
+def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Parameters and files of the sheet, which begins in a plane of constant z."""
+    values = {
+        **SHEET,
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+        "cloth.size": [HEIGHT, WIDTH],
+        "material.density": 0.2,
+    }
+    if kind == "grid":
+        return {**values, "cloth.resolution": [2 * columns - 1, columns]}, {}
+    rest, triangles = shuffled_mesh(2 * columns * columns)
+    del values["cloth.size"]
+    values |= {"cloth.mesh": "mesh.obj", "bending.model": "opposite"}
+    return values, {"mesh.obj": garment.as_obj(rest * [WIDTH, HEIGHT, 1.0], triangles)}
+
+
+def pinch(report: Report, options: argparse.Namespace) -> None:
+    """Sheets just below and above the force that holds them, one that is held long, and carried ones."""
+    _holds(report)
+    _creeps(report, options.drift)
+    _carried(report)
+
+
+def _holds(report: Report) -> None:
+    columns = ["mu", "sheet", "at 0.99: way mm", "at 1.01: way mm", "anchors that moved"]
+    table = Table("A pinch: force over m g / (2 mu) at which a sheet slides and is held", columns)
+    for mu in (0.2, 0.5, 1.0):
+        for kind, count in (("grid", 4), ("grid", 8), ("mesh", 6)):
+            ways, moved = [], 0
+            for share in (1.0 - OFF, 1.0 + OFF):
+                it = Pinched(kind, count, mu, share)
+                start, kept = it.state.x[2].mean(), it.anchors
+                it.advance(WATCHED)
+                ways.append(float(start - it.state.x[2].mean()))
+                moved = int((it.anchors != kept).any(axis=1).sum())
+            name = f"{kind} of {it.state.particle_count}"
+            table.rows.append([mu, name, 1e3 * ways[0], 1e3 * ways[1], moved])
+            if not (ways[0] > 1e-3 and ways[1] < CREEPS and not moved):
+                report.failures.append(f"mu {mu}, {name}: it slides {1e3 * ways[0]:.3g} mm, is held to {ways[1]:.2g} m")
+    report.tables.append(table)
+
+
+def _creeps(report: Report, seconds: float) -> None:
+    it = Pinched("grid", 4, 0.5, 2.0)
+    it.advance(WATCHED)
+    start, kept = it.state.x.copy(), it.anchors
+    it.advance(round(seconds / FRAME))
+    way = float(np.abs(it.state.x - start).max())
+    slipped = int((it.anchors != kept).sum())
+    columns = ["seconds", "largest way um", "numbers of anchors that changed"]
+    report.tables.append(Table("A pinch at twice that force", columns, [[seconds, 1e6 * way, slipped]]))
+    if way >= CREEPS or slipped:
+        report.failures.append(f"a sheet that is pinched crept by {way:.2g} m, {slipped} numbers of anchors changed")
+
+
+def _carried(report: Report) -> None:
+    table = Table(
+        "Carried by a pinch at 1 m/s and 2 m/s^2",
+        [
+            "along",
+            "force over m g / (2 mu)",
+            "sheet",
+            "largest excursion in spacings",
+            "left at rest um",
+            "anchors that slipped",
+        ],
+    )
+    for what, axis, share in (("sideways, in its plane", 0, 4.0), ("across", 1, 2.0), ("up", 2, 2.0)):
+        for kind, count in (("grid", 4), ("grid", 8)):
+            most, left, moved = _carry(Pinched(kind, count, 0.5, share), axis)
+            table.rows.append([what, share, f"{kind} {count}", most, 1e6 * left, moved])
+            if most > GIVES or left > CREEPS:
+                report.failures.append(
+                    f"carried {what}, {kind} {count}: gives by {most:.2g} spacings, {left:.2g} m left"
+                )
+    report.tables.append(table)
+    report.notes.append(
+        "a sheet that is carried sideways in its own plane turns about the pads and loads their ends alone: that takes "
+        "more than twice the force that bears its weight"
+    )
+
+
+def _carry(it: Pinched, axis: int) -> tuple[float, float, int]:
+    """Carry it by a metre and wait; largest excursion in spacings, what is left of it [m], anchors that moved."""
+    it.advance(WATCHED)
+    start, kept = it.state.x[:, it.between], it.anchors
+    along, place, speed, most = np.eye(3)[axis], 0.0, 0.0, 0.0
+    risen = round(0.5 * SPEED / (0.5 * RISE) / FRAME)
+    for k in range(4 * risen):
+        rise = RISE if k < risen else -RISE if 2 * risen <= k < 3 * risen else 0.0
+        it.move(place * along, speed * along, rise * along)
+        it.advance()
+        place, speed = place + speed * FRAME + 0.5 * rise * FRAME**2, speed + rise * FRAME
+        away = np.abs(it.state.x[:, it.between] - place * along[:, None] - start).max()
+        most = max(most, float(away))
+    # Where it hangs, swings die away within minutes in thin air.
+    it.thicken()
+    it.advance(240)
+    away = np.abs(it.state.x[:, it.between] - place * along[:, None] - start).max()
+    return most / it.spacing, float(away), int((it.anchors != kept).any(axis=1).sum())

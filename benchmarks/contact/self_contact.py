@@ -1,0 +1,184 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the cloth's contact with itself costs: the towel that config/fold.yaml folds, and a sheet that hangs."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import attrs
+import numpy as np
+from support.obstacle_sheets import FRAME, SHEET, Motion
+
+from benchmarks.timing import take_turns
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from validation.report import Report, Table
+
+#: The scene of config/fold.yaml but for its resolution, without air across the sheet.
+FOLD: dict[str, Any] = {
+    "cloth.size": [0.4, 0.4],
+    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+    "cloth.anchors": [""],
+    "wind.normal_drag": 0.0,
+    "tolerance": 1e-3,
+    "grippers": ["left", "right"],
+    "gripper.radius": 0.03,
+    "contact.self": True,
+    "obstacles": ["table"],
+    "table.shape": "box",
+    "table.size": [1.2, 0.8, 0.04],
+    "table.position": [0.0, 0.0, -0.02],
+    "table.friction": [0.5, 0.4],
+}
+#: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], each on its side, and the
+#: angle about x [degrees].
+ASIDE = 0.19
+POSES = (
+    (0.0, -0.22, 0.1, 0.0),
+    (0.8, -0.2, 0.006, 0.0),
+    (1.0, -0.2, 0.006, 0.0),
+    (1.8, -0.175, 0.1, -30.0),
+    (2.8, 0.0, 0.2, -90.0),
+    (3.8, 0.175, 0.1, -150.0),
+    (4.6, 0.195, 0.011, -180.0),
+    (4.8, 0.195, 0.011, -180.0),
+    (5.6, 0.23, 0.12, -180.0),
+    (6.5, 0.23, 0.12, -180.0),
+)
+CLOSES, OPENS = 1.0, 4.8
+#: Thickness by resolution [m]: that of config/fold.yaml, and what half a spacing of 64 x 64 allows.
+THICKNESSES = {30: 4e-3, 64: 3e-3}
+#: Resolutions of sheets that hang.
+HUNG = (30, 64)
+#: Frames that the worst second has.
+SECOND = round(1.0 / FRAME)
+
+
+@attrs.frozen
+class Folded:
+    """A fold, frame by frame."""
+
+    #: Processor time [s], force evaluations, and contacts at its end.
+    seconds: list[float]
+    evaluations: list[int]
+    contacts: list[int]
+    particles: int
+
+    @property
+    def worst(self) -> int:
+        """Number of the frame that the second begins with which took longest."""
+        sums = [sum(self.seconds[k : k + SECOND]) for k in range(max(1, len(self.seconds) - SECOND + 1))]
+        return int(np.argmax(sums))
+
+    def speed(self, first: int = 0, frames: int | None = None) -> float:
+        """How many times real time some frames are made at."""
+        part = self.seconds[first:] if frames is None else self.seconds[first : first + frames]
+        return len(part) * FRAME / sum(part)
+
+
+def place(time_: float) -> tuple[float, float, float]:
+    """Where grippers are at a time [s]: y and z [m], angle [degrees]; at rest in each pose, least jerk between."""
+    for (start, *here), (end, *there) in itertools.pairwise(POSES):
+        if time_ < end:
+            u = (time_ - start) / (end - start)
+            s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+            y, z, angle = (a + s * (b - a) for a, b in zip(here, there, strict=True))
+            return y, z, angle
+    return POSES[-1][1:]
+
+
+def turned(angle: float) -> tuple[float, float, float, float]:
+    """Return the quaternion x, y, z, w of a turn about x [degrees]."""
+    half = math.radians(0.5 * angle)
+    return math.sin(half), 0.0, 0.0, math.cos(half)
+
+
+def events(frames: int) -> Iterator[list[Event]]:
+    """What grippers are told before each frame."""
+    closed = False
+    for k in range(1, frames + 1):
+        t = k * FRAME
+        y, z, angle = place(t)
+        told: list[Event] = []
+        for name, x in (("left", -ASIDE), ("right", ASIDE)):
+            told.append(Target(name, (x, y, z), turned(angle)))
+        if closed != (CLOSES <= t < OPENS):
+            closed = not closed
+            told += [Grasp("left", closed), Grasp("right", closed)]
+        yield told
+
+
+def fold(count: int, thickness: float, frames: int) -> Folded:
+    """Fold a towel of count x count particles, for so many frames."""
+    values = {
+        **FOLD,
+        "cloth.resolution": [count, count],
+        "cloth.position": [0.0, 0.0, 0.975 * thickness],
+        "contact.thickness": thickness,
+    }
+    simulation = Simulation(Scene.from_parameters(values))
+    found = Folded([], [], [], simulation.state.x.shape[1])
+    for told in events(frames):
+        start = time.process_time()
+        done = simulation.advance(told)
+        found.seconds.append(time.process_time() - start)
+        found.evaluations.append(0 if done.advance is None else done.advance.evaluations)
+        contact = simulation.plan.contact
+        found.contacts.append(0 if contact is None else contact.own_gaps(simulation.state.x)[0])
+    return found
+
+
+def folds(report: Report, options: argparse.Namespace) -> None:
+    """Folds of two resolutions: what the processor works, and in the second in which it works most."""
+    columns = ["sheet", "thickness mm", "times real time", "in the worst second", "contacts in it a particle"]
+    table = Table("Folding a towel", [*columns, "contacts at the end", "evaluations a frame", "in the worst second's"])
+    frames = max(1, round(options.fold / FRAME))
+    for count, thickness in THICKNESSES.items():
+        done = fold(count, thickness, frames)
+        first = done.worst
+        worst = slice(first, first + SECOND)
+        share = float(np.mean(done.contacts[worst])) / done.particles
+        row = [f"{count} x {count}", 1e3 * thickness, done.speed(), done.speed(first, SECOND), share, done.contacts[-1]]
+        means = [float(np.mean(done.evaluations)), float(np.mean(done.evaluations[worst]))]
+        table.rows.append([*row, *means])
+    report.tables.append(table)
+    report.notes.append("Folding: by processor time of one process; 1 is real time, more is faster.")
+
+
+def hanging(report: Report, options: argparse.Namespace) -> None:
+    """A sheet that hangs still, with contact with itself and without."""
+    table = Table("A sheet that hangs", ["sheet", "with contact.self: times", "at most"])
+    for count in HUNG:
+        values = {
+            **SHEET,
+            "cloth.size": [1.0, 1.0],
+            "cloth.resolution": [count, count],
+            "cloth.anchors": ["top"],
+            "cloth.orientation": [0.7071067811865476, 0.0, 0.0, 0.7071067811865476],
+            "air.drag": 0.5,
+            "tolerance": 1e-3,
+        }
+        motions = {name: Motion({**values, "contact.self": name == "with"}) for name in ("with", "without")}
+        for motion in motions.values():
+            for _ in range(120):
+                motion.advance()
+
+        def turn(motion: Motion) -> None:
+            # As many frames as it takes to have judged once.
+            for _ in range(80):
+                motion.advance()
+
+        candidates = {name: (lambda motion=motion: turn(motion)) for name, motion in motions.items()}
+        turns = take_turns(candidates, seconds=options.seconds, clock=time.process_time)
+        ratio = turns.ratio("with", "without")
+        table.rows.append([f"{count} x {count}", ratio, 1.1])
+        if not ratio <= 1.1:
+            report.failures.append(f"a sheet of {count} x {count} that hangs costs {ratio:.3g} times with contact.self")
+    report.tables.append(table)

@@ -1,0 +1,237 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Other engines on the same scenes with contact: how fast, how deep cloth gets into things, how it creeps."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import attrs
+from support.problems import PERIOD
+
+from benchmarks.peers import contact_measures
+from benchmarks.peers import contact_runs as peer_contact
+from benchmarks.peers import environment as peer_environment
+from benchmarks.peers.contact_runs import ContactPeer, Recording
+from benchmarks.peers.contact_scenes import CONTESTS, DRAG, FRICTION, RADIUS, THICKNESS, TOLERANCE, Contest
+from benchmarks.peers.contact_solvers import CONTACT_PEERS
+from benchmarks.peers.jobs import PeerFailed
+from benchmarks.peers.solvers import REQUIREMENTS
+from benchmarks.speed.curtain import cores
+from validation.report import Report, Table
+
+OURS = "cloth_sim_ros"
+#: Packages with a peer that knows contact.
+PACKAGES = {peer.package: REQUIREMENTS[peer.package] for peer in CONTACT_PEERS}
+#: Time at the end over which the drape's creep is taken [s], and within how many thicknesses a particle is in contact.
+LAST, NEAR = 0.5, 1.5
+#: Time after which the pinched sheet has settled, and least time over which its creep is taken [s].
+SETTLED, WATCHED = 2.0, 0.5
+#: What ours may creep in the pinch [m/s].
+CREEPS = 1e-6
+#: Fewer particles a side leave nothing between the pads.
+_LEAST = 8
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--scenes", nargs="+", choices=CONTESTS, default=[*CONTESTS], help="which to run")
+    parser.add_argument("--peers", nargs="*", choices=PACKAGES, default=[*PACKAGES], help="which engines besides ours")
+    parser.add_argument("--resolution", type=int, default=20, metavar="N", help="particles a side")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, metavar="S", help="wall seconds after which a run ends early"
+    )
+    parser.add_argument(
+        "--environment",
+        type=Path,
+        metavar="FOLDER",
+        default=peer_environment.default_folder(),
+        help="where the peers are installed, from PyPI (%(default)s)",
+    )
+
+
+@attrs.frozen(kw_only=True)
+class Result:
+    """One engine on one scene."""
+
+    scene: str
+    engine: str
+    #: Simulated seconds per wall second, and how much was simulated [s].
+    factor: float
+    simulated: float
+    #: How deep in an obstacle a point of the cloth was at most, on a ball, and a particle [m].
+    depth: float
+    inside: float
+    #: Longest edge over its length at rest.
+    stretch: float
+    #: Frames in which the cloth goes through itself; None where it may.
+    crossed: int | None = None
+    #: [m/s]; nan where it is not known.
+    creep: float = math.nan
+    #: What became of it, where that is not the end of the scene.
+    outcome: str = ""
+
+    def row(self) -> list[Any]:
+        """For the table."""
+        crossed = "-" if self.crossed is None else self.crossed
+        creep = "-" if math.isnan(self.creep) else 1e6 * self.creep
+        start = [self.scene, self.engine, self.factor, 1e3 * self.depth, creep, crossed]
+        return [*start, self.stretch, self.simulated, self.outcome]
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Run what was asked for."""
+    if not options.seconds > 0.0:
+        raise ValueError(f"--seconds is {options.seconds:g}; it must be above 0")
+    if options.resolution < _LEAST:
+        raise ValueError(f"--resolution is {options.resolution}; it must be at least {_LEAST}")
+    contests = [CONTESTS[name](options.resolution) for name in options.scenes]
+    folder = options.environment.expanduser().absolute()
+    wanted = {name: PACKAGES[name] for name in options.peers}
+    absent = peer_environment.prepare(folder, wanted, _say) if wanted else {}
+    peers = [peer for peer in CONTACT_PEERS if peer.package in wanted]
+    report = Report("Peers in contact", f"python -m benchmarks peers-contact --resolution {options.resolution}")
+    report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
+    columns = ["scene", "engine", "times real time", "deepest mm", "creep um/s", "frames crossed", "longest edge"]
+    table = Table("Cloth that touches", [*columns, "seconds", "outcome"])
+    for contest in contests:
+        _say(f"{contest.name}: {OURS}")
+        with cores(one=True):
+            own = judge(contest, OURS, peer_contact.ours(contest, options.seconds))
+        table.rows.append(own.row())
+        _promised(own, report)
+        for peer in peers:
+            if peer.package in absent:
+                table.rows.append(_nothing(contest, peer, "ABSENT"))
+                continue
+            _say(f"{contest.name}: {peer.name}")
+            try:
+                recording = peer_contact.theirs(peer, contest, options.seconds, environment=folder)
+            except PeerFailed as error:
+                report.notes.append(f"FAILED: {contest.name}: {error}")
+                table.rows.append(_nothing(contest, peer, "FAILED"))
+                continue
+            report.environment |= recording.versions
+            table.rows.append(judge(contest, peer.name, recording).row())
+            report.notes += [f"{contest.name}: {peer.name} {remark}" for remark in recording.remarks]
+    report.tables.append(table)
+    _explain(options, contests, peers, report)
+    return report
+
+
+def judge(contest: Contest, engine: str, recording: Recording) -> Result:
+    """Measure what an engine made of a scene."""
+    frames, pads = recording.frames, recording.pads
+    inside = [
+        contact_measures.depth(frames, solid, place)
+        for solid, place in zip(contest.solids, contest.places, strict=True)
+    ]
+    inside += [contact_measures.depth(frames, solid, pads[:, k]) for k, solid in enumerate(contest.pads)]
+    result = Result(
+        scene=contest.name,
+        engine=engine,
+        factor=recording.factor,
+        simulated=recording.simulated,
+        depth=max(inside),
+        inside=max(inside),
+        stretch=contact_measures.stretch(frames, contest.triangles),
+        outcome=_outcome(contest, recording),
+    )
+    return _MEASURES[contest.name](contest, recording, result)
+
+
+def _drape(contest: Contest, recording: Recording, result: Result) -> Result:
+    depth = contact_measures.depth_in_ball(recording.frames, contest.triangles, RADIUS)
+    few = round(LAST / PERIOD) + 1
+    creep = math.nan
+    if len(recording.frames) >= few:
+        creep = contact_measures.creep_on_ball(recording.frames[-few:], LAST, RADIUS, NEAR * THICKNESS)
+    return attrs.evolve(result, depth=depth, creep=creep)
+
+
+def _fold(contest: Contest, recording: Recording, result: Result) -> Result:
+    crossed = contact_measures.crossings(recording.frames, contest.triangles, contest.start)
+    return attrs.evolve(result, crossed=len(crossed))
+
+
+def _pinch(contest: Contest, recording: Recording, result: Result) -> Result:
+    frames, pad = recording.frames, contest.pads[0]
+    fell = contact_measures.dropped(frames, pad, recording.pads)
+    if fell is not None:
+        return attrs.evolve(result, outcome=f"dropped at {fell * PERIOD:.2f} s")
+    if recording.seen < SETTLED + WATCHED:
+        return result
+    first = round(SETTLED / PERIOD)
+    between = contact_measures.between_pads(contest.start, pad, contest.pad_places)
+    return attrs.evolve(result, creep=contact_measures.sinking(frames[first:], recording.seen - SETTLED, between))
+
+
+_MEASURES: dict[str, Callable[[Contest, Recording, Result], Result]] = {"drape": _drape, "fold": _fold, "pinch": _pinch}
+
+
+def _outcome(contest: Contest, recording: Recording) -> str:
+    if not recording.finite:
+        return f"blew up after {recording.seen:.2f} s"
+    if recording.seen < contest.duration - 0.5 * PERIOD:
+        return f"ended at {recording.seen:.2f} s of {contest.duration:g}"
+    return ""
+
+
+def _nothing(contest: Contest, peer: ContactPeer, why: str) -> list[Any]:
+    return [contest.name, peer.name, *["-"] * 6, why]
+
+
+def _promised(own: Result, report: Report) -> None:
+    """Tell where ours does not do what it promises."""
+    if own.inside > 0.0:
+        report.failures.append(f"{own.scene}: a particle of ours is {1e3 * own.inside:.3g} mm inside an obstacle")
+    if own.crossed:
+        report.failures.append(f"{own.scene}: ours goes through itself in {own.crossed} frames")
+    if own.outcome.startswith("dropped"):
+        report.failures.append(f"{own.scene}: ours is {own.outcome}")
+    if own.scene == "pinch" and abs(own.creep) >= CREEPS:
+        report.failures.append(f"{own.scene}: ours creeps by {1e6 * own.creep:.3g} um/s; at most {1e6 * CREEPS:g}")
+
+
+def _explain(options: argparse.Namespace, contests: list[Contest], peers: list[ContactPeer], report: Report) -> None:
+    material = contests[0].scene.material
+    report.notes += [
+        f"all: {material.density:g} kg/m2, {1e3 * THICKNESS:g} mm thick, friction {FRICTION:g} at rest and in motion, "
+        f"the same particles and triangles, frames of 1/{1.0 / PERIOD:.0f} s, one thread; of the wall time that of "
+        f"steps counts alone; a run ends after {options.seconds:g} s of it, and its figures are of what was seen",
+        f"{OURS}: {material.stretch_modulus:g} N/m along the threads, {material.shear_modulus:g} N/m in shear, damping "
+        f"{material.damping:g}, axial bending, drag {DRAG:g} 1/s, tolerance {TOLERANCE:g} m, sleep off: it is woken "
+        "before each frame; its thickness is the way from an obstacle to the middle of the sheet, and between layers",
+    ]
+    told = {
+        "drape": (
+            f"drape: a sheet of 0.5 m falls by 10 mm on a ball of {RADIUS:g} m; deepest is any point of a triangle in "
+            f"it; creep is the longest way of a particle within {NEAR:g} thicknesses of it over the last {LAST:g} s"
+        ),
+        "fold": (
+            "fold: one edge of a sheet of 0.3 m that lies on a table is carried in half a circle over to the other, "
+            "which is anchored, and let go after 2 s; deepest is a particle in the table; crossed are frames in which "
+            "an edge goes through a triangle"
+        ),
+        "pinch": (
+            "pinch: a sheet of 0.18 x 0.09 m, half as many particles across, hangs from two pads that press with 4 N "
+            f"each, 40 mm wide, over its upper quarter; creep is how fast what is between them sinks from "
+            f"{SETTLED:g} s on; deepest is a particle in a pad"
+        ),
+    }
+    report.notes += [told[contest.name] for contest in contests]
+    for peer in peers:
+        report.notes.append(f"{peer.name}: {peer.differs}")
+        for contest in contests:
+            if contest.name in peer.apart:
+                report.notes.append(f"{contest.name}: {peer.name}: {peer.apart[contest.name]}")
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"benchmarks peers-contact: {text}\n")
+    sys.stderr.flush()

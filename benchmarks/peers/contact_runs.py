@@ -1,0 +1,129 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs a scene with contact through our simulator or through another engine, and keeps where everything was."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+import attrs
+import numpy as np
+from support.problems import PERIOD
+
+from benchmarks.peers import jobs as peer_jobs
+from benchmarks.peers.contact_scenes import Contest
+from benchmarks.peers.jobs import Solver
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.sleep import wake
+
+
+@attrs.frozen(kw_only=True)
+class ContactPeer(Solver):
+    """A solver of another engine, with the step of its examples."""
+
+    #: Steps in a frame of 1/60 s.
+    steps: int
+    #: What is different in one scene alone, by its name.
+    apart: dict[str, str] = attrs.field(factory=dict)
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Recording:
+    """Where everything was at the start and at the end of every frame."""
+
+    #: Particles [m], (frames + 1, n, 3).
+    frames: Array
+    #: Centres of the pads [m], (frames + 1, pads, 3).
+    pads: Array
+    #: What was simulated [s], an unfinished frame included, and the wall time of the steps alone [s].
+    simulated: float
+    wall: float
+    #: Whether all positions were numbers to the end.
+    finite: bool = True
+    versions: dict[str, str] = attrs.field(factory=dict)
+    remarks: list[str] = attrs.field(factory=list)
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per wall second."""
+        return self.simulated / self.wall
+
+    @property
+    def seen(self) -> float:
+        """Time of the last whole frame [s]."""
+        return (len(self.frames) - 1) * PERIOD
+
+
+def ours(contest: Contest, seconds: float) -> Recording:
+    """Run a scene as it is shipped, but for sleep: the cloth is woken before each frame.
+
+    Args:
+        contest: which.
+        seconds: wall time of the frames after which it ends early.
+    """
+    simulation = Simulation(contest.scene)
+    frames, pads, wall = [simulation.positions], [contest.pad_places], 0.0
+    for frame in range(contest.frames):
+        told = _events(contest, frame)
+        begin = time.perf_counter()
+        wake(simulation.state)
+        simulation.advance(told)
+        wall += time.perf_counter() - begin
+        frames.append(simulation.positions)
+        pinching = simulation.pinching
+        pads.append(contest.pad_places if pinching is None else pinching.poses()[:, :3])
+        if wall >= seconds:
+            break
+    simulated = (len(frames) - 1) * PERIOD
+    return Recording(frames=np.array(frames), pads=np.array(pads), simulated=simulated, wall=wall)
+
+
+def _events(contest: Contest, frame: int) -> list[Event]:
+    """What grippers are told before a frame."""
+    names = contest.scene.gripper_names
+    if contest.pads:
+        place = contest.pad_places.mean(axis=0)
+        return [] if frame else [Target(names[0], place), Grasp(names[0], True)]
+    if frame > contest.hold or not names:
+        return []
+    if frame == contest.hold:
+        return [Grasp(name, False) for name in names]
+    ends = contest.path[frame + 1]
+    told: list[Event] = [Target(name, end) for name, end in zip(names, ends, strict=True)]
+    return told if frame else told + [Grasp(name, True) for name in names]
+
+
+def theirs(peer: ContactPeer, contest: Contest, seconds: float, *, environment: Path, threads: int = 1) -> Recording:
+    """Run a scene through another engine, in a process of its own environment.
+
+    Args:
+        peer: which.
+        contest: the scene.
+        seconds: wall time of the steps after which it ends early.
+        environment: where the engines are installed.
+        threads: that an engine which uses several may have.
+
+    Raises:
+        PeerFailed: if it gives no result.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        sheet, record = Path(place, "sheet.npz"), Path(place, "record.npz")
+        np.savez(sheet, **contest.tables())
+        job = {"sheet": str(sheet), "record": str(record), "steps": peer.steps, "frames": contest.frames}
+        job |= {"hold": contest.hold, "seconds": seconds}
+        said = peer_jobs.answer(peer, job, folder=Path(place), environment=environment, threads=threads)
+        with np.load(record) as kept:
+            frames, pads = kept["frames"], kept["pads"]
+    return Recording(
+        frames=frames,
+        pads=pads,
+        simulated=said["taken"] / peer.steps * PERIOD,
+        wall=said["wall"],
+        finite=said["finite"],
+        versions=said["versions"],
+        remarks=said["remarks"],
+    )

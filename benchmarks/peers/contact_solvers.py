@@ -1,0 +1,76 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The engines that ours is compared with where cloth touches: their settings, and how their models differ."""
+
+from __future__ import annotations
+
+from benchmarks.peers.contact_runs import ContactPeer
+
+_MEMBRANE = "an isotropic elastic membrane of the modulus along our threads, which does not narrow, damped as ours is"
+_MUJOCO = (
+    "steps of 1/480 s, CG, elliptic cones; solref 0.01 and solimp 0.95, 0.99 of the sheet, solref 0.003 of solids, as "
+    "in its examples; our drag"
+)
+_DRIVEN = "pads of 0.05 kg on slides, damped by 10 N s/m"
+CONTACT_PEERS: tuple[ContactPeer, ...] = (
+    ContactPeer(
+        name="Newton VBD",
+        package="newton",
+        script="newton_contact.py",
+        variant="vbd",
+        steps=10,
+        differs=(
+            f"{_MEMBRANE}, with hinges of 0.001 N; single precision, steps of 1/600 s of 10 iterations; contact is a "
+            "penalty of 1000 N/m and 0.1 N s/m on particles alone, which begins at the thickness, as in its example of "
+            "a cloth that is twisted; friction as it comes, smoothed below 10 mm/s; our drag, once a step; on the "
+            "processor, though it is made for GPUs"
+        ),
+        apart={
+            "fold": "contact with itself begins at the thickness and is looked for at 1.75 times that",
+            "pinch": "pads stand still, where the penalties of the particles between them begin with the force",
+        },
+    ),
+    ContactPeer(
+        name="MuJoCo flex",
+        package="mujoco",
+        script="mujoco_contact.py",
+        variant="elastic",
+        steps=8,
+        differs=f"{_MEMBRANE}, which bends as a plate of 1 mm does; its discrete integrator, {_MUJOCO}",
+        apart={
+            "fold": "layers keep twice the thickness; the edge is tied by soft constraints to what carries it",
+            "pinch": _DRIVEN,
+        },
+    ),
+    ContactPeer(
+        name="MuJoCo flex, edges",
+        package="mujoco",
+        script="mujoco_contact.py",
+        variant="edges",
+        steps=8,
+        differs=(
+            "edges of fixed length by soft constraints, solref 0.005, no bending; impratio 10, noslip of 10 "
+            f"iterations, its implicitfast integrator, {_MUJOCO}"
+        ),
+        apart={
+            "fold": "layers keep twice the thickness; the edge is tied by soft constraints to what carries it",
+            "pinch": _DRIVEN,
+        },
+    ),
+    ContactPeer(
+        name="PyBullet deformable",
+        package="pybullet",
+        script="pybullet_contact.py",
+        variant="springs",
+        steps=17,
+        differs=(
+            "springs along a triangulation's edges, all of one stiffness, far below ours, and a hundredth of it across "
+            "them; all particles of one mass; steps of 1/1020 s; its collision margin is our thickness; no drag of the "
+            "air"
+        ),
+        apart={
+            "fold": "the table is a box; the edge is tied to a heavy body that carries it",
+            "pinch": f"{_DRIVEN}, which stop 0.8 mm from each other",
+        },
+    ),
+)

@@ -1,0 +1,240 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Other engines on our sheet: the sheet as plain tables, one run as a process, and the longest step that it bears."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from support.problems import PERIOD, Problem
+from support.raw_sheet import SHEET
+
+from benchmarks.peers import environment as peer_environment
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+
+#: Beyond the time limit of its frames a process may take so long to start, compile and build its sheet [s].
+_STARTING = 600.0
+#: Steps in a frame beyond which no longer step is looked for.
+_MOST_STEPS = 4096
+#: Between the longest step that kept the sheet whole and the shortest that did not, so many are tried.
+_REFINEMENTS = 2
+
+
+class PeerFailed(RuntimeError):
+    """An engine that gave no result; the message says what it said."""
+
+
+@attrs.frozen
+class Solver:
+    """One solver of another engine, and the script that runs it."""
+
+    name: str
+    #: Which entry of the requirements it needs.
+    package: str
+    script: str
+    variant: str
+    #: How its model differs from ours.
+    differs: str
+
+
+@attrs.frozen
+class Peer(Solver):
+    """A solver whose longest step is looked for."""
+
+    #: Steps in a frame to begin the search with, for N particles a side.
+    first_steps: Callable[[int], int]
+
+
+@attrs.frozen(kw_only=True)
+class Attempt:
+    """One run of an engine."""
+
+    #: Steps in a frame of 1/60 s.
+    steps: int
+    whole: bool
+    #: Largest stretch of an edge at a frame, and at the end.
+    stretch: float
+    #: Steps taken in all.
+    taken: int
+    #: Wall time of the steps alone [s].
+    wall: float
+    versions: dict[str, str]
+    remarks: list[str]
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per wall second."""
+        return self.simulated / self.wall
+
+    @property
+    def simulated(self) -> float:
+        """Simulated time [s]."""
+        return self.taken / self.steps * PERIOD
+
+
+def sheet_tables(problem: Problem) -> dict[str, Any]:
+    """Return a raw sheet as plain tables.
+
+    `positions` (n, 3) [m], `masses` (n,) [kg], `anchored` (n,), `rows`, `columns`, `gravity` (3,) [m/s^2], `drag`
+    [1/s]; of the springs `pairs` (m, 2), `rest_lengths` [m], `stiffness` [N/m], `damping` [N s/m]; of those along the
+    threads, by which stretch is judged, `edges` and `edge_lengths`; `triangles` (t, 3), a checkerboard.
+    """
+    plan, state = problem.build()
+    model = plan.model
+    sheet = model.force(SHEET)
+    assert isinstance(sheet, GridSprings)
+    side = math.isqrt(model.particle_count)
+    index = np.arange(side * side).reshape(side, side)
+    gravity, drag = np.zeros(3), 0.0
+    for force in model.forces:
+        if isinstance(force, Gravity):
+            gravity = force.acceleration
+        elif isinstance(force, Drag):
+            drag = force.rate
+    springs = sheet.listed
+    threads = [family for family in sheet.families if family.name in ("right", "down")]
+    along = GridSprings(sheet.rows, sheet.columns, threads).listed
+    return {
+        "positions": state.positions,
+        "masses": model.masses,
+        "anchored": model.inverse_masses == 0.0,
+        "rows": side,
+        "columns": side,
+        "gravity": gravity,
+        "drag": drag,
+        "pairs": springs.pairs,
+        "rest_lengths": springs.rest_length,
+        "stiffness": springs.rigidity,
+        "damping": springs.damping,
+        "edges": along.pairs,
+        "edge_lengths": along.rest_length,
+        "triangles": _checkerboard(index),
+    }
+
+
+def _checkerboard(index: np.ndarray) -> np.ndarray:
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
+    rows, columns = np.indices((len(index) - 1, len(index) - 1)).reshape(2, -1)
+    odd = (rows + columns) % 2 == 1
+    first = np.where(odd[:, None], np.stack([a, c, b], axis=1), np.stack([a, c, d], axis=1))
+    second = np.where(odd[:, None], np.stack([b, c, d], axis=1), np.stack([a, d, b], axis=1))
+    return np.concatenate([first, second])
+
+
+def attempt(
+    peer: Peer,
+    sheet: Path,
+    steps: int,
+    *,
+    environment: Path,
+    frames: int,
+    seconds: float,
+    whole: float,
+    threads: int = 1,
+) -> Attempt:
+    """Run an engine with so many steps in a frame, in a process of its environment.
+
+    Args:
+        peer: which.
+        sheet: the tables of `sheet_tables`, as npz.
+        steps: in a frame of 1/60 s.
+        environment: where the engines are installed.
+        frames: to simulate at most.
+        seconds: wall time of the steps after which it ends early.
+        whole: a sheet with an edge longer than so many times its rest length is torn, and the run ends.
+        threads: that an engine which uses several may have.
+
+    Raises:
+        PeerFailed: if it gives no result.
+    """
+    job = {"sheet": str(sheet.absolute()), "steps": steps, "frames": frames, "seconds": seconds, "whole": whole}
+    return Attempt(steps=steps, **answer(peer, job, folder=sheet.parent, environment=environment, threads=threads))
+
+
+def answer(solver: Solver, job: dict[str, Any], *, folder: Path, environment: Path, threads: int = 1) -> dict[str, Any]:
+    """Run a job of `runner` in a process of the environment, and return what it says.
+
+    Args:
+        solver: which.
+        job: all of it but the solver and the length of a frame.
+        folder: where it runs: some engines leave a log there.
+        environment: where the engines are installed.
+        threads: that an engine which uses several may have.
+
+    Raises:
+        PeerFailed: if it gives no result.
+    """
+    job = {**job, "script": solver.script, "variant": solver.variant, "frame": PERIOD}
+    variables = peer_environment.clean_variables(
+        OMP_NUM_THREADS=str(threads),
+        OPENBLAS_NUM_THREADS=str(threads),
+        # What Warp compiles belongs to the environment.
+        WARP_CACHE_PATH=str(environment / "warp"),
+    )
+    python = peer_environment.python_of(environment.absolute())
+    command = [str(python), "-I", str(Path(__file__).with_name("runner.py"))]
+    limit = _STARTING + 2.0 * job["seconds"]
+    try:
+        done = subprocess.run(
+            command,
+            input=json.dumps(job),
+            cwd=folder,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=limit,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise PeerFailed(f"{solver.name}: no result after {limit:.0f} s") from error
+    if done.returncode:
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        status = done.returncode
+        end = f"ended with status {status}" if status > 0 else f"was killed by {signal.Signals(-status).name}"
+        raise PeerFailed(f"{solver.name}: {end}: {lines[-1] if lines else 'no word of why'}")
+    said: dict[str, Any] = json.loads(done.stdout)
+    return said
+
+
+def longest_step(run: Callable[[int], Attempt], first: int) -> Attempt | None:
+    """Find the longest step that keeps the sheet whole, to about a fifth; None if none was found.
+
+    Args:
+        run: runs with so many steps in a frame.
+        first: steps in a frame to begin with.
+    """
+    best, torn, steps = None, 0, first
+    while best is None and steps <= _MOST_STEPS:
+        tried = run(steps)
+        if tried.whole:
+            best = tried
+        else:
+            torn, steps = steps, 2 * steps
+    if best is None:
+        return None
+    while torn == 0 and best.steps > 1:
+        tried = run(best.steps // 2)
+        if tried.whole:
+            best = tried
+        else:
+            torn = tried.steps
+    for _ in range(_REFINEMENTS):
+        middle = round(math.sqrt(torn * best.steps))
+        if torn == 0 or middle in (torn, best.steps):
+            break
+        tried = run(middle)
+        if tried.whole:
+            best = tried
+        else:
+            torn = middle
+    return best

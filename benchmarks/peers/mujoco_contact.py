@@ -1,0 +1,146 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""MuJoCo's flex on scenes with contact: an elastic membrane, or edges whose lengths are constraints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+#: Thickness that turns the sheet's modulus [N/m] into Young's [Pa], and gives the membrane a cloth's bending.
+_THICKNESS = 1e-3
+#: What moves each pad beside its force: mass [kg] and damping [N s/m].
+_PAD_MASS, _PAD_DAMPING = 0.05, 10.0
+_OPTIONS = {
+    "elastic": 'integrator="discrete" solver="CG" tolerance="1e-6" iterations="400"',
+    "edges": 'integrator="implicitfast" solver="CG" tolerance="1e-6" iterations="400" impratio="10" '
+    'noslip_iterations="10"',
+}
+_MATERIALS = {
+    "elastic": '<elasticity young="{young!r}" poisson="0" thickness="{thickness!r}" damping="{damping!r}" '
+    'elastic2d="both"/>',
+    "edges": '<edge equality="true" solref="0.005 1"/>',
+}
+_MODEL = """
+<mujoco>
+  <option timestep="{step!r}" cone="elliptic" gravity="{gravity}" {options}/>
+  <size memory="4G"/>
+  <default><geom solref="0.003 1" friction="{friction!r} 0.005 0.0001" condim="3"/></default>
+  <worldbody>
+    {solids}
+    <body name="hand" mocap="true"/>
+    <flexcomp name="sheet" type="direct" dim="2" point="{points}" element="{elements}" mass="1" radius="{radius!r}">
+      <contact selfcollide="{own}" condim="3" friction="{friction!r} 0.005 0.0001"
+               solref="0.01 1" solimp=".95 .99 .0001"/>
+      {material}
+      {pins}
+    </flexcomp>
+  </worldbody>
+  <equality>{held}</equality>
+</mujoco>
+"""
+_PAD = """<body pos="{place}"><joint type="slide" axis="0 1 0" damping="{damping!r}"/>
+    <geom type="box" size="{size}" mass="{mass!r}"/></body>"""
+
+
+class Engine:
+    """See `runner`; variants elastic and edges."""
+
+    distributions = ("mujoco",)
+
+    def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        import mujoco
+
+        self._mujoco = mujoco
+        material = _MATERIALS[variant].format(
+            young=float(sheet["modulus"]) / _THICKNESS, thickness=_THICKNESS, damping=float(sheet["retardation"])
+        )
+        anchored = np.flatnonzero(sheet["anchored"])
+        text = _MODEL.format(
+            step=float(step),
+            gravity=_numbers(sheet["gravity"]),
+            options=_OPTIONS[variant],
+            friction=float(sheet["friction"]),
+            solids=_solids(sheet),
+            points=_numbers(sheet["positions"].ravel()),
+            elements=_numbers(sheet["triangles"].ravel()),
+            radius=float(sheet["thickness"]),
+            own="auto" if sheet["own"] else "none",
+            material=material,
+            pins=f'<pin id="{_numbers(anchored)}"/>' if len(anchored) else "",
+            held="".join(
+                f'<connect body1="sheet_{k}" body2="hand" anchor="0 0 0" solref="0.005 1" solimp=".99 .999 .0001"/>'
+                for k in sheet["held"].tolist()
+            ),
+        )
+        model = mujoco.MjModel.from_xml_string(text)
+        # Ours: less at the border.
+        bodies, free = model.flex_vertbodyid, ~sheet["anchored"]
+        model.body_mass[bodies[free]] = sheet["masses"][free]
+        for body, mass in zip(bodies[free].tolist(), sheet["masses"][free].tolist(), strict=True):
+            first = model.body_dofadr[body]
+            model.dof_damping[first : first + 3] = float(sheet["drag"]) * mass
+        self._model, self._data = model, mujoco.MjData(model)
+        mujoco.mj_setConst(model, self._data)
+        self._connects = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_CONNECT))
+        self._start = sheet["positions"][sheet["held"]]
+        self._way: Any = iter(())
+        self._pads = np.zeros((0, 3))
+        if sheet["kind"] == "pinch":
+            self._pads = sheet["pad_places"]
+            # Their joints come first.
+            self._data.qfrc_applied[:2] = -np.sign(self._pads[:, 1]) * float(sheet["force"])
+        mujoco.mj_forward(model, self._data)
+
+    def lead(self, begin: Any, end: Any, steps: int) -> None:
+        """Let held particles move in the steps that follow: all alike."""
+        away = np.array([(place - self._start).mean(axis=0) for place in (begin, end)])
+        self._way = iter([away[0] + (k + 1) / steps * (away[1] - away[0]) for k in range(steps)])
+
+    def let_go(self) -> None:
+        """Let them move by themselves."""
+        self._data.eq_active[self._connects] = 0
+
+    def advance(self, steps: int) -> None:
+        """Take so many steps."""
+        for _ in range(steps):
+            here = next(self._way, None)
+            if here is not None:
+                self._data.mocap_pos[0] = here
+            self._mujoco.mj_step(self._model, self._data)
+
+    def positions(self) -> Any:
+        """Positions [m]."""
+        self._mujoco.mj_kinematics(self._model, self._data)
+        self._mujoco.mj_flex(self._model, self._data)
+        return self._data.flexvert_xpos.copy()
+
+    def pads(self) -> Any:
+        """Where they are [m]."""
+        places = self._pads.copy()
+        if len(places):
+            places[:, 1] += self._data.qpos[:2]
+        return places
+
+    def remarks(self) -> list[str]:
+        """What it warned of."""
+        kinds = self._mujoco.mjtWarning
+        given = [(kinds(i).name, int(one.number)) for i, one in enumerate(self._data.warning) if one.number]
+        return [f"warned {name} {count} times" for name, count in given]
+
+
+def _solids(sheet: dict[str, Any]) -> str:
+    if sheet["kind"] == "drape":
+        return f'<geom type="sphere" size="{float(sheet["radius"])!r}"/>'
+    if sheet["kind"] == "fold":
+        return '<geom type="plane" size="1 1 0.1"/>'
+    size = _numbers(0.5 * sheet["pad_size"])
+    return "".join(
+        _PAD.format(place=_numbers(place), damping=_PAD_DAMPING, size=size, mass=_PAD_MASS)
+        for place in sheet["pad_places"]
+    )
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(repr(value) for value in np.asarray(values).tolist())

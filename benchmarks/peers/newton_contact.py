@@ -1,0 +1,149 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Newton's VBD on the processor, on scenes with contact: a membrane of triangles, contact by penalties."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+#: Of a step, and steps after which its tree of the cloth is built anew, once a frame as in its examples.
+_ITERATIONS, _RENEWED = 10, 10
+#: Stiffness [N/m] and damping [N s/m] of contact, hinges [N, N s], and how much further contact with itself looks, in
+#: margins: as in its example of a cloth that is twisted, whose sheet weighs as much per area.
+_STIFFNESS, _DAMPING, _HINGE, _HINGE_DAMPING, _FURTHER = 1e3, 1e-1, 1e-3, 1e-2, 0.75
+
+
+class Engine:
+    """See `runner`; one variant."""
+
+    distributions = ("newton", "warp-lang")
+
+    def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        import newton
+        import warp
+
+        warp.config.quiet = True
+        self._warp = warp
+        self._held, self._active = sheet["held"], int(newton.ParticleFlags.ACTIVE)
+        thickness, friction = float(sheet["thickness"]), float(sheet["friction"])
+        builder = newton.ModelBuilder()
+        builder.gravity = tuple(sheet["gravity"].tolist())
+        solid = newton.ModelBuilder.ShapeConfig(ke=_STIFFNESS, kd=_DAMPING, mu=friction)
+        self._pads = self._surround(builder, sheet, solid, warp)
+        builder.add_cloth_mesh(
+            pos=warp.vec3(0.0, 0.0, 0.0),
+            rot=warp.quat_identity(),
+            scale=1.0,
+            vel=warp.vec3(0.0, 0.0, 0.0),
+            vertices=[warp.vec3(*place) for place in sheet["positions"].tolist()],
+            indices=sheet["triangles"].ravel().tolist(),
+            density=1.0,
+            # Lame's constants of a membrane of the modulus along our threads that does not narrow. Its damping is by
+            # the rate of the metric, twice that of the strain, so a quarter of a viscosity.
+            tri_ke=0.5 * float(sheet["modulus"]),
+            tri_ka=0.0,
+            tri_kd=0.25 * float(sheet["modulus"] * sheet["retardation"]),
+            edge_ke=_HINGE,
+            edge_kd=_HINGE_DAMPING,
+            particle_radius=thickness,
+        )
+        # Ours, which differ from thirds of triangles at the border.
+        builder.particle_mass[:] = sheet["masses"].tolist()
+        builder.color(include_bending=True)
+        with warp.ScopedDevice("cpu"):
+            model = builder.finalize()
+            model.particle_grid, model.particle_max_radius = None, 0.0
+            model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = _STIFFNESS, _DAMPING, friction
+            self._flags = model.particle_flags.numpy()
+            self._flags[self._held] &= ~self._active
+            self._flags[sheet["anchored"]] &= ~self._active
+            own = {"particle_self_contact_margin": thickness, "particle_self_contact_gap": _FURTHER * thickness}
+            solver = newton.solvers.SolverVBD(
+                model,
+                iterations=_ITERATIONS,
+                particle_enable_self_contact=bool(sheet["own"]),
+                **(own if sheet["own"] else {}),
+            )
+            pipeline = newton.CollisionPipeline(model)
+            contacts, control = pipeline.contacts(), model.control()
+
+            def once(before: Any, after: Any) -> None:
+                pipeline.collide(before, contacts)
+                solver.step(before, after, control, contacts, step)
+
+            # This compiles; the states that follow are those of the start.
+            first, second = model.state(), model.state()
+            once(first, second)
+            self._states = model.state(), model.state()
+            self._graphs = []
+            for before, after in (self._states, self._states[::-1]):
+                with warp.ScopedCapture() as capture:
+                    once(before, after)
+                self._graphs.append(capture.graph)
+        self._solver, self._own = solver, bool(sheet["own"])
+        self._turn = self._taken = 0
+        self._way: Any = iter(())
+        # On the processor these are the engine's own memory.
+        self._places = [state.particle_q.numpy() for state in self._states]
+        self._speeds = [state.particle_qd.numpy() for state in self._states]
+        self._forces = [state.particle_f.numpy() for state in self._states]
+        self._drag = -float(sheet["drag"]) * sheet["masses"][:, None]
+
+    @staticmethod
+    def _surround(builder: Any, sheet: dict[str, Any], solid: Any, warp: Any) -> np.ndarray:
+        """Add what the cloth touches; return where pads are."""
+        if sheet["kind"] == "drape":
+            builder.add_shape_sphere(-1, radius=float(sheet["radius"]), cfg=solid)
+        elif sheet["kind"] == "fold":
+            builder.add_ground_plane(cfg=solid)
+        elif sheet["kind"] == "pinch":
+            half = 0.5 * sheet["pad_size"]
+            away = np.abs(sheet["positions"] - sheet["pad_places"].mean(axis=0))
+            between = int(((away[:, 0] <= half[0]) & (away[:, 2] <= half[2])).sum())
+            # So deep in a pad that penalties press with its force.
+            deep = float(sheet["force"]) / (_STIFFNESS * between)
+            places = sheet["pad_places"].copy()
+            places[:, 1] = np.sign(places[:, 1]) * (float(sheet["thickness"]) - deep + half[1])
+            for place in places.tolist():
+                where = warp.transform(warp.vec3(*place), warp.quat_identity())
+                builder.add_shape_box(
+                    -1, xform=where, hx=float(half[0]), hy=float(half[1]), hz=float(half[2]), cfg=solid
+                )
+            return places
+        return np.zeros((0, 3))
+
+    def lead(self, begin: Any, end: Any, steps: int) -> None:
+        """Let held particles move in the steps that follow."""
+        self._way = iter([begin + (k + 1) / steps * (end - begin) for k in range(steps)])
+
+    def let_go(self) -> None:
+        """Let them move by themselves, from rest."""
+        self._flags[self._held] |= self._active
+
+    def advance(self, steps: int) -> None:
+        """Take so many steps."""
+        for _ in range(steps):
+            if self._own and self._taken % _RENEWED == 0:
+                self._solver.rebuild_bvh(self._states[self._turn])
+            here = next(self._way, None)
+            if here is not None:
+                self._places[self._turn][self._held] = here
+                self._places[1 - self._turn][self._held] = here
+            self._forces[self._turn][:] = self._drag * self._speeds[self._turn]
+            self._warp.capture_launch(self._graphs[self._turn])
+            self._turn ^= 1
+            self._taken += 1
+
+    def positions(self) -> Any:
+        """Positions [m]."""
+        return self._places[self._turn].astype(np.float64)
+
+    def pads(self) -> Any:
+        """Where they are [m]."""
+        return self._pads
+
+    def remarks(self) -> list[str]:
+        """Nothing to add."""
+        return []

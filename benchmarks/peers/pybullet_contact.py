@@ -1,0 +1,154 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""PyBullet's deformable cloth on scenes with contact: springs along a triangulation's edges."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+#: Its explicit springs have at most this share of the mass over the step squared for their stiffness.
+_BEARABLE = 0.2
+#: Half the way between the pads' faces at which they stop, in thicknesses: nothing else keeps them apart.
+_STOP = 0.2
+#: What moves each pad beside its force: mass [kg] and damping [N s/m]; what carries an edge has this mass [kg].
+_PAD_MASS, _PAD_DAMPING, _CARRIER = 0.05, 10.0, 100.0
+
+
+class Engine:
+    """See `runner`; one variant. It has no drag of the air."""
+
+    distributions = ("pybullet",)
+
+    def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        import pybullet
+
+        self._bullet, self._step = pybullet, step
+        pybullet.connect(pybullet.DIRECT)
+        pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD)
+        self._gravity = sheet["gravity"]
+        pybullet.setGravity(*self._gravity.tolist())
+        pybullet.setTimeStep(step)
+        pybullet.setPhysicsEngineParameter(sparseSdfVoxelSize=0.25)
+        self._joints: int | None = None
+        self._pads = np.zeros((0, 3))
+        self._surround(sheet)
+        mass = float(sheet["masses"].sum()) / len(sheet["masses"])
+        #: Of springs [N/m].
+        self._stiffness = min(float(sheet["modulus"]), _BEARABLE * mass / step**2)
+        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in sheet["positions"].tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (1 + sheet["triangles"]).tolist()]
+        with tempfile.TemporaryDirectory() as folder:
+            mesh = Path(folder, "sheet.obj")
+            mesh.write_text("\n".join(lines) + "\n")
+            self._body = pybullet.loadSoftBody(
+                str(mesh),
+                mass=float(sheet["masses"].sum()),
+                useMassSpring=1,
+                useBendingSprings=1,
+                springElasticStiffness=self._stiffness,
+                springDampingStiffness=float(sheet["retardation"] * sheet["modulus"]),
+                springBendingStiffness=0.01 * self._stiffness,
+                springDampingAllDirections=0,
+                useNeoHookean=0,
+                useSelfCollision=int(sheet["own"]),
+                useFaceContact=1,
+                # Another body's friction is a factor; theirs is 1.
+                frictionCoeff=float(sheet["friction"]),
+                collisionMargin=float(sheet["thickness"]),
+            )
+        for particle in np.flatnonzero(sheet["anchored"]).tolist():
+            pybullet.createSoftBodyAnchor(self._body, particle, -1, -1)
+        self._way: Any = iter(())
+        self._carrier = -1
+        self._anchors: list[int] = []
+        if len(sheet["held"]):
+            self._carry(sheet)
+
+    def _surround(self, sheet: dict[str, Any]) -> None:
+        """Make what the cloth touches."""
+        bullet = self._bullet
+        if sheet["kind"] == "pinch":
+            half = (0.5 * sheet["pad_size"]).tolist()
+            shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half)
+            still, unturned = [[0.0, 0.0, 0.0]] * 2, [[0.0, 0.0, 0.0, 1.0]] * 2
+            self._joints = bullet.createMultiBody(
+                baseMass=0.0,
+                linkMasses=[_PAD_MASS] * 2,
+                linkCollisionShapeIndices=[shape] * 2,
+                linkVisualShapeIndices=[-1] * 2,
+                linkPositions=sheet["pad_places"].tolist(),
+                linkOrientations=unturned,
+                linkInertialFramePositions=still,
+                linkInertialFrameOrientations=unturned,
+                linkParentIndices=[0, 0],
+                linkJointTypes=[bullet.JOINT_PRISMATIC] * 2,
+                linkJointAxis=[[0.0, 1.0, 0.0]] * 2,
+            )
+            self._forces = (-np.sign(sheet["pad_places"][:, 1]) * float(sheet["force"])).tolist()
+            apart = float(np.abs(sheet["pad_places"][0, 1])) - half[1]
+            travel = apart - _STOP * float(sheet["thickness"])
+            for link in range(2):
+                bullet.setJointMotorControl2(self._joints, link, bullet.VELOCITY_CONTROL, force=0.0)
+                bullet.changeDynamics(self._joints, link, lateralFriction=1.0, jointDamping=_PAD_DAMPING)
+                bullet.changeDynamics(self._joints, link, jointLowerLimit=-travel, jointUpperLimit=travel)
+            return
+        if sheet["kind"] == "drape":
+            shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=float(sheet["radius"]))
+            solid = bullet.createMultiBody(0.0, shape)
+        else:
+            # A box rather than a plane, of which its distances are to the middle of a cell.
+            shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[0.5, 0.5, 0.1])
+            solid = bullet.createMultiBody(0.0, shape, basePosition=[0.0, 0.0, -0.1])
+        bullet.changeDynamics(solid, -1, lateralFriction=1.0)
+
+    def _carry(self, sheet: dict[str, Any]) -> None:
+        """Tie held particles to a heavy body that touches nothing."""
+        places = sheet["positions"][sheet["held"]]
+        self._start = places.mean(axis=0)
+        self._carrier = self._bullet.createMultiBody(_CARRIER, basePosition=self._start.tolist())
+        for particle, place in zip(sheet["held"].tolist(), places, strict=True):
+            offset = (place - self._start).tolist()
+            self._anchors.append(self._bullet.createSoftBodyAnchor(self._body, particle, self._carrier, -1, offset))
+
+    def lead(self, begin: Any, end: Any, steps: int) -> None:
+        """Let held particles move in the steps that follow: all alike."""
+        first, last = begin.mean(axis=0), end.mean(axis=0)
+        self._way = iter([first + (k + 1) / steps * (last - first) for k in range(steps)])
+
+    def let_go(self) -> None:
+        """Let them move by themselves."""
+        for anchor in self._anchors:
+            self._bullet.removeConstraint(anchor)
+
+    def advance(self, steps: int) -> None:
+        """Take so many steps."""
+        bullet = self._bullet
+        for _ in range(steps):
+            here = next(self._way, None)
+            if here is not None:
+                now, _ = bullet.getBasePositionAndOrientation(self._carrier)
+                speed = (here - np.array(now)) / self._step - self._gravity * self._step
+                bullet.resetBaseVelocity(self._carrier, speed.tolist(), [0.0, 0.0, 0.0])
+            if self._joints is not None:
+                for link, force in enumerate(self._forces):
+                    bullet.setJointMotorControl2(self._joints, link, bullet.TORQUE_CONTROL, force=force)
+            bullet.stepSimulation()
+
+    def positions(self) -> Any:
+        """Positions [m]."""
+        _, places = self._bullet.getMeshData(self._body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH)
+        return np.array(places)
+
+    def pads(self) -> Any:
+        """Where they are [m]."""
+        if self._joints is None:
+            return np.zeros((0, 3))
+        return np.array([self._bullet.getLinkState(self._joints, link)[0] for link in range(2)])
+
+    def remarks(self) -> list[str]:
+        """How stiff its springs are."""
+        return [f"has springs of {self._stiffness:.3g} N/m, the stiffest that its step bears"]

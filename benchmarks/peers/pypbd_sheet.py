@@ -1,0 +1,52 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""pyPBD: the sheet's springs as compliant distance constraints (XPBD), one sweep a step; neither damping nor drag."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+class Engine:
+    """See `runner`; one variant."""
+
+    distributions = ("pyPBD",)
+
+    def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        import pypbd
+
+        simulation = pypbd.Simulation.getCurrent()
+        simulation.initDefault()
+        self._model = simulation.getModel()
+        self._particles = self._model.getParticles()
+        masses = np.where(sheet["anchored"], 0.0, sheet["masses"])
+        # Its gravity is 9.81 m/s^2 along -y and can't be turned from Python: the sheet is turned instead, z to y.
+        if sheet["gravity"].tolist() != [0.0, 0.0, -9.81]:
+            raise ValueError(f"gravity is {sheet['gravity'].tolist()}; this engine has (0, 0, -9.81) m/s^2")
+        for particle, (place, mass) in enumerate(zip(sheet["positions"], masses.tolist(), strict=True)):
+            self._particles.addVertex([place[0], place[2], -place[1]])
+            self._particles.setMass(particle, mass)
+        for (near, far), stiffness in zip(sheet["pairs"].tolist(), sheet["stiffness"].tolist(), strict=True):
+            self._model.addDistanceConstraint_XPBD(near, far, stiffness)
+        # Colours the constraints, so that it is not done within the first step.
+        self._model.initConstraintGroups()
+        self._stepper = simulation.getTimeStep()
+        self._stepper.setValueUInt(pypbd.TimeStepController.NUM_SUB_STEPS, 1)
+        self._stepper.setValueUInt(pypbd.TimeStepController.MAX_ITERATIONS, 1)
+        pypbd.TimeManager.getCurrent().setTimeStepSize(step)
+
+    def advance(self, steps: int) -> None:
+        """Take so many steps."""
+        for _ in range(steps):
+            self._stepper.step(self._model)
+
+    def positions(self) -> Any:
+        """Positions [m]."""
+        turned = np.array(self._particles.getVertices()).reshape(-1, 3)
+        return np.stack([turned[:, 0], -turned[:, 2], turned[:, 1]], axis=1)
+
+    def remarks(self) -> list[str]:
+        """Nothing to add."""
+        return []

@@ -1,0 +1,278 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Other engines on the same sheet in the same run: how fast each is while its sheet stays whole, and ours beside."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import attrs
+import numpy as np
+from support.problems import PERIOD, Problem, corner_drop, curtain
+
+from benchmarks.peers import environment as peer_environment
+from benchmarks.peers import jobs as peer_jobs
+from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
+from benchmarks.peers.solvers import PEERS, REQUIREMENTS
+from benchmarks.speed import curtain as speed_curtain
+from validation.report import Plot, Report, Table
+
+#: Ours are at least so many times as fast as the fastest peer, at these N of scene C.
+PROMISE, PROMISED_AT = 15.0, (64, 128)
+#: Ours run at the loosest of these tolerances that holds a millimetre.
+TOLERANCES = (1e-3, 1e-4)
+SCENES = {"curtain": curtain, "corners": corner_drop}
+#: A round at the longest step may take this share of the time that a run in search of it may.
+_ROUND = 0.25
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--scene", choices=SCENES, default="curtain", help="an edge pinned (C), or two corners (A)")
+    sizes = [*speed_curtain.SCORED_FRAMES]
+    parser.add_argument("--resolutions", type=int, nargs="+", metavar="N", default=sizes, help="particles a side")
+    parser.add_argument("--peers", nargs="+", choices=REQUIREMENTS, default=[*REQUIREMENTS], help="which to run")
+    parser.add_argument("--duration", type=float, default=1.0, metavar="S", help="simulated seconds of each run")
+    parser.add_argument(
+        "--seconds", type=float, default=10.0, metavar="S", help="wall seconds after which a peer's run ends early"
+    )
+    parser.add_argument(
+        "--stretch", type=float, default=1.5, metavar="TIMES", help="an edge longer than this times its rest is torn"
+    )
+    parser.add_argument("--repeats", type=int, default=3, help="timed rounds with every peer at its longest step")
+    parser.add_argument("--peer-threads", type=int, default=1, metavar="N", help="for a peer that can use several")
+    parser.add_argument(
+        "--environment",
+        type=Path,
+        metavar="FOLDER",
+        default=peer_environment.default_folder(),
+        help="where the peers are installed, from PyPI (%(default)s)",
+    )
+
+
+@attrs.define
+class Entry:
+    """One engine on one sheet."""
+
+    name: str
+    #: Simulated seconds per wall second of each round.
+    factors: list[float] = attrs.field(factory=list)
+    attempts: list[Attempt] = attrs.field(factory=list)
+
+    @property
+    def factor(self) -> float:
+        """Median of the rounds."""
+        return statistics.median(self.factors)
+
+
+@attrs.define
+class Field:
+    """All engines on one sheet."""
+
+    resolution: int
+    tolerance: float
+    #: Largest error of a particle of ours [m], and the time at which it is taken [s].
+    error: float
+    scored: float
+    reference_error: float
+    ours: Entry
+    one_core: Entry
+    peers: list[Entry] = attrs.field(factory=list)
+    #: What a peer that gave no result said, or that its sheet was never whole.
+    failed: list[str] = attrs.field(factory=list)
+
+    @property
+    def fastest(self) -> Entry | None:
+        """The fastest peer; None where none gave a result."""
+        return max(self.peers, key=lambda entry: entry.factor, default=None)
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure what was asked for."""
+    for name in ("duration", "seconds", "repeats", "peer_threads"):
+        if not getattr(options, name) > 0:
+            option = name.replace("_", "-")
+            raise ValueError(f"--{option} is {getattr(options, name)}; it must be above 0")
+    for resolution in options.resolutions:
+        # Before minutes are spent on anything.
+        speed_curtain.scored(SCENES[options.scene], resolution)
+    if not options.stretch > 1.0:
+        raise ValueError(f"--stretch is {options.stretch:g}; it must be above 1, the length at rest")
+    folder = options.environment.expanduser().absolute()
+    wanted = {name: REQUIREMENTS[name] for name in options.peers}
+    absent = peer_environment.prepare(folder, wanted, _say)
+    peers = [peer for peer in PEERS if peer.package in wanted and peer.package not in absent]
+    fields = [measure(options, folder, resolution, peers) for resolution in options.resolutions]
+    report = Report("Peers", f"python -m benchmarks peers --scene {options.scene} --stretch {options.stretch:g}")
+    report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
+    report.tables += [_throughput(fields), _comparison(fields), _details(fields)]
+    report.plots.append(_plot(fields))
+    _explain(options, peers, fields, report)
+    if options.scene == "curtain":
+        _judge(fields, report)
+    return report
+
+
+def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: list[Peer]) -> Field:
+    """Run all engines on one sheet: the search for each one's longest step, then rounds in which all take turns."""
+    scene = SCENES[options.scene]
+    _say(f"N = {resolution}: reference")
+    field = _score(speed_curtain.scored(scene, resolution), resolution)
+    whole = attrs.evolve(speed_curtain.scored(scene, resolution), frames=max(round(options.duration / PERIOD), 1))
+    with tempfile.TemporaryDirectory() as place:
+        sheet = Path(place, "sheet.npz")
+        np.savez(sheet, **peer_jobs.sheet_tables(whole))
+
+        def attempt(peer: Peer, steps: int, share: float = 1.0) -> Attempt:
+            return peer_jobs.attempt(
+                peer,
+                sheet,
+                steps,
+                environment=folder,
+                frames=whole.frames,
+                seconds=share * options.seconds,
+                whole=options.stretch,
+                threads=options.peer_threads,
+            )
+
+        longest: dict[Peer, Entry] = {}
+        for peer in peers:
+            try:
+                found = peer_jobs.longest_step(_told(peer, resolution, attempt), peer.first_steps(resolution))
+            except PeerFailed as error:
+                field.failed.append(f"N = {resolution}: {error}")
+                continue
+            if found is None:
+                field.failed.append(f"N = {resolution}: {peer.name}: no step kept the sheet whole")
+                continue
+            longest[peer] = Entry(peer.name, attempts=[found])
+        for number in range(options.repeats):
+            _say(f"N = {resolution}: round {number + 1} of {options.repeats}")
+            for one, entry in ((False, field.ours), (True, field.one_core)):
+                with speed_curtain.cores(one=one):
+                    entry.factors.append(whole.duration / speed_curtain.run(whole, tolerance=field.tolerance).seconds)
+            for peer, entry in longest.items():
+                again = attempt(peer, entry.attempts[0].steps, _ROUND)
+                entry.attempts.append(again)
+                entry.factors.append(again.factor)
+    field.peers = [*longest.values()]
+    return field
+
+
+def _score(problem: Problem, resolution: int) -> Field:
+    """Choose our tolerance by the error that it brings."""
+    known = speed_curtain.trusted(problem)
+    for tolerance in TOLERANCES:
+        error = known.deviation(problem.frames, speed_curtain.run(problem, tolerance=tolerance).positions)
+        if error <= speed_curtain.ACCURATE:
+            break
+    return Field(
+        resolution=resolution,
+        tolerance=tolerance,
+        error=error,
+        scored=problem.duration,
+        reference_error=known.error,
+        ours=Entry("cloth_sim_ros, as shipped"),
+        one_core=Entry("cloth_sim_ros, one core"),
+    )
+
+
+def _told(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) -> Callable[[int], Attempt]:
+    """The same, telling how it went."""
+
+    def tell(steps: int) -> Attempt:
+        done = attempt(peer, steps)
+        how = "whole" if done.whole else "torn"
+        _say(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
+        return done
+
+    return tell
+
+
+def _throughput(fields: list[Field]) -> Table:
+    table = Table("Simulated seconds per wall second", ["engine", *(f"N = {field.resolution}" for field in fields)])
+    by_name: dict[str, dict[int, float]] = {}
+    for field in fields:
+        for entry in (field.ours, field.one_core, *field.peers):
+            by_name.setdefault(entry.name, {})[field.resolution] = entry.factor
+    table.rows = [[name, *(by.get(field.resolution, "-") for field in fields)] for name, by in by_name.items()]
+    return table
+
+
+def _comparison(fields: list[Field]) -> Table:
+    columns = ["N", "tolerance m", "error m", "at s", "fastest peer", "as fast as it", "on one core"]
+    table = Table("Ours against the fastest peer", columns)
+    for field in fields:
+        start = [field.resolution, field.tolerance, field.error, field.scored]
+        best = field.fastest
+        end = (
+            [best.name, *(entry.factor / best.factor for entry in (field.ours, field.one_core))] if best else ["-"] * 3
+        )
+        table.rows.append([*start, *end])
+    return table
+
+
+def _details(fields: list[Field]) -> Table:
+    columns = ["N", "engine", "steps a frame", "step s", "largest stretch", "simulated s", "ms a step", "x real time"]
+    table = Table("Each peer at its longest step", columns)
+    for field in fields:
+        for entry in field.peers:
+            found = entry.attempts[0]
+            milliseconds = 1e3 * PERIOD / (found.steps * entry.factor)
+            stretch = max(attempt.stretch for attempt in entry.attempts)
+            row = [field.resolution, entry.name, found.steps, PERIOD / found.steps, stretch, found.simulated]
+            table.rows.append([*row, milliseconds, entry.factor])
+    return table
+
+
+def _plot(fields: list[Field]) -> Plot:
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for field in fields:
+        for entry in (field.ours, field.one_core, *field.peers):
+            lines.setdefault(entry.name, []).append((float(field.resolution), entry.factor))
+    return Plot("Peers", "particles a side", "simulated s per wall s", lines)
+
+
+def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[Field], report: Report) -> None:
+    versions = {name: text for f in fields for e in f.peers for name, text in e.attempts[0].versions.items()}
+    report.environment |= versions
+    report.notes.append(
+        f"a peer's step is the longest, to about a fifth, at which its sheet stays whole for {options.duration:g} s: "
+        f"no edge longer than {options.stretch:g} times its rest length at any frame; no peer says what its error is"
+    )
+    threads = "one thread" if options.peer_threads == 1 else f"up to {options.peer_threads} threads"
+    report.notes.append(f"peers have {threads} each; medians of {options.repeats} rounds in which all take turns")
+    report.notes += [f"{peer.name}: {peer.differs}" for peer in peers]
+    for field in fields:
+        where = f"N = {field.resolution}"
+        report.notes.append(f"{where}: the error's reference is within {field.reference_error:.1g} m of the truth")
+        for entry in field.peers:
+            found = entry.attempts[0]
+            if found.simulated < options.duration - PERIOD:
+                report.notes.append(
+                    f"{where}: {entry.name} was ended after {options.seconds:g} s of work: its sheet was seen whole "
+                    f"for {found.simulated:.2f} s alone, and may tear later"
+                )
+            report.notes += [f"{where}: {entry.name} {remark}" for remark in found.remarks]
+        report.notes += [f"FAILED: {text}" for text in field.failed]
+
+
+def _judge(fields: list[Field], report: Report) -> None:
+    for field in fields:
+        where = f"N = {field.resolution}"
+        if field.error > speed_curtain.ACCURATE:
+            report.failures.append(f"{where}: ours is {field.error:.2g} m off; at most {speed_curtain.ACCURATE:g} m")
+        best = field.fastest
+        if best and field.resolution in PROMISED_AT and field.ours.factor < PROMISE * best.factor:
+            times = field.ours.factor / best.factor
+            report.failures.append(f"{where}: {times:.3g} times as fast as {best.name}; promised {PROMISE:g}")
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"benchmarks peers: {text}\n")
+    sys.stderr.flush()

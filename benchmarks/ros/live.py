@@ -1,0 +1,257 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a live cloth keeps its rate whatever a robot does with it: carried, swung, let go, and flat again.
+
+`python -m benchmarks ros-live` starts the default cloth in a node of its own, recorded, with a subscriber,
+and goes through the same cycle again and again, five minutes long: a gripper takes its lower corner and carries it
+round; the upper edge is let go and the sheet swings from that corner alone; the gripper lets go and the sheet falls;
+it is reset, hangs flat, and rests. Late frames are the node's own count; due times without a cloud and times between
+arrivals are the subscriber's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import SetBool, Trigger
+
+from benchmarks.ros.latency import running_node, spin_until
+
+#: Where the lower corner of the default cloth hangs [m].
+_CORNER = np.array([0.5, 0.0, 0.5])
+#: Time between two targets [s].
+_BETWEEN = 0.01
+#: Longest wait for the node to begin, or for an answer [s].
+_PATIENCE = 60.0
+#: A frame that takes longer is counted [ms]; the first minute is told apart [s].
+_LONG, _FIRST = 50.0, 60.0
+
+
+@attrs.frozen(kw_only=True)
+class Cycle:
+    """How long each part takes [s]."""
+
+    carried: float = 6.0
+    swung: float = 8.0
+    falling: float = 1.0
+    flat: float = 5.0
+
+    def scaled(self, factor: float) -> Cycle:
+        """The same in another time."""
+        return Cycle(**{name: factor * seconds for name, seconds in attrs.asdict(self).items()})
+
+
+class Robot:
+    """Does with a cloth what a robot does, listens to its clouds, and follows its diagnostics.
+
+    Args:
+        alive: raises RuntimeError where the node has ended.
+    """
+
+    def __init__(self, alive: Callable[[], None]) -> None:
+        self._alive = alive
+        self._node = Node("live_probe")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._targets = self._node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", QoSProfile(depth=10))
+        self._node.create_subscription(PointCloud2, "/cloth_sim/points", self._see, QoSProfile(depth=10))
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, QoSProfile(depth=10))
+        self._close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
+        self._reset = self._node.create_client(Trigger, "/cloth_sim/reset")
+        self._set = self._node.create_client(SetParameters, "/cloth_sim/set_parameters")
+        #: Stamps of clouds, and when they arrived [s].
+        self.stamps: list[float] = []
+        self.arrivals: list[float] = []
+        #: When each report of the node's arrived [s], and what it said.
+        self.reports: list[tuple[float, dict[str, str]]] = []
+        #: When each part of a cycle began [s], and its name.
+        self.parts: list[tuple[float, str]] = []
+        #: Where the gripper is to be, by time.
+        self._path: Callable[[float], np.ndarray] = lambda _: _CORNER
+        self._next = 0.0
+
+    def begin(self) -> None:
+        """Wait until the node is there and has said how many frames were late so far."""
+        for client in (self._close, self._reset, self._set):
+            self._spin_until(client.service_is_ready)
+        self._spin_until(lambda: len(self.reports) > 1 and self.arrivals)
+
+    def go_through(self, cycle: Cycle) -> None:
+        """One cycle."""
+        self._begin("carried")
+        self._lead(lambda _: _CORNER, 0.25)
+        self._ask(self._close, SetBool.Request(data=True))
+        turn = 2.0 * np.pi / cycle.carried
+
+        def carried(t: float) -> np.ndarray:
+            return _CORNER + np.array([0.0, -0.25 * np.sin(turn * t), 0.2 * (1.0 - np.cos(turn * t))])
+
+        self._lead(carried, cycle.carried)
+        self._begin("swung")
+        self._anchor([""])
+
+        # Half a metre to and fro, a little up and down, each beginning at rest.
+        def swung(t: float) -> np.ndarray:
+            away = 0.25 * min(1.0, t / (0.25 * cycle.swung)) * np.sin(2.0 * np.pi * t / 1.6)
+            return _CORNER + np.array([-0.6 * away, away, 0.1 * (1.0 - np.cos(2.0 * np.pi * t / 3.2))])
+
+        self._lead(swung, cycle.swung)
+        self._begin("let go")
+        self._ask(self._close, SetBool.Request(data=False))
+        self._lead(lambda _: _CORNER, cycle.falling)
+        self._begin("flat again")
+        self._anchor(["top"])
+        self._ask(self._reset, Trigger.Request())
+        self._lead(lambda _: _CORNER, cycle.flat)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _begin(self, part: str) -> None:
+        self.parts.append((time.monotonic(), part))
+
+    def _lead(self, path: Callable[[float], np.ndarray], seconds: float) -> None:
+        begun = time.monotonic()
+        self._path = lambda now: path(now - begun)
+        self._spin_until(lambda: time.monotonic() - begun >= seconds, limit=seconds + _PATIENCE)
+        end = path(seconds)
+        self._path = lambda _: end
+
+    def _anchor(self, names: list[str]) -> None:
+        value = Parameter("cloth.anchors", Parameter.Type.STRING_ARRAY, names).to_parameter_msg()
+        (answer,) = self._ask(self._set, SetParameters.Request(parameters=[value])).results
+        if not answer.successful:
+            raise RuntimeError(f"cloth.anchors {names} was refused: {answer.reason}")
+
+    def _ask(self, client: Any, request: Any) -> Any:
+        future = client.call_async(request)
+        self._spin_until(future.done)
+        answer = future.result()
+        if not getattr(answer, "success", True):
+            raise RuntimeError(f"{client.srv_name}: {answer.message}")
+        return answer
+
+    def _see(self, cloud: PointCloud2) -> None:
+        self.arrivals.append(time.monotonic())
+        self.stamps.append(cloud.header.stamp.sec + 1e-9 * cloud.header.stamp.nanosec)
+
+    def _hear(self, report: DiagnosticArray) -> None:
+        for status in report.status:
+            if status.name.endswith(": cloth"):
+                self.reports.append((time.monotonic(), {entry.key: entry.value for entry in status.values}))
+
+    def _publish(self, now: float) -> None:
+        message = PoseStamped()
+        place = message.pose.position
+        place.x, place.y, place.z = (float(value) for value in self._path(now))
+        message.pose.orientation.w = 1.0
+        self._targets.publish(message)
+
+    def _spin_until(self, condition: Callable[[], Any], *, limit: float = _PATIENCE) -> None:
+        """Serve what arrives and keep the targets up until the condition holds."""
+        spin_until(self._executor, condition, due=self._due, alive=self._alive, limit=limit)
+
+    def _due(self, now: float) -> float:
+        if now >= self._next:
+            self._next = now + _BETWEEN
+            self._publish(now)
+        return self._next
+
+
+def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
+    """What was found."""
+    stamps, arrivals = np.array(robot.stamps), np.array(robot.arrivals)
+    first, last = robot.reports[0][1], robot.reports[-1][1]
+    begun = robot.reports[0][0]
+    longest = [(when - begun, float(report["longest_frame_ms"])) for when, report in robot.reports]
+    between = np.diff(arrivals)
+    late = int(last["late_frames"]) - int(first["late_frames"])
+    by_part = dict.fromkeys((name for _, name in robot.parts), 0)
+    # A report tells of the second before it: of the part in which most of that lies.
+    for (_, before), (when, report) in itertools.pairwise(robot.reports):
+        part = max((begun for begun in robot.parts if begun[0] <= when - 0.5), default=robot.parts[0])[1]
+        by_part[part] += int(report["late_frames"]) - int(before["late_frames"])
+    return {
+        "seconds": round(robot.reports[-1][0] - begun, 1),
+        "cycles": cycles,
+        "frames": int(last["frame"]) - int(first["frame"]),
+        "late_frames": late,
+        "late_frames_by_part": by_part,
+        "due_times_without_a_cloud": int((np.rint(np.diff(stamps) * rate) - 1.0).clip(0.0).sum()),
+        "longest_between_clouds_ms": round(1e3 * float(between.max()), 1),
+        "longest_frame_ms": max(ms for _, ms in longest),
+        "longest_frame_of_the_first_minute_ms": max(ms for when, ms in longest if when <= _FIRST),
+        f"reports_with_a_frame_above_{_LONG:g}_ms": sum(ms > _LONG for _, ms in longest),
+        "real_time_factor": last["real_time_factor_overall"],
+        "load": round(os.getloadavg()[0], 2),
+        "met": late == 0,
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the figures as JSON.
+
+    Returns:
+        Exit status: 0 where no frame was late, else 1.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-live", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=300.0, help="how long cycles are begun (default: 300)")
+    parser.add_argument("--pace", type=float, default=1.0, help="length of a cycle, in 20 s (default: 1)")
+    parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
+    options = parser.parse_args(arguments)
+    if not (options.seconds > 0.0 and options.pace > 0.0):
+        parser.error(f"--seconds is {options.seconds:g} and --pace {options.pace:g}; both must be above 0")
+    # A graph of its own: nobody else's targets, nobody else's clouds.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rclpy.init(args=[])
+    rate, cycles = 60.0, 0
+    try:
+        with (
+            tempfile.TemporaryDirectory() as place,
+            # The corner alone: 2 cm of a sheet whose particles lie 3.4 cm apart.
+            running_node(
+                resolution=(30, 30),
+                rate=rate,
+                folder=Path(place),
+                further=["gripper.radius:=0.02", *options.parameters],
+            ) as alive,
+        ):
+            robot = Robot(alive)
+            try:
+                robot.begin()
+                end = time.monotonic() + options.seconds
+                while time.monotonic() < end:
+                    robot.go_through(Cycle().scaled(options.pace))
+                    cycles += 1
+            finally:
+                robot.close()
+    finally:
+        rclpy.try_shutdown()
+    found = summary(robot, rate=rate, cycles=cycles)
+    print(json.dumps(found, indent=1))
+    return 0 if found["met"] else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

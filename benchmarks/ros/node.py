@@ -1,0 +1,260 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a live node costs beside its simulation, and what parameters cost that are set while it runs.
+
+`python -m benchmarks ros-node idle` starts a cloth that nobody watches and nothing records, once hung and
+at rest and once swinging, and reads the processor time of its process. What the node adds to a frame is that time less
+what the same frames take of a simulation alone, in this process.
+
+`python -m benchmarks ros-node sets` sets gravity, drag, wind and damping of a live cloth a thousand times a
+minute, in stretches that alternate with others of the same length in which nothing is set, and counts late frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import child_environment, module_command
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: What the node may add to a frame [ms].
+GOAL = 0.3
+#: A hung cloth is at rest from the start, and asleep after a second.
+AT_REST = {"gravity": [0.0, 0.0, 0.0]}
+#: Time for a start, and for an answer [s].
+_PATIENCE = 60.0
+#: Questions that wait for an answer at a time.
+_MOST_WAITING = 8
+#: Sets a minute.
+RATE = 1000.0
+
+
+@contextlib.contextmanager
+def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
+    """Run a node in a process of its own, and return its process id once it is running.
+
+    Raises:
+        RuntimeError: if it ends before.
+    """
+    command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__node:={name}")
+    for key, value in values.items():
+        command += ["-p", f"{key}:={json.dumps(value)}"]
+    process = subprocess.Popen(
+        command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    try:
+        for line in process.stderr:
+            if "grippers:" in line:
+                break
+        else:
+            raise RuntimeError(f"the cloth ended with status {process.wait()}")
+        yield process.pid
+    finally:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=10.0)
+        process.kill()
+
+
+def processor_time(pid: int) -> float:
+    """Processor time that a process has taken so far [s]."""
+    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[str, float]:
+    """Return milliseconds a frame of a node that nobody watches, of its simulation alone, and the share of a core."""
+    scene = Scene.from_parameters(values)
+    with cloth(f"idle_{os.getpid()}", values) as pid:
+        time.sleep(settle)
+        before, begun = processor_time(pid), time.monotonic()
+        time.sleep(seconds)
+        taken, elapsed = processor_time(pid) - before, time.monotonic() - begun
+    alone, paced = (simulation_alone(scene, seconds, settle, paced=paced) for paced in (False, True))
+    each = taken / (elapsed * scene.rate)
+    return {
+        "node_ms_a_frame": round(1e3 * each, 4),
+        "simulation_ms_a_frame": round(1e3 * alone, 4),
+        "paced_simulation_ms_a_frame": round(1e3 * paced, 4),
+        "added_ms_a_frame": round(1e3 * (each - alone), 4),
+        "added_to_paced_ms_a_frame": round(1e3 * (each - paced), 4),
+        "share_of_a_core": round(taken / elapsed, 4),
+    }
+
+
+def simulation_alone(scene: Scene, seconds: float, settle: float, *, paced: bool) -> float:
+    """Return the processor time of a frame in this process [s], one right after the other or each when it is due: a
+    frame that was waited for finds the processor's caches cold.
+    """
+    simulation, frames = Simulation(scene), round(seconds * scene.rate)
+    for _ in range(round(settle * scene.rate)):
+        simulation.advance()
+    before, begun = time.process_time(), time.monotonic()
+    for k in range(1, frames + 1):
+        if paced:
+            time.sleep(max(0.0, begun + k * scene.period - time.monotonic()))
+        simulation.advance()
+    return (time.process_time() - before) / frames
+
+
+class Setter:
+    """Sets parameters of a node, and counts its late frames.
+
+    Args:
+        target: full name of the node.
+    """
+
+    def __init__(self, target: str) -> None:
+        self._node = Node(f"setter_{os.getpid()}")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._status: dict[str, str] = {}
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+        self._client = self._node.create_client(SetParameters, f"{target}/set_parameters")
+        self.refused = 0
+
+    def stretch(self, seconds: float, rate: float) -> tuple[int, int]:
+        """Set so often a second for a while; return how many were set, and the late frames of that time."""
+        self._next_report()
+        late, sent = int(self._status["late_frames"]), 0
+        begun = time.monotonic()
+        waiting: list[Any] = []
+        while (elapsed := time.monotonic() - begun) < seconds:
+            # A service keeps ten questions; where the machine has been elsewhere more would be lost.
+            while sent < elapsed * rate and len(waiting) < _MOST_WAITING:
+                waiting.append(self._client.call_async(SetParameters.Request(parameters=[_change(sent)])))
+                sent += 1
+            self._executor.spin_once(timeout_sec=0.005)
+            waiting = self._count(waiting)
+        while waiting:
+            self._wait(lambda waiting=waiting: any(future.done() for future in waiting))
+            waiting = self._count(waiting)
+        self._next_report()
+        return sent, int(self._status["late_frames"]) - late
+
+    def _count(self, waiting: list[Any]) -> list[Any]:
+        """Count what was refused; those that are not answered yet."""
+        done = [future.result() for future in waiting if future.done()]
+        self.refused += sum(not result.successful for answer in done for result in answer.results)
+        return [future for future in waiting if not future.done()]
+
+    def wait(self) -> None:
+        """Wait until the node answers."""
+        self._wait(self._client.service_is_ready)
+
+    def close(self) -> None:
+        """Let go of the node that asked."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _next_report(self) -> None:
+        self._status = {}
+        self._wait(lambda: self._status)
+
+    def _take(self, message: DiagnosticArray) -> None:
+        self._status = {entry.key: entry.value for entry in message.status[0].values}
+
+    def _wait(self, condition: Any) -> None:
+        end = time.monotonic() + _PATIENCE
+        while not condition():
+            if time.monotonic() > end:
+                raise RuntimeError(f"the cloth did not answer within {_PATIENCE:g} s")
+            self._executor.spin_once(timeout_sec=0.02)
+
+
+def _change(number: int) -> Parameter:
+    """The number-th change: a small one of each kind in turn."""
+    turn, size = number % 4, 0.01 * (number % 7)
+    if turn == 0:
+        return _parameter("gravity", [0.0, 0.0, -9.81 + size])
+    if turn == 1:
+        return _parameter("wind.velocity", [0.1 + size, 0.0, 0.0])
+    return _parameter("air.drag", 0.2 + size) if turn == 2 else _parameter("material.damping", 0.1 + 0.1 * size)
+
+
+def _parameter(name: str, value: Any) -> Parameter:
+    if isinstance(value, list):
+        held = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=value)
+    else:
+        held = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    return Parameter(name=name, value=held)
+
+
+def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[str, Any]:
+    """Return late frames of stretches in which parameters are set, and of as many in which none is."""
+    name = f"sets_{os.getpid()}"
+    late: dict[str, list[int]] = {"with": [], "without": []}
+    sent = 0
+    with cloth(name, values):
+        setter = Setter(f"/{name}")
+        try:
+            setter.wait()
+            for _ in range(rounds):
+                late["without"].append(setter.stretch(seconds, 0.0)[1])
+                count, found = setter.stretch(seconds, RATE / 60.0)
+                sent += count
+                late["with"].append(found)
+        finally:
+            setter.close()
+    return {"set": sent, "refused": setter.refused, "seconds_each": seconds, "late_frames": late}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print what was measured as JSON.
+
+    Returns:
+        Exit status: 0, or 1 where the node adds more than is promised, or a set was refused.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-node", description=__doc__)
+    parser.add_argument("what", choices=("idle", "sets"))
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each stretch (default: %(default)s)")
+    parser.add_argument("--settle", type=float, default=4.0, help="of idle: time before (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=3, help="of sets: pairs of stretches (default: %(default)s)")
+    parser.add_argument(
+        "--resolution", type=int, default=0, help="particles a side (default: 30 for idle, 64 for sets)"
+    )
+    options = parser.parse_args(arguments)
+    if options.seconds <= 0.0 or options.rounds < 1:
+        parser.error("--seconds must be above 0, --rounds at least 1")
+    side = options.resolution or (30 if options.what == "idle" else 64)
+    values: dict[str, Any] = {"cloth.resolution": [side, side]}
+    if options.what == "idle":
+        told: dict[str, Any] = {
+            "at rest": measure_idle(values | AT_REST, options.seconds, options.settle),
+            "swinging": measure_idle(values, options.seconds, options.settle),
+            "goal_ms": GOAL,
+        }
+        told["met"] = all(told[how]["added_ms_a_frame"] <= GOAL for how in ("at rest", "swinging"))
+    else:
+        rclpy.init()
+        try:
+            told = measure_sets(values, options.seconds, options.rounds)
+        finally:
+            rclpy.try_shutdown()
+        told["met"] = not told["refused"]
+    sys.stdout.write(json.dumps(told, indent=1) + "\n")
+    return 0 if told["met"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

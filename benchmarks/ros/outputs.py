@@ -1,0 +1,185 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a subscriber and a recorder add to a frame, and that nothing is built for nobody.
+
+`python -m benchmarks ros-outputs` moves the same cloth four times, frame by frame in turns: with nobody
+there, with a subscriber in another process, with a recorder, with both. A frame is what a node does when it is due:
+its steps, its record, its messages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from cloth_sim_ros.ros.outputs import Outputs
+from cloth_sim_ros.ros.recording import SessionRecording
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import child_environment
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: Pause after each frame [s]: what is left of a period in which nothing is due, for the recorder's thread and for
+#: whoever listens.
+_PAUSE = 0.005
+#: Frames that are not counted.
+_FIRST = 10
+_PATIENCE = 60.0
+PRESENCES = {"nobody": (False, False), "subscriber": (True, False), "recorder": (False, True), "both": (True, True)}
+#: Both together add at most this part to a frame of 16 thousand particles.
+GOAL = 0.10
+
+
+class Candidate:
+    """One cloth with its outputs.
+
+    Args:
+        name: of its node.
+        scene: configuration.
+        heard: whether a subscriber in another process listens.
+        recorded: whether it is recorded.
+    """
+
+    def __init__(self, name: str, scene: Scene, *, heard: bool, recorded: bool) -> None:
+        self._node = Node(name)
+        self._simulation = Simulation(scene)
+        self._recording = SessionRecording(node_name=self._node.get_fully_qualified_name(), simulation=self._simulation)
+        self._outputs = Outputs(self._node, scene, self._recording)
+        self._listener: subprocess.Popen[bytes] | None = None
+        topic = f"{self._node.get_fully_qualified_name()}/points"
+        if heard:
+            command = [sys.executable, "-P", __file__, "--listen", topic]
+            # Not this process's own output: who reads that waits until nobody can write there any more.
+            self._listener = subprocess.Popen(
+                command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+            end = time.monotonic() + _PATIENCE
+            while not self._node.count_subscribers(topic):
+                if time.monotonic() > end:
+                    raise RuntimeError(f"nobody listens on {topic} after {_PATIENCE:g} s")
+                time.sleep(0.05)
+        if recorded:
+            self._recording.begin(self._now())
+            self._recording.wait_until_open()
+
+    def frame(self) -> float:
+        """Do what a node does for a frame; return how long it took [s]."""
+        stamp = self._now()
+        begun = time.perf_counter()
+        self._recording.before_frame(stamp)
+        frame = self._simulation.advance()
+        self._recording.add_frame(frame, stamp, {})
+        self._outputs.send(self._simulation.state.x, frame.wrenches, stamp)
+        return time.perf_counter() - begun
+
+    @property
+    def published(self) -> int:
+        """Clouds that were built and published."""
+        return self._outputs.published
+
+    def close(self) -> None:
+        """Let go of everything."""
+        if self._listener is not None:
+            # It has nothing to put in order, and rclpy may hang between a signal and the end.
+            self._listener.kill()
+            self._listener.wait()
+        self._recording.end(reason="measured", timeout=10.0)
+        self._node.destroy_node()
+
+    def _now(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)
+
+
+@contextlib.contextmanager
+def candidates(resolution: int) -> Iterator[dict[str, Candidate]]:
+    """The four of them; recordings go to a folder that is removed."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+        made = {}
+        for name, (heard, recorded) in PRESENCES.items():
+            values = {"cloth.resolution": [resolution, resolution], "record.folder": folder}
+            scene = Scene.from_parameters(values)
+            made[name] = Candidate(f"outputs_{os.getpid()}_{name}", scene, heard=heard, recorded=recorded)
+            stack.callback(made[name].close)
+        yield made
+
+
+def measure(resolution: int, frames: int) -> dict[str, list[float]]:
+    """Return the frame times [s] of the four, in turns.
+
+    Raises:
+        RuntimeError: if a cloud was built for nobody, or none for somebody.
+    """
+    with candidates(resolution) as made:
+        times: dict[str, list[float]] = {name: [] for name in made}
+        for k in range(frames + _FIRST):
+            for name, candidate in made.items():
+                taken = candidate.frame()
+                if k >= _FIRST:
+                    times[name].append(taken)
+                time.sleep(_PAUSE)
+        for name, candidate in made.items():
+            wanted = 0 if name == "nobody" else frames + _FIRST
+            if candidate.published != wanted:
+                raise RuntimeError(f"with {name} there, {candidate.published} clouds were built instead of {wanted}")
+    return times
+
+
+def listen(topic: str) -> None:
+    """Receive clouds until a signal comes."""
+    rclpy.init()
+    node = Node(f"listener_{os.getpid()}")
+    node.create_subscription(PointCloud2, topic, lambda _: None, QoSProfile(depth=10), raw=True)
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the times as JSON.
+
+    Returns:
+        Exit status: 0, or 1 where both together add more than is promised.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-outputs", description=__doc__)
+    parser.add_argument("--resolution", type=int, default=128, help="particles a side (default: 128, 16 thousand)")
+    parser.add_argument("--frames", type=int, default=100, help="of each (default: 100)")
+    parser.add_argument("--listen", metavar="TOPIC", help="be the subscriber of another process")
+    options = parser.parse_args(arguments)
+    if options.listen:
+        listen(options.listen)
+        return 0
+    if options.frames < 1:
+        parser.error(f"--frames is {options.frames}; at least 1 is needed")
+    rclpy.init()
+    try:
+        times = measure(options.resolution, options.frames)
+    finally:
+        rclpy.try_shutdown()
+    alone = times["nobody"]
+    told = {
+        name: {
+            "median_ms": round(1e3 * statistics.median(taken), 4),
+            "to_nobody": round(statistics.median(a / b for a, b in zip(taken, alone, strict=True)), 4),
+        }
+        for name, taken in times.items()
+    }
+    met = told["both"]["to_nobody"] <= 1.0 + GOAL
+    answer = {"particles": options.resolution**2, "presences": told, "goal": 1.0 + GOAL, "met": met}
+    sys.stdout.write(json.dumps(answer, indent=1) + "\n")
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

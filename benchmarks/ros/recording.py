@@ -1,0 +1,180 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What recording costs, measured on the clouds of a session.
+
+python -m benchmarks recording session.mcap
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from cloth_sim_ros.session.errors import SessionError
+from cloth_sim_ros.session.mcap_builder import Compression
+from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.session.recorder import Recorder, RecorderOptions
+from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+
+_MEMORY = 256 << 20
+"""How much of the session is loaded, to be written again and again [bytes]."""
+_SNAPSHOT = Snapshot(scene_yaml="/**: {}\n", state=b"-", metadata={"node": "/measure"})
+
+
+class _Timing(NamedTuple):
+    late: list[float]
+    """How late each frame began [s]."""
+    cost: list[float]
+    """What handing over a frame took the caller [s]."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print two tables: size and work for each setting; a 60 Hz timer with and without recording."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks recording", description=__doc__)
+    parser.add_argument("session", type=Path)
+    parser.add_argument("--folder", type=Path, help="where to write; by default a temporary folder")
+    parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of each stretch of the second table")
+    parser.add_argument("--rounds", type=int, default=3, help="stretches for each setting, taken in turn")
+    options = parser.parse_args(arguments)
+    try:
+        messages = _load(options.session)
+        with tempfile.TemporaryDirectory(dir=options.folder) as folder:
+            _measure_size(messages, Path(folder), options.rate)
+            _measure_timer(messages, Path(folder), options.rate, options.seconds, options.rounds)
+    except (SessionError, OSError) as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _load(path: Path) -> list[Message]:
+    loaded: list[Message] = []
+    size = 0
+    with SessionReader(path) as reader:
+        for message in reader.messages():
+            loaded.append(message)
+            size += len(message.data)
+            if size > _MEMORY:
+                break
+    if not any(message.topic.endswith("/points") for message in loaded):
+        raise SessionError(f"{path} has no clouds to measure with")
+    return loaded
+
+
+def _frames(messages: Sequence[Message]) -> list[list[Message]]:
+    """The messages, each frame's together."""
+    frames: list[list[Message]] = []
+    for message in messages:
+        if message.topic.endswith("/frame") or not frames:
+            frames.append([])
+        frames[-1].append(message)
+    return [frame for frame in frames if any(message.topic.endswith("/points") for message in frame)]
+
+
+def _measure_size(messages: Sequence[Message], folder: Path, rate: float) -> None:
+    frames = _frames(messages)
+    raw = sum(len(message.data) for frame in frames for message in frame)
+    print(f"{len(frames)} frames, {raw / len(frames) / 1e3:,.1f} kB each; an hour at {rate:g} Hz:\n")
+    print("| compression | chunk | GB an hour | ratio | ms of work a frame | of a core |")
+    print("|---|---|---|---|---|---|")
+    names: tuple[Compression, ...] = ("none", "lz4", "zstd")
+    for compression in names:
+        for chunk in (1 << 20, 4 << 20):
+            options = WriterOptions(compression=compression, chunk_bytes=chunk, sync_seconds=0)
+            writer = SessionWriter(
+                folder, snapshot=_SNAPSHOT, stem=f"{compression}{chunk}", log_time=0, options=options
+            )
+            begin = time.thread_time()
+            for frame in frames:
+                for message in frame:
+                    _add(writer, message)
+            writer.finish(reason="measured")
+            work = (time.thread_time() - begin) / len(frames)
+            size = writer.bytes_written
+            writer.path.unlink()
+            hour = size / len(frames) * rate * 3600
+            print(
+                f"| {compression} | {chunk >> 20} MiB | {hour / 1e9:.1f} | {raw / size:.2f} | {work * 1e3:.2f} "
+                f"| {work * rate:.1%} |"
+            )
+
+
+def _add(writer: SessionWriter, message: Message) -> None:
+    if not writer.is_declared(message.topic):
+        writer.declare(message.topic, message.type_name)
+    writer.add(
+        message.topic,
+        message.data,
+        log_time=message.log_time,
+        publish_time=message.publish_time,
+        sequence=message.sequence,
+    )
+
+
+def _measure_timer(messages: Sequence[Message], folder: Path, rate: float, seconds: float, rounds: int) -> None:
+    frames = _frames(messages)
+    settings: tuple[Compression | None, ...] = (None, "none", "lz4", "zstd")
+    timings: dict[Compression | None, _Timing] = {setting: _Timing([], []) for setting in settings}
+    dropped = dict.fromkeys(settings, 0)
+    # In turn, so that whatever else the machine does falls on all of them.
+    for _ in range(rounds):
+        for setting in settings:
+            recorder = None
+            if setting is not None:
+                options = RecorderOptions(writer=dataclasses.replace(WriterOptions(), compression=setting))
+                recorder = Recorder(folder, snapshot=_SNAPSHOT, log_time=0, options=options)
+                recorder.wait_until_open()
+            _run_timer(frames, recorder, rate, int(seconds * rate), timings[setting])
+            if recorder is not None:
+                status = recorder.close(timeout=60.0)
+                dropped[setting] += status.dropped
+                if status.path is not None:
+                    status.path.unlink()
+    print(f"\n{rounds} x {seconds:g} s at {rate:g} Hz, microseconds:\n")
+    print("| recording | late median | late p99 | late most | handing over median | p99 | most | dropped |")
+    print("|---|---|---|---|---|---|---|---|")
+    for setting in settings:
+        late, cost = (np.array(values) * 1e6 for values in timings[setting])
+        cells = [np.median(late), np.percentile(late, 99), late.max()]
+        cells += [np.median(cost), np.percentile(cost, 99), cost.max()]
+        row = " | ".join(f"{cell:,.0f}" for cell in cells)
+        print(f"| {setting or 'no'} | {row} | {dropped[setting]} |")
+
+
+def _run_timer(
+    frames: Sequence[Sequence[Message]], recorder: Recorder | None, rate: float, count: int, timing: _Timing
+) -> None:
+    start = time.perf_counter() + 0.1
+    for number in range(count):
+        due = start + number / rate
+        time.sleep(max(due - time.perf_counter(), 0.0))
+        began = time.perf_counter()
+        frame = frames[number % len(frames)]
+        # Bytes that nobody has touched lately, as a serializer makes them.
+        fresh = [bytes(memoryview(message.data)) for message in frame]
+        handed = time.perf_counter()
+        if recorder is not None:
+            for message, data in zip(frame, fresh, strict=True):
+                recorder.record(
+                    message.topic,
+                    message.type_name,
+                    data,
+                    log_time=number,
+                    droppable=message.topic.endswith("/points"),
+                )
+        timing.cost.append(time.perf_counter() - handed)
+        timing.late.append(began - due)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

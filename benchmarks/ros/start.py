@@ -1,0 +1,156 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start of a live cloth: from the start of its process to the first cloud at a subscriber that waits for it.
+
+`python -m benchmarks ros-start` starts `cloth_sim` so often, each time in a namespace of its own. The first
+start, which reads the libraries from the disk, is told apart: the others find them in memory. Beside the wall time
+stands the processor time that the process had taken by then: where the machine is busy, the wall time is above it.
+`answers_after_s` is the time from the node's name in the graph to its answer to a question for a parameter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from sensor_msgs.msg import PointCloud2
+
+from cloth_sim_ros.session.child_process import child_environment, module_command
+
+#: Longest wait for a first cloud [s].
+_PATIENCE = 60.0
+#: A question without an answer is asked again after so long [s].
+_AGAIN = 1.0
+#: What is asked of a start whose libraries are in memory [s].
+GOAL = 2.0
+
+
+@attrs.frozen(kw_only=True)
+class Start:
+    """One start."""
+
+    #: From the start of the process to the first cloud, by the wall, and the process's processor time by then [s].
+    wall: float
+    busy: float
+    #: From the name in the graph to the first answer [s].
+    answers_after: float
+
+
+def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
+    """Start a cloth, wait for its first cloud and its first answer, stop it; return how long that took.
+
+    Args:
+        index: tells its namespace.
+        arguments: further ROS arguments, e.g. ``-p cloth.resolution:=[64,64]``.
+
+    Raises:
+        RuntimeError: if it ends, or sends nothing.
+    """
+    namespace = f"start_{os.getpid()}_{index}"
+    node = Node("start_probe", namespace=namespace)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    arrivals: list[float] = []
+    node.create_subscription(
+        PointCloud2,
+        "cloth_sim/points",
+        lambda _: arrivals.append(time.monotonic()),
+        QoSProfile(depth=10),
+        raw=True,
+    )
+    command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments)
+    question = node.create_client(GetParameters, "cloth_sim/get_parameters")
+    asked: list[Future] = []
+    seen = answered = None
+    begun = again = time.monotonic()
+    process = subprocess.Popen(
+        command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        while not arrivals or answered is None:
+            executor.spin_once(timeout_sec=0.02)
+            if seen is None and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
+                seen = time.monotonic()
+            now = time.monotonic()
+            # An answer that is sent before the node has met who asked is lost: then it is asked again.
+            if answered is None and now > again and question.service_is_ready():
+                asked.append(question.call_async(GetParameters.Request(names=["rate"])))
+                again = now + _AGAIN
+            if answered is None and any(future.done() for future in asked):
+                answered = now
+            if process.poll() is not None:
+                _, said = process.communicate()
+                raise RuntimeError(f"the cloth ended with status {process.returncode}: {said[-2000:]}")
+            if time.monotonic() - begun > _PATIENCE:
+                missing = "answer" if arrivals else "cloud"
+                raise RuntimeError(f"no {missing} came in {_PATIENCE:g} s")
+        busy = _processor_time(process.pid)
+    finally:
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=10.0)
+        process.kill()
+        executor.shutdown()
+        node.destroy_node()
+    # What answers is in the graph, even where its name is told of later than its services.
+    seen = answered if seen is None else min(seen, answered)
+    return Start(wall=arrivals[0] - begun, busy=busy, answers_after=answered - seen)
+
+
+def _processor_time(pid: int) -> float:
+    """Processor time that a process has taken so far [s]."""
+    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the times as JSON.
+
+    Returns:
+        Exit status: 0, or 1 where the median of the warm starts is above the goal.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-start", description=__doc__)
+    parser.add_argument("--starts", type=int, default=5, help="starts with the libraries in memory (default: 5)")
+    parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
+    options = parser.parse_args(arguments)
+    if options.starts < 1:
+        parser.error(f"--starts is {options.starts}; at least 1 is needed")
+    rclpy.init()
+    try:
+        first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
+    finally:
+        rclpy.try_shutdown()
+    median = float(np.median([start.wall for start in warm]))
+    told: dict[str, Any] = {
+        "first_s": round(first.wall, 3),
+        "warm_s": [round(start.wall, 3) for start in warm],
+        "warm_median_s": round(median, 3),
+        "warm_processor_median_s": round(float(np.median([start.busy for start in warm])), 3),
+        "answers_after_s": [round(start.answers_after, 3) for start in (first, *warm)],
+        "goal_s": GOAL,
+        "met": median < GOAL,
+    }
+    sys.stdout.write(json.dumps(told, indent=1) + "\n")
+    return 0 if told["met"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

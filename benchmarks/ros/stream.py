@@ -1,0 +1,269 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a rate is held with large clouds, and whether a reliable subscriber gets every one of them.
+
+`python -m benchmarks ros-stream` lets a node publish clouds of 16 and of 65 thousand points by wall time,
+and a subscriber in another process write down the stamp and the arrival of each. The cloth lies at rest without weight
+and sleeps, so that what is measured is the way of a cloud and not the motion; `--moving` lets a soft one fall, which at
+the larger size takes longer than a frame. Before the first cloud that counts and after the last one no frame is due
+until the subscriber has got all that are under way: so what was sent and what was received are counted exactly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import json
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.session.child_process import child_environment
+
+#: A cloth that takes few steps a frame [N/m], and one that falls asleep, too.
+_MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "bending.model": "none"}
+_RESTING = {**_MOVING, "gravity": [0.0, 0.0, 0.0]}
+#: Time by wall that does not count, after frames that were due while none were taken [s].
+_FIRST = 1.0
+#: Longest wait for the subscriber, and for clouds under way [s].
+_PATIENCE = 60.0
+_UNDER_WAY = 5.0
+#: No cloud for so long: none is under way [s].
+_QUIET = 0.5
+#: Stamp [ns] and arrival by the monotonic clock [ns].
+_LINE = struct.Struct("<qq")
+#: Of a cloud's bytes: seconds and nanoseconds of its stamp, behind the encapsulation.
+_STAMP = struct.Struct("<iI")
+_STAMP_AT = 4
+
+
+@attrs.frozen(kw_only=True)
+class Stream:
+    """What was measured."""
+
+    points: int
+    rate: float
+    #: Whether the cloth slept in the end.
+    asleep: bool
+    #: Clouds sent and received.
+    sent: int
+    received: int
+    #: Of the clouds between whose due times the rate was looked at, stamps and arrivals [s].
+    stamps: np.ndarray
+    arrivals: np.ndarray
+    #: Frames that were late by the node's own count, and the share of the time that frames took.
+    late: int
+    load: float
+
+    @property
+    def left_out(self) -> int:
+        """Due times between the first and the last stamp of which no cloud came."""
+        periods = np.rint(np.diff(self.stamps) * self.rate)
+        return int((periods - 1.0).clip(0.0).sum())
+
+    @property
+    def met(self) -> bool:
+        """Whether there was a cloud for each due time, and each cloud came."""
+        return self.received == self.sent > 0 and self.left_out == 0
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values for a table."""
+        spacing = 1e3 * np.diff(self.arrivals)
+        low, median, high, highest = np.percentile(spacing, [1.0, 50.0, 99.0, 100.0])
+        return {
+            "points": self.points,
+            "rate_hz": self.rate,
+            "asleep": self.asleep,
+            "sent": self.sent,
+            "received": self.received,
+            "lost": self.sent - self.received,
+            "left_out": self.left_out,
+            "late": self.late,
+            "load": round(self.load, 4),
+            "received_hz": round(1e3 * len(spacing) / float(spacing.sum()), 3),
+            "spacing_p1_ms": round(float(low), 3),
+            "spacing_median_ms": round(float(median), 3),
+            "spacing_p99_ms": round(float(high), 3),
+            "spacing_max_ms": round(float(highest), 3),
+            "met": self.met,
+        }
+
+
+@contextlib.contextmanager
+def subscriber(topic: str, file: Path) -> Iterator[None]:
+    """A reliable subscriber in a process of its own, which writes to a file what it receives."""
+    command = [sys.executable, "-P", __file__, "--listen", topic, str(file)]
+    # Not this process's own output: who reads that waits until nobody can write there any more.
+    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        # It has nothing to put in order, and rclpy may hang between a signal and the end.
+        process.kill()
+        process.wait()
+
+
+def measure(resolution: int, *, seconds: float, rate: float, moving: bool = False) -> Stream:
+    """Let a node of so many particles a side run for some time [s] at a rate [Hz], its cloth at rest or moving.
+
+    Raises:
+        RuntimeError: if no subscriber comes, or a cloth that should sleep does not.
+    """
+    values = {"cloth.resolution": [resolution, resolution], "rate": rate, **(_MOVING if moving else _RESTING)}
+    given = [Parameter(name, value=value) for name, value in values.items()]
+    cloth = ClothNode(f"stream_{os.getpid()}_{resolution}", parameter_overrides=given)
+    executor = SingleThreadedExecutor()
+    executor.add_node(cloth.node)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "received"
+            file.touch()
+            cloth.warm_up()
+            with subscriber(f"{cloth.node.get_fully_qualified_name()}/points", file):
+                return _stream(cloth, executor, file, seconds=seconds, rate=rate, moving=moving)
+    finally:
+        cloth.close()
+        executor.shutdown()
+
+
+def _stream(
+    cloth: ClothNode, executor: SingleThreadedExecutor, file: Path, *, seconds: float, rate: float, moving: bool
+) -> Stream:
+    def spin(condition: Callable[[], bool]) -> None:
+        while not condition():
+            executor.spin_once(timeout_sec=0.1)
+
+    def received() -> int:
+        return file.stat().st_size // _LINE.size
+
+    def spin_to_next(moment: float) -> None:
+        """Spin until a cloud has been published after a moment: where the machine stands still, the gap shows."""
+        spin(lambda: time.monotonic() >= moment)
+        count, end = cloth.published, time.monotonic() + _PATIENCE
+        spin(lambda: cloth.published > count or time.monotonic() > end)
+        if cloth.published == count:
+            raise RuntimeError(f"no cloud was published in {_PATIENCE:g} s: the subscriber is gone")
+
+    gc.collect()
+    gc.freeze()
+    cloth.start()
+    end = time.monotonic() + _PATIENCE
+    spin(lambda: time.monotonic() > end or (received() > 0 and (moving or cloth.simulation.asleep)))
+    if not received():
+        raise RuntimeError(f"no cloud was received in {_PATIENCE:g} s")
+    if not (moving or cloth.simulation.asleep):
+        raise RuntimeError(f"the cloth did not fall asleep in {_PATIENCE:g} s")
+    _wait_until_quiet(received)
+    sent, got = cloth.published, received()
+    # Frames that were due meanwhile are no fault: spacing and lateness are looked at a little later.
+    spin_to_next(time.monotonic() + _FIRST)
+    late, busy, begun = cloth.tally.late, cloth.tally.busy, time.monotonic()
+    spin_to_next(begun + seconds)
+    ended = time.monotonic()
+    load = (cloth.tally.busy - busy) / (ended - begun)
+    late = cloth.tally.late - late
+    sent = cloth.published - sent
+    _wait_until_quiet(received, enough=got + sent)
+    lines = np.frombuffer(file.read_bytes(), dtype="<i8").reshape(-1, 2)[got:]
+    counted = lines[lines[:, 1] >= 1e9 * begun]
+    if len(counted) < 2:
+        raise RuntimeError(f"of {sent} clouds {len(lines)} were received, too few to tell a rate")
+    return Stream(
+        points=cloth.simulation.state.particle_count,
+        rate=rate,
+        asleep=cloth.simulation.asleep,
+        sent=sent,
+        received=len(lines),
+        # Their differences count: nanoseconds since 1970 have more digits than a float.
+        stamps=(counted[:, 0] - lines[0, 0]) * 1e-9,
+        arrivals=counted[:, 1] * 1e-9,
+        late=late,
+        load=load,
+    )
+
+
+def _wait_until_quiet(received: Callable[[], int], *, enough: int | None = None) -> None:
+    """Wait until no more clouds come; where it is known how many should, for those or as long as they may take."""
+    end = time.monotonic() + _UNDER_WAY
+    count, since = received(), time.monotonic()
+    while time.monotonic() < end:
+        if received() != count:
+            count, since = received(), time.monotonic()
+        # One cloud more than was sent would be seen, too.
+        quiet = time.monotonic() - since > _QUIET
+        if quiet and (enough is None or count >= enough):
+            return
+        time.sleep(0.01)
+
+
+def listen(topic: str, file: Path) -> None:
+    """Write down stamp and arrival of each cloud until a signal comes."""
+    rclpy.init(args=[])
+    node = Node(f"listener_{os.getpid()}")
+    with file.open("ab", buffering=0) as stream:
+
+        def see(data: bytes) -> None:
+            now = time.monotonic_ns()
+            second, nano = _STAMP.unpack_from(data, _STAMP_AT)
+            stream.write(_LINE.pack(second * 1_000_000_000 + nano, now))
+
+        node.create_subscription(PointCloud2, topic, see, QoSProfile(depth=10), raw=True)
+        gc.collect()
+        gc.freeze()
+        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+            rclpy.spin(node)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the figures as JSON.
+
+    Returns:
+        Exit status: 0, or 1 where a cloud was lost or left out.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-stream", description=__doc__)
+    sides = "particles a side (default: 128 256, 16 and 65 thousand)"
+    parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256], metavar="N", help=sides)
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each (default: 30)")
+    parser.add_argument("--rate", type=float, default=60.0, help="frames a second (default: 60)")
+    parser.add_argument("--moving", action="store_true", help="a soft cloth that falls, not one at rest")
+    parser.add_argument("--listen", nargs=2, metavar=("TOPIC", "FILE"), help="be the subscriber of another process")
+    options = parser.parse_args(arguments)
+    if options.listen:
+        listen(options.listen[0], Path(options.listen[1]))
+        return 0
+    least = 2.0 / options.rate
+    if not options.seconds >= least:
+        parser.error(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
+    # A graph of its own: nobody else's clouds.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rclpy.init(args=[])
+    try:
+        found = [
+            measure(side, seconds=options.seconds, rate=options.rate, moving=options.moving)
+            for side in options.resolutions
+        ]
+    finally:
+        rclpy.try_shutdown()
+    sys.stdout.write(json.dumps([stream.summary() for stream in found], indent=1) + "\n")
+    return 0 if all(stream.met for stream in found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

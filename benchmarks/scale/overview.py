@@ -1,0 +1,94 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a thousand particles to a million: time per particle and step, and memory."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from validation.report import Plot, Report, Table
+
+#: A particle's step in the largest sheet takes at most so many times that of a sheet of about 10^4.
+TIME_PROMISE = 2.0
+#: Memory is at most so many times the state, one set of forces and the scene's own tables.
+MEMORY_PROMISE = 2.0
+#: Particles a side: 10^3 to 10^6.
+SIZES = (32, 64, 100, 180, 320, 560, 1000)
+_LARGE = 100_000
+KINDS = ("grid", "mesh")
+_MEGA = 1e6
+#: By its path, because a child of a benchmark searches its working folder for nothing.
+_SHEET = Path(__file__).with_name("sheet.py")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="of sheets")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[*SIZES], metavar="N", help="particles a side")
+    parser.add_argument("--seconds", type=float, default=3.0, help="of timing for each sheet")
+    parser.add_argument("--rounds", type=int, default=2, help="processes for each sheet; the fastest counts")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure all sheets, each in processes of its own.
+
+    Raises:
+        ValueError: if there are no rounds.
+    """
+    if options.rounds < 1:
+        raise ValueError(f"--rounds is {options.rounds}; at least 1 is needed")
+    report = Report("From a thousand particles to a million", "python -m benchmarks scale")
+    columns = ["sheet", "particles", "build s", "frame ms", "ns a particle and step", "to 10^4"]
+    times = Table("Time", columns)
+    memory = Table(
+        "Memory, MB",
+        ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables", "run to their sum"],
+    )
+    for kind in options.kinds:
+        found = _sheets(kind, options, report)
+        if not found:
+            continue
+        near = min(found, key=lambda one: abs(one["particles"] - 1e4))
+        for one in found:
+            ratio = one["least_ns"] / near["least_ns"]
+            row = [kind, one["particles"], one["build_s"], 1e3 * one["least_frame_s"], one["least_ns"], ratio]
+            times.rows.append(row)
+            sizes = [one[f"{what}_bytes"] for what in ("build_peak", "peak", "state", "force", "table")]
+            share = sizes[1] / sum(sizes[2:])
+            memory.rows.append([kind, one["particles"], *(size / _MEGA for size in sizes), share])
+            if one["particles"] >= _LARGE and ratio > TIME_PROMISE:
+                report.failures.append(f"{kind} of {one['particles']}: {ratio:.2f} times the time of 10^4")
+            if one["particles"] >= _LARGE and share > MEMORY_PROMISE:
+                report.failures.append(
+                    f"{kind} of {one['particles']}: {share:.2f} times the memory of what it must hold"
+                )
+        points = [(float(one["particles"]), float(one["least_ns"])) for one in found]
+        report.plots.append(Plot(f"Time, {kind}", "particles", "ns a particle and step", {kind: points}))
+    report.tables += [times, memory]
+    report.notes.append("each sheet in processes of its own, sizes in turn; of several the shortest median frame")
+    report.notes.append("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
+    return report
+
+
+def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict[str, Any]]:
+    best: dict[int, dict[str, Any]] = {}
+    for _ in range(options.rounds):
+        for size in options.sizes:
+            command = [sys.executable, "-P", str(_SHEET), kind, str(size)]
+            done = subprocess.run(
+                [*command, "--seconds", str(options.seconds)], check=False, capture_output=True, text=True
+            )
+            if done.returncode:
+                last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
+                report.failures.append(f"{kind}, {size} a side, could not be run: {last}")
+                continue
+            found = json.loads(done.stdout.splitlines()[-1])
+            before = best.get(size)
+            if before is None or found["ns"] < before["ns"]:
+                best[size] = found | {"least_ns": found["ns"], "least_frame_s": found["frame_s"]}
+    return [best[size] for size in sorted(best)]

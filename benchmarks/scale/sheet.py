@@ -1,0 +1,167 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One sheet in a process of its own: how long its steps take, and how much memory it needs.
+
+`python benchmarks/scale/sheet.py grid 1000` prints JSON. A process of its own, because memory that was asked
+for once is seldom given back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import json
+import resource
+import statistics
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: Steps of a frame: so many that what a frame does once does not count much, at any size.
+STEPS = 40
+_KINDS = ("grid", "mesh")
+#: Particles a side of a sheet that loads the code which larger ones run.
+_WARM = 56
+_MESH = "sheet.ply"
+
+
+def main() -> int:
+    """Run one sheet and print what was measured as JSON."""
+    parser = argparse.ArgumentParser(prog="sheet.py", description=__doc__)
+    parser.add_argument("kind", choices=_KINDS)
+    parser.add_argument("resolution", type=int, help="particles a side")
+    parser.add_argument("--seconds", type=float, default=3.0, help="of timing")
+    options = parser.parse_args()
+    # A small sheet of the same kind first, large enough for all threads: what the code itself needs is no sheet's.
+    _frames(_scene(options.kind, _WARM), frames=3)
+    gc.collect()
+    _forget_peak()
+    before = _peak()
+    begun = time.perf_counter()
+    scene = _scene(options.kind, options.resolution)
+    simulation = Simulation(scene)
+    built = time.perf_counter() - begun
+    found: dict[str, Any] = {"build_s": built, "build_peak_bytes": _peak() - before}
+    gc.collect()
+    _forget_peak()
+    found |= _measure(simulation, seconds=options.seconds)
+    found |= {"peak_bytes": _peak() - before, **_needed(simulation)}
+    sys.stdout.write(json.dumps(found) + "\n")
+    return 0
+
+
+def _scene(kind: str, resolution: int) -> Scene:
+    # The scene's own stability limit would ask for a thousand steps a frame of the largest sheets: the rate is set so
+    # that each takes `STEPS`.
+    # The integrator is the one that `auto` takes for them, with the default tolerance.
+    values: dict[str, Any] = {
+        "cloth.resolution": [resolution, resolution],
+        "integrator": "extrapolated",
+        "wind.normal_drag": 0.0,
+    }
+    files = {}
+    if kind == "mesh":
+        values |= {"cloth.mesh": _MESH, "cloth.anchors": ["0", str(resolution - 1)], "bending.model": "none"}
+        values["cloth.resolution"] = [2, 2]
+        files[_MESH] = _ply(resolution)
+    trial = Scene.from_parameters(values, files=files)
+    plan = trial.plan()
+    x = np.ascontiguousarray(trial.initial_positions().T)
+    limit = trial.build_integrator().step_limit(*plan.rates(x))
+    return Scene.from_parameters({**values, "rate": 1.0 / (0.9 * STEPS * limit)}, files=files)
+
+
+def _ply(resolution: int) -> bytes:
+    """A square sheet's triangles in an order in which neighbours lie far apart, as a mesher may leave them."""
+    random = np.random.default_rng(1)
+    line = np.linspace(-0.5, 0.5, resolution)
+    points = np.zeros((resolution, resolution, 3), dtype="<f4")
+    points[..., 0], points[..., 1] = line[None, :], line[:, None]
+    count = resolution**2
+    place = random.permutation(count)
+    shuffled = np.empty((count, 3), dtype="<f4")
+    shuffled[place] = points.reshape(-1, 3)
+    triangles = place[grid_triangles(resolution, resolution, "alternating")]
+    faces = np.zeros(len(triangles), dtype=[("count", "u1"), ("ends", "<i4", 3)])
+    faces["count"], faces["ends"] = 3, random.permutation(triangles)
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    return head.encode() + shuffled.tobytes() + faces.tobytes()
+
+
+def _frames(scene: Scene, *, frames: int) -> None:
+    simulation = Simulation(scene)
+    for _ in range(frames):
+        simulation.advance()
+
+
+def _measure(simulation: Simulation, *, seconds: float) -> dict[str, Any]:
+    """Time of a frame: wall and processor time, and how many steps it takes."""
+    simulation.advance()
+    walls: list[float] = []
+    steps: list[int] = []
+    end = time.perf_counter() + seconds
+    while len(walls) < 3 or time.perf_counter() < end:
+        begun = time.perf_counter()
+        frame = simulation.advance()
+        walls.append(time.perf_counter() - begun)
+        assert frame.advance is not None
+        steps.append(frame.advance.evaluations)
+    count = simulation.state.particle_count
+    return {
+        "particles": count,
+        "frames": len(walls),
+        "evaluations": statistics.median(steps),
+        "frame_s": statistics.median(walls),
+        "least_frame_s": min(walls),
+        "ns": 1e9 * statistics.median(walls) / statistics.median(steps) / count,
+        "least_ns": 1e9 * min(walls) / statistics.median(steps) / count,
+    }
+
+
+def _needed(simulation: Simulation) -> dict[str, int]:
+    """Bytes of the state, of one set of forces, and of the scene's own tables.
+
+    The tables: masses and their inverses, the state that a reset returns to, and of a mesh its file, its vertices and
+    triangles and its springs' pairs, rest lengths, stiffness and damping. A grid has no lists.
+    """
+    state = sum(array.nbytes for array in simulation.state.arrays().values())
+    model, scene = simulation.model, simulation.scene
+    tables = model.masses.nbytes + model.inverse_masses.nbytes + state
+    for force in model.forces:
+        tables += sum(value.nbytes for value in vars(force).values() if isinstance(value, np.ndarray))
+    if scene.cloth.mesh:
+        sheet = scene.sheet
+        tables += sheet.triangles().nbytes + sheet.positions().nbytes + len(scene.files[_MESH])
+    return {"state_bytes": state, "force_bytes": simulation.state.x.nbytes, "table_bytes": tables}
+
+
+def _forget_peak() -> None:
+    """Let the peak begin anew with the memory that there is; where the system can't, it goes on."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak() -> int:
+    """Most memory that the process has had since then [B]."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM"):
+                return 1024 * int(line.split()[1])
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+if __name__ == "__main__":
+    sys.exit(main())

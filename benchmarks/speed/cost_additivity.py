@@ -1,0 +1,255 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether costs add up: a cloth with two features at once against the same with each of them alone, and with none.
+
+(AB - base) is at most 1.1 times (A - base) + (B - base), and 2 % of base. Steps are fixed, the same for all: what is
+compared is the work, and not what step control makes of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import statistics
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import attrs
+import numpy as np
+from support import garment
+from support.problems import PERIOD
+from support.random_meshes import shuffled_mesh
+
+from benchmarks.timing import Turns, take_turns
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from validation.report import Report, Table
+
+#: The scene of config/cloth_sim.yaml, without air across the sheet.
+DEFAULT_CLOTH: dict[str, Any] = {
+    "rate": 60.0,
+    "cloth.size": [1.0, 1.0],
+    "cloth.resolution": [30, 30],
+    "cloth.position": [0.0, 0.0, 1.0],
+    "cloth.anchors": ["top"],
+    "material.density": 0.2,
+    "material.stretch_modulus": 1000.0,
+    "material.shear_modulus": 100.0,
+    "material.damping": 0.1,
+    "wind.normal_drag": 0.0,
+    "grippers": ["gripper"],
+    "gripper.radius": 0.05,
+}
+#: AB - base is at most so many times the sum, and this share of base.
+TIMES, SHARE = 1.1, 0.02
+SHEETS = ("grid", "mesh")
+#: Only one of these bends a cloth.
+BENDINGS = ("opposite", "crossed", "altitude")
+FEATURES = (*BENDINGS, "air", "gripper", "numpy", "energy")
+#: Share of the stability limit that the fixed step takes, of the stiffest cloth among those compared.
+_STEP_SHARE = 0.8
+#: Frames of one turn, and those before it in which the gripper takes hold.
+_FRAMES, _WARM = 8, 3
+#: How fast the gripper turns [rad/s] and moves [m/s].
+_TURN, _SPEED = 1.0, 0.2
+
+
+class Floor(Force):
+    """A user's own force in numpy: a soft floor that pushes particles below it up."""
+
+    name = "floor"
+
+    def __init__(self, level: float, stiffness: float) -> None:
+        self.level, self.stiffness = level, stiffness
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        f[2] += self.stiffness * np.maximum(self.level - x[2], 0.0)
+
+    def energy(self, t: float, x: Array) -> float:
+        below = np.maximum(self.level - x[2], 0.0)
+        return 0.5 * self.stiffness * float(np.sum(below * below))
+
+    def add_stiffness(self, x: Array, blocks: Array) -> None:
+        blocks[2] += self.stiffness
+
+
+class FlooredScene(Scene):
+    """A scene with a soft floor."""
+
+    def plan(self) -> Plan:
+        """The scene's own equations and the floor's."""
+        model = self.model()
+        return compile(Model(model.masses, [*model.forces, Floor(0.7, 0.01)], anchors=model.anchors))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--sheets", nargs="+", choices=SHEETS, default=SHEETS, help="kinds of cloth")
+    parser.add_argument("--features", nargs="+", choices=FEATURES, default=FEATURES, help="that are paired")
+    parser.add_argument("--resolution", type=int, default=30, metavar="N", help="particles a side")
+    parser.add_argument("--seconds", type=float, default=90.0, help="of timing for each kind of cloth")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure all pairs.
+
+    Raises:
+        ValueError: for an option out of range.
+    """
+    if options.resolution < 4:
+        raise ValueError(f"--resolution is {options.resolution}; at least 4 are needed")
+    if not options.seconds > 0:
+        raise ValueError(f"--seconds is {options.seconds}; it must be above 0")
+    report = Report("Costs add up", "python -m benchmarks cost-additivity")
+    for sheet in options.sheets:
+        add(sheet, measured(sheet, options), report)
+    report.notes.append(
+        "frames with equal fixed steps, processor time, medians of rounds in turns, each round relative to its base; "
+        f"at most: {TIMES:g} times the sum of what each adds alone, + {SHARE:.0%} of base"
+    )
+    return report
+
+
+@attrs.frozen
+class Cost:
+    """Time of frames by features, relative to base of the same round."""
+
+    #: Of base [s], and steps in a frame.
+    base: float
+    steps: int
+    times: Mapping[frozenset[str], float]
+
+
+def pairs(features: tuple[str, ...]) -> list[tuple[str, str]]:
+    """All pairs that one cloth can have."""
+    return [(a, b) for a, b in itertools.combinations(features, 2) if not (a in BENDINGS and b in BENDINGS)]
+
+
+def add(sheet: str, cost: Cost, report: Report) -> None:
+    """Add a table of all pairs of a kind of cloth to a report."""
+    alone = Table(f"{sheet}: frames with one feature", ["feature", "ms", "to base"])
+    alone.rows.append(["base", 1e3 * cost.base, 1.0])
+    columns = ["A", "B", "A - base", "B - base", "AB - base", "AB to the sum", "at most", "holds"]
+    together = Table(f"{sheet}: frames with two features, shares of base", columns)
+    for names, time_ in cost.times.items():
+        if len(names) == 1:
+            alone.rows.append([*names, 1e3 * cost.base * time_, time_])
+            continue
+        a, b = sorted(names, key=FEATURES.index)
+        first, second, both = (cost.times[frozenset(of)] - 1.0 for of in ([a], [b], [a, b]))
+        most = TIMES * (first + second) + SHARE
+        holds = both <= most
+        together.rows.append([a, b, first, second, both, both / (first + second), most, "yes" if holds else "no"])
+        if not holds:
+            report.failures.append(f"{sheet}, {a} and {b}: together {both:.3g} of base more; at most {most:.3g}")
+    report.tables += [alone, together]
+    report.notes.append(f"{sheet}: {cost.steps} steps a frame")
+
+
+def measured(sheet: str, options: argparse.Namespace) -> Cost:
+    """Time frames of a kind of cloth with no feature, each alone, and each pair."""
+    wanted = [frozenset[str](), *(frozenset([name]) for name in options.features)]
+    wanted += [frozenset(pair) for pair in pairs(tuple(options.features))]
+    limit = min(_limit(scene(sheet, options.resolution, names)) for names in wanted)
+    steps = math.ceil(PERIOD / (_STEP_SHARE * limit))
+    step = PERIOD / steps
+    _say(f"{sheet}: {len(wanted)} cloths, {steps} steps a frame")
+    turns = take_turns(
+        {str(k): turn(scene(sheet, options.resolution, names, step=step)) for k, names in enumerate(wanted)},
+        seconds=options.seconds,
+        clock=time.process_time,
+    )
+    return Cost(
+        base=turns.median("0") / _FRAMES,
+        steps=steps,
+        times={names: _to_base(turns, k) for k, names in enumerate(wanted) if names},
+    )
+
+
+def _to_base(turns: Turns, number: int) -> float:
+    shares = zip(turns.seconds[str(number)], turns.seconds["0"], strict=True)
+    return statistics.median(mine / base for mine, base in shares)
+
+
+def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float = 0.0) -> Scene:
+    """The default cloth, as a grid or as an irregular mesh, without bending and gripper, with features added."""
+    values: dict[str, Any] = {**DEFAULT_CLOTH, "integrator": "leapfrog", "step": step, "grippers": [""]}
+    files: dict[str, bytes] = {}
+    if sheet == "grid":
+        values["cloth.resolution"] = [resolution, resolution]
+    else:
+        rest, triangles = shuffled_mesh(resolution**2)
+        files["mesh.obj"] = garment.as_obj(rest - [0.5, 0.5, 0.0], triangles)
+        edge = np.flatnonzero(rest[:, 1] == rest[:, 1].max())
+        values |= {"cloth.mesh": "mesh.obj", "cloth.anchors": [str(particle) for particle in edge.tolist()]}
+        del values["cloth.size"], values["cloth.resolution"]
+    bending = next((name for name in BENDINGS if name in features), "none")
+    values["bending.model"] = bending
+    if bending in ("crossed", "altitude"):
+        values["material.bending_modulus"] = 1e-5
+    if "air" in features:
+        values |= {"wind.velocity": [0.0, 1.0, 0.0], "wind.normal_drag": 0.2, "wind.tangential_drag": 0.05}
+    if "gripper" in features:
+        values["grippers"] = ["gripper"]
+    values["diagnostics.energy"] = "energy" in features
+    kind = FlooredScene if "numpy" in features else Scene
+    return kind.from_parameters(values, files=files)
+
+
+def turn(wanted: Scene) -> Callable[[], None]:
+    """Return what runs some frames of a scene, from the same state each time."""
+    simulation = Simulation(wanted)
+    corner = lower_corner(simulation)
+
+    def events(frame: int) -> list[Event]:
+        if not wanted.gripper_names:
+            return []
+        t = (frame + 1) * PERIOD
+        half = 0.5 * _TURN * t
+        return [
+            Target("gripper", corner + np.array([0.0, _SPEED * t, 0.0]), (0.0, 0.0, math.sin(half), math.cos(half)))
+        ]
+
+    if wanted.gripper_names:
+        done = simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
+        if not done.grasps[0].held:
+            raise RuntimeError(f"the gripper holds nothing: {done.grasps[0].reason}")
+    for frame in range(_WARM):
+        simulation.advance(events(frame))
+    start = simulation.state.copy()
+
+    def frames() -> None:
+        simulation.state.restore(start)
+        for frame in range(_WARM, _WARM + _FRAMES):
+            done = simulation.advance(events(frame))
+            if not (done.advance and done.advance.steps):
+                raise RuntimeError(f"frame {done.index} was not computed: the cloth sleeps")
+
+    return frames
+
+
+def lower_corner(simulation: Simulation) -> Array:
+    """Where the particle at the lower right of a hung sheet is, whatever its number [m]."""
+    positions = simulation.positions
+    return np.asarray(positions[np.argmax(positions[:, 0] - positions[:, 2])])
+
+
+def _limit(wanted: Scene) -> float:
+    """Longest stable step of a scene's cloth as it starts, held by its gripper [s]."""
+    simulation = Simulation(attrs.evolve(wanted, step=0.0))
+    if wanted.gripper_names:
+        simulation.advance([Target("gripper", lower_corner(simulation)), Grasp("gripper", True)])
+    return leapfrog_limit(*simulation.plan.rates(simulation.state.x))
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"benchmarks cost-additivity: {text}\n")
+    sys.stderr.flush()

@@ -1,0 +1,138 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How fast the sheets that other engines are given run here as shipped, and how far off they end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+
+import attrs
+from support.problems import PERIOD, Problem
+from support.reference import Reference, reference
+
+from benchmarks.timing import take_turns
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.forces.force import Array
+
+#: Frames of `PERIOD` after which a scene's error is taken: 0.5 s, and 0.3 s at N = 128, where a kick grows faster.
+SCORED_FRAMES = {16: 30, 32: 30, 64: 30, 128: 18}
+#: Largest error that counts as accurate [m].
+ACCURATE = 1e-3
+#: Tolerances of the reference and of its check. Stability sets the step of an explicit method here: they end far below.
+_TOLERANCE, _CHECK = 1e-10, 1e-9
+
+
+@attrs.frozen(eq=False)
+class Run:
+    """One run of a scene as shipped."""
+
+    #: Wall time of the frames alone, without making the sheet [s].
+    seconds: float
+    #: Where the particles end [m], shape (3, n).
+    positions: Array
+    #: Force evaluations of all frames.
+    evaluations: int
+    #: What the integrator says of its last frame.
+    reason: str
+
+
+def scored(scene: Callable[[int], Problem], resolution: int) -> Problem:
+    """`curtain` (scene C) or `corner_drop` (scene A) up to the time at which its error is taken.
+
+    Raises:
+        ValueError: for a resolution at which none of them was found well conditioned.
+    """
+    if resolution not in SCORED_FRAMES:
+        known = ", ".join(str(known) for known in SCORED_FRAMES)
+        raise ValueError(f"N = {resolution}: errors mean something on sheets of {known} particles a side")
+    return attrs.evolve(scene(resolution), frames=SCORED_FRAMES[resolution])
+
+
+def trusted(problem: Problem) -> Reference:
+    """Compute the reference of a large sheet: a minute at N = 128."""
+    return reference(problem, tolerance=_TOLERANCE, check=_CHECK)
+
+
+def run(problem: Problem, *, tolerance: float) -> Run:
+    """Move a scene frame by frame, as a simulation does, with the integrator and the step chosen for it."""
+    plan, state = problem.build()
+    integrator = make_integrator("auto", tolerance=tolerance)
+    evaluations, reason, begin = 0, "", time.perf_counter()
+    for frame in range(problem.frames):
+        done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
+        evaluations, reason = evaluations + done.evaluations, done.reason
+    return Run(time.perf_counter() - begin, state.x, evaluations, reason)
+
+
+@contextlib.contextmanager
+def cores(*, one: bool) -> Iterator[None]:
+    """Let this thread, and those that it starts, run on one core alone; a plan made within has one thread."""
+    allowed = os.sched_getaffinity(0)
+    if one:
+        os.sched_setaffinity(0, {max(allowed)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+@attrs.frozen(kw_only=True)
+class CurtainSpeed:
+    """Scene C at one tolerance, on all cores that this process may use or on one of them."""
+
+    tolerance: float
+    one_core: bool
+    #: Simulated seconds per wall second of each run.
+    factors: list[float]
+    #: Force evaluations in a frame, on average.
+    evaluations: float
+    #: Largest distance of a particle from its place in the reference at the end [m].
+    error: float
+    reason: str
+
+    @property
+    def factor(self) -> float:
+        """Median of the factors."""
+        return statistics.median(self.factors)
+
+
+def curtain_speeds(
+    problem: Problem, known: Reference, *, tolerances: tuple[float, ...], seconds: float
+) -> list[CurtainSpeed]:
+    """Run a scene in turns at each tolerance, on all cores and on one, for about so many seconds."""
+    kinds = [(tolerance, one) for tolerance in tolerances for one in (False, True)]
+    runs: dict[str, list[Run]] = {str(kind): [] for kind in kinds}
+
+    def candidate(tolerance: float, one: bool) -> Callable[[], None]:
+        def turn() -> None:
+            with cores(one=one):
+                runs[str((tolerance, one))].append(run(problem, tolerance=tolerance))
+
+        return turn
+
+    take_turns({str(kind): candidate(*kind) for kind in kinds}, seconds=seconds)
+    speeds = []
+    for tolerance, one in kinds:
+        # The first warmed up.
+        counted = runs[str((tolerance, one))][1:]
+        speeds.append(
+            CurtainSpeed(
+                tolerance=tolerance,
+                one_core=one,
+                factors=[problem.duration / each.seconds for each in counted],
+                evaluations=counted[-1].evaluations / problem.frames,
+                error=known.deviation(problem.frames, counted[-1].positions),
+                reason=counted[-1].reason,
+            )
+        )
+    return speeds
+
+
+def loosest_accurate(speeds: list[CurtainSpeed]) -> CurtainSpeed | None:
+    """Of those on all cores, the one with the largest tolerance whose error is at most `ACCURATE`; None without."""
+    good = [speed for speed in speeds if not speed.one_core and speed.error <= ACCURATE]
+    return max(good, key=lambda speed: speed.tolerance) if good else None

@@ -1,0 +1,234 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a feature costs where it is not used: against a loop made by hand, feature by feature, and by counts."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks.speed.curtain import cores
+from benchmarks.speed.feature_counts import bytes_of_a_frame, calls_of_a_frame, modules_of
+from benchmarks.speed.feature_scenes import BARE, FORCES, Running, Variant, swinging, variants
+from benchmarks.speed.hand_written_loop import HandMadeLoop
+from benchmarks.timing import take_turns
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+from validation.report import Report, Table
+
+#: A frame takes at most so many times that of the loop made by hand.
+HAND_PROMISE = 1.02
+#: A frame that is slept through takes at most this part of one that moves.
+SLEEP_PROMISE = 0.03
+#: Measurements of the node.
+_ROS = Path(__file__).parents[1] / "ros"
+PARTS = ("hand", "features", "counts", "outputs", "start")
+#: What a scene that uses a feature loads, and others do not.
+MARKERS = {
+    "mesh files": ("cloth_sim_ros.scene.mesh_file", "plyfile", "trimesh"),
+    "raw springs": ("cloth_sim_ros.scene.springs_file",),
+    "bending springs across hinges": ("cloth_sim_ros.physics.sheets.bending",),
+    "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.integrators.implicit_run"),
+    "energy balance": ("cloth_sim_ros.simulation.energy_watch", "cloth_sim_ros.physics.energy_balance"),
+    "recording": ("cloth_sim_ros.session", "mcap", "rosbags"),
+    "ROS": ("rclpy", "sensor_msgs"),
+    "plots, viewer": ("matplotlib", "rerun"),
+}
+#: Scenes of which the modules are looked at.
+_SCENES: dict[str, dict[str, Any]] = {
+    "default": {},
+    "crossed bending": {"bending.model": "crossed", "material.bending_modulus": 1e-5},
+    "implicit": {"integrator": "implicit"},
+    "energy balance": {"diagnostics.energy": True},
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {', '.join(PARTS)}"
+    )
+    parser.add_argument("--sizes", type=int, nargs="+", default=[32, 64, 128], metavar="N", help="particles a side")
+    parser.add_argument("--copies", type=int, default=3, help="of each candidate; the fastest counts")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of timing for each size and table")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure what was asked for."""
+    report = Report("What is not used costs nothing", "python -m benchmarks feature-cost")
+    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
+        "hand": _hand,
+        "features": _features,
+        "counts": _counts,
+        "outputs": _outputs,
+        "start": _start,
+    }
+    for part in PARTS:
+        if part in options.only:
+            parts[part](options, report)
+    report.notes.append(
+        "candidates take turns on one core, by their processor time; ratios are medians over the rounds"
+    )
+    return report
+
+
+def _hand(options: argparse.Namespace, report: Report) -> None:
+    columns = ["N", "scene", "frame ms", "to the loop by hand", "that loop to itself", "to its steps alone", "more us"]
+    table = Table("A simulation's frame against a loop made by hand of the engine's calls that it needs", columns)
+    scenes = {"springs alone": BARE, "springs, damping, drag, gravity": FORCES}
+    for resolution in options.sizes:
+        makers: dict[str, Callable[[], Callable[[], Any]]] = {}
+        for name, values in scenes.items():
+            scene = Scene.from_parameters({**values, "cloth.resolution": [resolution, resolution]})
+            makers[name] = partial(_simulated, scene)
+            makers[f"{name}, by hand"] = makers[f"{name}, again"] = partial(_by_hand, scene)
+            makers[f"{name}, steps"] = partial(_by_hand, scene, bare=True)
+        times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
+        for name in scenes:
+            mine, hand, again, steps = (times[f"{name}{what}"] for what in ("", ", by hand", ", again", ", steps"))
+            ratio = 0.5 * (_ratio(mine, hand) + _ratio(mine, again))
+            milliseconds = 1e3 * statistics.median(mine)
+            more = 1e3 * milliseconds * (1.0 - 1.0 / ratio)
+            row = [resolution, name, milliseconds, ratio, _ratio(again, hand), _ratio(mine, steps), more]
+            table.rows.append(row)
+            if ratio > HAND_PROMISE:
+                report.failures.append(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
+    report.tables.append(table)
+
+
+def _simulated(scene: Scene) -> Callable[[], Any]:
+    return Simulation(scene, swinging(scene)).advance
+
+
+def _by_hand(scene: Scene, *, bare: bool = False) -> Callable[[], Any]:
+    loop = HandMadeLoop(scene)
+    return loop.bare_frame if bare else loop.frame
+
+
+def _running(variant: Variant, resolution: int) -> Callable[[], Any]:
+    return Running(variant, resolution).frame
+
+
+#: Frames in one turn: more than one, so that the caches are a candidate's own.
+_FRAMES_A_TURN = 3
+
+
+def _frame_times(
+    makers: Mapping[str, Callable[[], Callable[[], Any]]], *, copies: int, seconds: float
+) -> dict[str, list[float]]:
+    """Time of a frame of each candidate, round by round [s]: on one core, of several copies the fastest.
+
+    Where in memory the arrays of a copy happen to lie makes one in seven slower by up to an eighth.
+    """
+
+    def turn(frame: Callable[[], Any]) -> Callable[[], None]:
+        def frames() -> None:
+            for _ in range(_FRAMES_A_TURN):
+                frame()
+
+        return frames
+
+    with cores(one=True):
+        # A copy of each, then the next of each, so that none has the better part of the memory.
+        made = {(name, k): turn(make()) for k in range(copies) for name, make in makers.items()}
+        candidates = {f"{name}#{k}": frames for (name, k), frames in made.items()}
+        turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
+    return {
+        name: [
+            min(round_) / _FRAMES_A_TURN
+            for round_ in zip(*(turns.seconds[f"{name}#{k}"] for k in range(copies)), strict=True)
+        ]
+        for name in makers
+    }
+
+
+def _ratio(mine: list[float], theirs: list[float]) -> float:
+    return statistics.median(a / b for a, b in zip(mine, theirs, strict=True))
+
+
+def _features(options: argparse.Namespace, report: Report) -> None:
+    columns = ["N", "feature", "is", "frame ms", "to a frame without"]
+    table = Table("What a feature costs", columns)
+    for resolution in options.sizes:
+        everything = variants()
+        makers = {variant.name: partial(_running, variant, resolution) for variant in everything}
+        times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
+        absent: dict[str, Variant] = {}
+        for variant in everything:
+            without = absent.setdefault(variant.feature, variant)
+            ratio = _ratio(times[variant.name], times[without.name])
+            milliseconds = 1e3 * statistics.median(times[variant.name])
+            table.rows.append([resolution, variant.feature, variant.presence, milliseconds, ratio])
+            if variant.asleep and ratio > SLEEP_PROMISE:
+                report.failures.append(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
+    report.tables.append(table)
+
+
+def _counts(options: argparse.Namespace, report: Report) -> None:
+    resolution = options.sizes[0]
+    columns = ["feature", "is", "calls of the engine a frame", "bytes a particle that a frame needs", "bytes it keeps"]
+    table = Table(f"Counts, N = {resolution}", columns)
+    for variant in variants():
+        simulation = Running(variant, resolution).simulation
+        calls = calls_of_a_frame(simulation)
+        needed, kept = bytes_of_a_frame(simulation)
+        told = ", ".join(f"{name} {count}" if count > 1 else name for name, count in calls.items()) or "none"
+        row = [variant.feature, variant.presence, told, needed / simulation.state.particle_count, kept]
+        table.rows.append(row)
+    report.tables.append(table)
+    imports = Table("Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS])
+    for name, values in _SCENES.items():
+        loaded = modules_of(values)
+        ours = sum(module.startswith("cloth_sim_ros") for module in loaded)
+        seen = ["yes" if any(marker in loaded for marker in markers) else "no" for markers in MARKERS.values()]
+        imports.rows.append([name, ours, *seen])
+    report.tables.append(imports)
+
+
+def _ask(module: str, report: Report) -> dict[str, Any] | None:
+    """What a measurement of the node prints. In a process of its own: nothing here may load ROS."""
+    command = [sys.executable, "-P", str(_ROS / f"{module}.py")]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    try:
+        told: dict[str, Any] = json.loads(done.stdout)
+    except ValueError:
+        report.notes.append(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
+        return None
+    return told
+
+
+def _outputs(_options: argparse.Namespace, report: Report) -> None:
+    told = _ask("outputs", report)
+    if told is None:
+        return
+    table = Table(
+        f"What outputs add to a frame of {told['particles']} particles", ["there is", "frame ms", "to nobody"]
+    )
+    for name, found in told["presences"].items():
+        table.rows.append([name, found["median_ms"], found["to_nobody"]])
+    report.tables.append(table)
+    if not told["met"]:
+        ratio = told["presences"]["both"]["to_nobody"]
+        report.failures.append(f"with recorder and subscriber {ratio:.3f} times the frame; promised {told['goal']:g}")
+
+
+def _start(_options: argparse.Namespace, report: Report) -> None:
+    told = _ask("start", report)
+    if told is None:
+        return
+    columns = ["start", "least s", "median s", "most s", "processor time s"]
+    table = Table("From process start to the first cloud at a subscriber", columns)
+    table.rows.append(["first", told["first_s"], told["first_s"], told["first_s"], "-"])
+    warm = told["warm_s"]
+    table.rows.append(["warm cache", min(warm), told["warm_median_s"], max(warm), told["warm_processor_median_s"]])
+    report.tables.append(table)
+    if not told["met"]:
+        report.failures.append(f"a warm start took {told['warm_median_s']} s; promised {told['goal_s']} s")

@@ -1,0 +1,159 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Time of the engine on a grid: per spring against a C kernel, and on two threads against one.
+
+Scene: the square sheet of `raw_sheet`, six damped families, gravity and drag.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import attrs
+import numpy as np
+from support.problems import PERIOD
+from support.raw_sheet import RawSheet
+from support.reference_kernel import ReferenceKernel
+
+from benchmarks.timing import Turns, take_turns
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.plan import Plan
+
+#: So short [s] that nothing moves, however many steps are timed.
+_STILL = 1e-9
+#: Steps more of the long one of two runs whose difference is a step's time, at least.
+_FEWEST_STEPS = 40
+#: Particles times steps in one turn of a candidate: a few milliseconds.
+_UPDATES_A_TURN = 1_000_000
+#: Share of the longest stable step that the runs compared for their bits take.
+_SHARE = 0.9
+
+
+@attrs.frozen(kw_only=True)
+class KernelTime:
+    """Nanoseconds per spring, medians.
+
+    `c`: one evaluation of the C kernel, forces alone; None without a C compiler. `step`: a whole step of the engine,
+    what a run costs beside its steps left out. `ratio`: step to C, the median over rounds. `accelerations`: one
+    evaluation asked for by itself, copying the state included; None in single precision, in which there is none.
+    """
+
+    resolution: int
+    precision: str
+    c: float | None
+    accelerations: float | None
+    ratio: float | None
+    step: float
+
+
+@attrs.frozen(kw_only=True)
+class ThreadGain:
+    """What a second thread brings to a frame of 1/60 s; `same`: whether both moved the sheet to the same bits.
+
+    `most`: by how much more two sheets that share nothing get done on two threads than one on one.
+    """
+
+    resolution: int
+    precision: str
+    steps: int
+    one: float
+    two: float
+    gain: float
+    most: float
+    same: bool
+
+
+def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> KernelTime:
+    """Time the engine on one core, on a sheet of `resolution` x `resolution` particles, for about `seconds`."""
+    sheet = RawSheet(resolution=resolution, drag=1.0)
+    plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = max(_UPDATES_A_TURN // resolution**2, _FEWEST_STEPS)
+    few = 20
+    out = np.empty_like(x)
+
+    def evaluate() -> None:
+        for _ in range(steps):
+            plan.accelerations(0.0, x, v, out)
+
+    def runner(count: int) -> Callable[[], None]:
+        def run() -> None:
+            plan.runs(0.0, count * _STILL, (x, v), [count], narrow=single, threads=1)
+
+        return run
+
+    candidates: dict[str, Callable[[], None]] = {"few": runner(few), "many": runner(few + steps)}
+    if not single:
+        candidates["accelerations"] = evaluate
+    if compiler is not None:
+        kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
+        kernel.set_state(x, v)
+        candidates["c"] = lambda: kernel.evaluate(steps)
+    turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
+    unit = 1e9 / (steps * len(sheet.sheet().pairs))
+    # What the steps more of the long run took, round by round [s].
+    whole = [many - few for many, few in zip(turns.seconds["many"], turns.seconds["few"], strict=True)]
+    ratio = None
+    if compiler is not None:
+        ratio = statistics.median(mine / theirs for mine, theirs in zip(whole, turns.seconds["c"], strict=True))
+    return KernelTime(
+        resolution=resolution,
+        precision=np.dtype(dtype).name,
+        c=unit * turns.median("c") if compiler else None,
+        accelerations=None if single else unit * turns.median("accelerations"),
+        ratio=ratio,
+        step=unit * statistics.median(whole),
+    )
+
+
+def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
+    """Time frames of scene C, as many steps a call as it needs there, on one thread and on two, for about `seconds`.
+
+    Each call includes what it costs to start the second thread.
+    """
+    sheet = RawSheet(resolution=resolution, drag=1.0)
+    plan, start = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.rates(start[0])))))
+    # As many frames a turn as make some milliseconds.
+    frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
+
+    def repeat(which: Plan, threads: int) -> None:
+        # Frames of hardly any length: they do all that others do.
+        for _ in range(frames):
+            which.runs(0.0, steps * _STILL, start, [steps], narrow=single, threads=threads)
+
+    ends = []
+    for threads in (1, 2):
+        (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], narrow=single, threads=threads)
+        ends.append((run.x.tobytes(), run.v.tobytes()))
+    others = [sheet.plan(sheet.index[0]) for _ in range(2)]
+    with ThreadPoolExecutor(len(others)) as pool:
+
+        def apart() -> None:
+            for done in [pool.submit(repeat, other, 1) for other in others]:
+                done.result()
+
+        turns: Turns = take_turns(
+            {"1": lambda: repeat(plan, 1), "2": lambda: repeat(plan, 2), "apart": apart}, seconds=seconds
+        )
+    return ThreadGain(
+        resolution=resolution,
+        precision=np.dtype(dtype).name,
+        steps=steps,
+        one=turns.median("1") / frames,
+        two=turns.median("2") / frames,
+        gain=turns.ratio("1", "2"),
+        most=2.0 * turns.ratio("1", "apart"),
+        same=ends[0] == ends[1],
+    )
+
+
+def _start(sheet: RawSheet) -> tuple[Array, Array]:
+    x = np.ascontiguousarray(sheet.flat(hung=False).T)
+    return x, np.zeros_like(x)

@@ -1,0 +1,188 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How fast: ns per spring against hand-vectorised C, what a step of other forces costs, real-time factor of scene C, a
+stiff sheet in real time, two threads against one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+
+import attrs
+import numpy as np
+from support.problems import curtain, hung
+from support.reference_kernel import find_compiler
+
+from benchmarks.speed import curtain as speed_curtain
+from benchmarks.speed import stiff as speed_stiff
+from benchmarks.speed.kernels import kernel_time, thread_gain
+from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_time, mesh_time
+from validation.report import Plot, Report, Table
+
+#: A whole step takes at most so many times what the C kernel takes for the forces alone.
+KERNEL_PROMISE = 1.0
+#: Simulated seconds per wall second that scene C reaches at least, by N, with an error of at most a millimetre.
+CURTAIN_PROMISES = {32: 25.0, 64: 8.0, 128: 1.5}
+#: Two threads are at least so many times as fast as one, from so many particles a side.
+THREAD_PROMISE, THREADS_FROM = 1.7, 96
+#: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The first is the default.
+TOLERANCES = (1e-3, 1e-4)
+#: Grids for bending models and for grippers, particles a side.
+PLAN_GRID = 64
+#: What the moduli of scene H are multiplied by, and its frames: 0.5 s.
+STIFFNESS, STIFF_FRAMES = 1000.0, 30
+PARTS = ("kernels", "plans", "curtain", "stiff", "threads")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parts = ", ".join(PARTS)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {parts}")
+    for name, sizes, text in (
+        ("--kernels", [32, 64, 96, 128, 256, 512], "sheets for ns per spring, particles a side"),
+        ("--meshes", [1024, 4096, 16384, 100_000], "meshes, particles"),
+        ("--curtains", [*speed_curtain.SCORED_FRAMES], "sheets of scene C"),
+        ("--stiff", [32], "sheets of scene H with moduli x 1000"),
+        ("--threads", [64, 96, 128, 256], "sheets for two threads against one"),
+    ):
+        parser.add_argument(name, type=int, nargs="+", metavar="N", default=sizes, help=text)
+    parser.add_argument("--seconds", type=float, default=3.0, help="of timing for each row of a table")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure what was asked for."""
+    report = Report("Speed", "python -m benchmarks speed")
+    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
+        "kernels": _kernels,
+        "plans": _plans,
+        "curtain": _curtains,
+        "stiff": _stiff,
+        "threads": _threads,
+    }
+    for part in PARTS:
+        if part in options.only:
+            parts[part](options, report)
+    report.notes.append(
+        "medians of candidates that take turns; ratios are medians over the rounds; ns on one core by their "
+        "processor time, all else by the wall clock"
+    )
+    return report
+
+
+def _kernels(options: argparse.Namespace, report: Report) -> None:
+    compiler = find_compiler()
+    if compiler is None:
+        report.notes.append("no C compiler here ($CC, cc, gcc, clang): our engine alone, nothing to compare them with")
+    columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
+    table = Table("Nanoseconds per spring, one core", columns)
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for dtype in (np.float32, np.float64):
+        for resolution in options.kernels:
+            row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
+            known = ["-", row.step, "-"] if row.c is None else [row.c, row.step, row.ratio]
+            alone = "-" if row.accelerations is None else row.accelerations
+            table.rows.append([resolution, row.precision, *known, alone])
+            for name, value in (("C forces", row.c), ("whole step", row.step)):
+                if value is not None:
+                    lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))
+            if row.ratio is not None and row.ratio > KERNEL_PROMISE:
+                report.failures.append(
+                    f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; promised {KERNEL_PROMISE:g}"
+                )
+    report.tables.append(table)
+    report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
+
+
+def _plans(options: argparse.Namespace, report: Report) -> None:
+    columns = ["scene", "particles", "a step", "estimated", "to the estimate"]
+    table = Table("Whole runs, ns per particle and step, one core", columns)
+    rows: list[tuple[str, PlanTime]] = []
+    for count in options.meshes:
+        rows.append(("mesh, vertices in random order", mesh_time(count, seconds=options.seconds)))
+    for bending in ("axial", "opposite", "crossed", "altitude"):
+        rows.append((f"grid, bending {bending}", bending_time(PLAN_GRID, bending, seconds=options.seconds)))
+    for turning in (False, True):
+        scene = f"grid, gripper that {'moves and turns' if turning else 'moves'}"
+        rows.append((scene, grip_time(PLAN_GRID, turning=turning, seconds=options.seconds)))
+    rows += [(f"grid, {what}", row) for what, row in force_times(PLAN_GRID, seconds=options.seconds)]
+    for scene, row in rows:
+        table.rows.append([scene, row.particles, row.step, row.estimate, row.step / row.estimate])
+    report.tables.append(table)
+
+
+def _curtains(options: argparse.Namespace, report: Report) -> None:
+    columns = ["N", "tolerance m", "cores", "x real time", "least", "most", "evaluations a frame", "error m", "at s"]
+    table = Table("Scene C as shipped", columns)
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for resolution in options.curtains:
+        scene = speed_curtain.scored(curtain, resolution)
+        known = speed_curtain.trusted(scene)
+        speeds = speed_curtain.curtain_speeds(scene, known, tolerances=TOLERANCES, seconds=options.seconds)
+        for speed in speeds:
+            row = [resolution, speed.tolerance, "one" if speed.one_core else "all", speed.factor]
+            row += [min(speed.factors), max(speed.factors), speed.evaluations, speed.error, scene.duration]
+            table.rows.append(row)
+            lines.setdefault(f"tolerance {row[1]:g}, cores: {row[2]}", []).append((float(resolution), speed.factor))
+        report.notes.append(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
+        best = speed_curtain.loosest_accurate(speeds)
+        promise = CURTAIN_PROMISES.get(resolution, 0.0)
+        if best is None:
+            report.failures.append(f"curtain N = {resolution}: no tolerance held {speed_curtain.ACCURATE:g} m")
+            continue
+        report.notes.append(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
+        if best.factor < promise:
+            report.failures.append(f"curtain N = {resolution}: {best.factor:.3g} x real time; promised {promise:g}")
+    report.tables.append(table)
+    report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
+
+
+def _stiff(options: argparse.Namespace, report: Report) -> None:
+    columns = ["N", "stepped", "integrator", "x real time", "frame ms", "slowest ms", "frames late", "error m"]
+    table = Table(f"Scene H, moduli x {STIFFNESS:g}, tolerance {speed_stiff.TOLERANCE:g} m, 0.5 s", columns)
+    for resolution in options.stiff:
+        scene = attrs.evolve(hung(resolution, STIFFNESS), frames=STIFF_FRAMES)
+        known = speed_curtain.trusted(scene)
+        for speed in speed_stiff.stiff_speeds(scene, known, seconds=options.seconds):
+            frames = 1e3 * speed.frames
+            row = [resolution, speed.name, ", ".join(speed.integrators), speed.factor, float(np.median(frames))]
+            table.rows.append([*row, float(frames.max()), speed.late, speed.error])
+            if speed.name != "as shipped":
+                continue
+            if speed.factor < 1.0:
+                report.failures.append(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; promised 1")
+            if speed.error > speed_stiff.TOLERANCE:
+                report.failures.append(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
+        report.notes.append(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
+    report.tables.append(table)
+
+
+def _threads(options: argparse.Namespace, report: Report) -> None:
+    if len(os.sched_getaffinity(0)) < 2:
+        report.notes.append("one core alone is allowed here: two threads are not timed")
+        return
+    columns = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
+    table = Table("A frame of 1/60 s on two threads against one", columns)
+    for dtype in (np.float32, np.float64):
+        for resolution in options.threads:
+            row = thread_gain(resolution, dtype, seconds=options.seconds)
+            table.rows.append(
+                [resolution, row.precision, row.steps, 1e3 * row.one, 1e3 * row.two, row.gain, row.most, _yes(row.same)]
+            )
+            where = f"two threads at N = {resolution}, {row.precision}"
+            if not row.same:
+                report.failures.append(f"{where}: other bits than one thread")
+            if resolution >= THREADS_FROM and row.gain < THREAD_PROMISE:
+                report.failures.append(
+                    f"{where}: {row.gain:.2f} times one; promised {THREAD_PROMISE:g} (apart {row.most:.2f})"
+                )
+    report.tables.append(table)
+    report.notes.append(
+        "two sheets apart: by how much more two sheets that share nothing get done on two threads than one on one: "
+        "what the machine's cores have to give"
+    )
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

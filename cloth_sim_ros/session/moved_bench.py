@@ -1,0 +1,53 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Old command `cloth_bench`, kept for one release: names the command that took its place.
+
+It stands in this room because every command begins here and nothing of the package is imported.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+
+#: Targets of make, and the name of each old subcommand there.
+MOVED = {
+    "bench": {
+        "speed": "speed",
+        "peers": "peers",
+        "peers-contact": "peers-contact",
+        "scale": "scale",
+        "contact": "contact",
+        "batch": "batch",
+        "studies": "studies",
+        "adds": "cost-additivity",
+        "skip": "feature-cost",
+    },
+    "validate": {
+        "promise": "tolerance",
+        "tolerance": "tolerance-sweep",
+        "work-precision": "work-precision",
+        "conditioning": "conditioning",
+        "constants": "constants",
+        "stability": "stability",
+        "mesh-moduli": "mesh-moduli",
+    },
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the new command on standard error; return 2."""
+    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
+    commands = [
+        f"make {target} ARGS={shlex.quote(shlex.join([names[name], *rest]))}"
+        for target, names in MOVED.items()
+        if name in names
+    ]
+    if name == "engine":
+        says = "its comparison with trees from before the engine is deleted"
+    else:
+        says = f"run {' or '.join(f'`{each}`' for each in commands or ['make bench', 'make validate'])}"
+        says += " in a clone of the repository"
+    sys.stderr.write(f"cloth_bench has left the package: {says}\n")
+    return 2

@@ -1,0 +1,44 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The measurement of many cloths: a short sample of it, and that it tells what is not met."""
+
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.batch import cloths as batch_cloths
+from benchmarks.batch import throughput as batch
+
+pytest.importorskip("gymnasium")
+
+SMALL = ["batch", "--envs", "4", "--resolution", "8", "--rollouts", "3", "--rollout-resolution", "6", "--seconds", "0"]
+
+
+def test_it_prints_each_table_and_ends_well(capsys, monkeypatch):
+    for name, value in (("THROUGHPUT_PROMISE", 0.0), ("THREAD_PROMISE", 0.0), ("MEMORY_PROMISE", 1e9)):
+        monkeypatch.setattr(batch, name, value)
+    monkeypatch.setattr(batch, "ROLLOUT_PROMISE", 1e9)
+    assert main([*SMALL, "--steps", "400", "--only", *batch.PARTS]) == 0
+    printed = capsys.readouterr().out
+    for title in ("A vector environment", "on two threads", "Memory", "Rollouts", "Random steps"):
+        assert title in printed
+
+
+def test_what_is_not_met_is_told(capsys, monkeypatch):
+    monkeypatch.setattr(batch, "ROLLOUT_PROMISE", 0.0)
+    assert main([*SMALL, "--only", "rollouts"]) == 1
+    assert "NOT MET: rollouts took" in capsys.readouterr().out
+
+
+def test_too_few_cloths_are_refused(capsys):
+    with pytest.raises(SystemExit):
+        main([*SMALL, "--envs", "1"])
+    assert "--envs is 1; it must be at least 2" in capsys.readouterr().err
+
+
+def test_carried_cloths_are_never_asleep_and_held():
+    with batch_cloths.Carried(3, 6) as carried:
+        for snapshot in carried.cloths.snapshots:
+            assert snapshot.state.v.any()
+            assert len(snapshot.state.memory["grip.particles"])
+        assert len(set(carried.digests())) == 3
+        assert carried.evaluations(frames=2) > 0

@@ -1,0 +1,119 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The measurement of contact: a short sample of it, and that it tells what is not met."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.obstacle_sheets import FRAME, SHEET, Capstan
+
+from benchmarks.__main__ import main
+from benchmarks.contact import obstacles as contact
+from benchmarks.contact import pinch as contact_pinch
+from benchmarks.contact import recovery as contact_starts
+from benchmarks.contact import self_contact as contact_self
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Grasp
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+def test_a_strip_over_a_turning_drum_pulls_by_the_exponential_of_friction_and_angle():
+    strip = Capstan(0.5, 0.5 * math.pi, columns=60)
+    steps = Scene.from_parameters({**SHEET, "tolerance": 1e-4}).build_integrator()
+    state, pulls = State(strip.start), np.zeros(2)
+    for frame in range(60):
+        strip.turn(frame * FRAME)
+        steps.advance(strip.plan, state, frame * FRAME, FRAME)
+        if frame >= 20:
+            pulls += strip.tensions(state.x, state.v)
+    assert pulls.max() / pulls.min() == pytest.approx(math.exp(0.25 * math.pi), rel=0.03)
+
+
+def test_it_prints_a_table_and_ends_well(capsys):
+    assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 0
+    assert "### Drift" in capsys.readouterr().out
+
+
+def test_what_is_not_met_is_told(capsys, monkeypatch):
+    # A sheet that lies on a slope that is too steep for it.
+    monkeypatch.setattr(contact, "NEAR", -5.0)
+    assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 1
+    assert "NOT MET" in capsys.readouterr().out
+
+
+def test_a_pinch_holds_from_its_weight_on_and_what_is_not_met_is_told(capsys, monkeypatch):
+    assert main(["contact", "--parts", "pinch", "--drift", "0.5"]) == 0
+    monkeypatch.setattr(contact_pinch, "OFF", -0.01)  # What is to slide is held, and the other way round.
+    monkeypatch.setattr(contact_pinch, "GIVES", 0.0)
+    assert main(["contact", "--parts", "pinch", "--drift", "0.1"]) == 1
+    told = capsys.readouterr().out
+    assert "NOT MET: mu 0.5, grid of 28: it slides" in told
+    assert "NOT MET: carried up, grid 4: gives by" in told
+
+
+def test_starts_stay_slow_and_limits_are_reported(capsys, monkeypatch):
+    monkeypatch.setattr(contact_starts, "GAPS", (0.3,))
+    monkeypatch.setattr(contact_starts, "PRESSES", (1e-3,))
+    monkeypatch.setattr(contact_starts, "RATE", 60)
+    situations = {"start": (contact_starts.start, ("plane", "fold")), "added": (contact_starts.added, ("sphere",))}
+    monkeypatch.setattr(contact_starts, "SITUATIONS", situations)
+    monkeypatch.setattr(contact_starts, "PRESSED_ON", ("plane",))
+    assert main(["contact", "--parts", "starts"]) == 0
+    for name in ("FASTEST", "HIGHEST", "OPEN"):
+        monkeypatch.setattr(contact_starts, name, 0.0)
+    assert main(["contact", "--parts", "starts"]) == 1
+    told = capsys.readouterr().out
+    assert "NOT MET: start, plane, 0.6 mm: a particle moves at" in told
+    assert "NOT MET: released on plane: a corner rises" in told
+    assert "NOT MET: start, plane: the energy balance leaves" in told
+
+
+def test_the_fold_is_that_of_the_configuration():
+    given = ros_yaml.load((CONFIG / "fold.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+    names = {}
+    for name, value in given.items():
+        names |= (
+            {f"{name}.{inner}": each for inner, each in value.items()} if isinstance(value, dict) else {name: value}
+        )
+    # Older figures are without air across the sheet.
+    for name, value in contact_self.FOLD.items():
+        assert {**names, "wind.normal_drag": 0.0}[name] == value
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        steps = ros_yaml.load((CONFIG / f"fold_{side}.yaml").read_text(encoding="utf-8"))["steps"]
+        poses = {step["time"]: tuple(step["position"]) for step in steps}
+        assert poses == {t: (sign * contact_self.ASIDE, y, z) for t, y, z, _ in contact_self.POSES}
+        turns = [step["orientation"] for step in steps]
+        assert np.allclose(turns, [contact_self.turned(angle) for *_, angle in contact_self.POSES], atol=1e-6)
+        closes = [(step["time"], step["close"]) for step in steps if "close" in step]
+        assert closes == [(contact_self.CLOSES, True), (contact_self.OPENS, False)]
+
+
+def test_grippers_of_the_fold_close_on_the_towel():
+    told = [event for events in contact_self.events(300) for event in events]
+    assert [event.closed for event in told if isinstance(event, Grasp)] == [True, True, False, False]
+    assert contact_self.place(0.0) == (-0.22, 0.1, 0.0)
+    assert contact_self.place(2.3) == pytest.approx((-0.0875, 0.15, -60.0))
+    assert contact_self.place(9.0) == (0.23, 0.12, -180.0)
+
+
+def test_what_the_cloths_contact_with_itself_costs_is_told(capsys, monkeypatch):
+    monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
+    monkeypatch.setattr(contact_self, "HUNG", (6,))
+    # What it costs depends on the machine.
+    main(["contact", "--parts", "folds", "hanging", "--fold", "0.2", "--seconds", "0.1"])
+    out = capsys.readouterr().out
+    assert "12 x 12" in out
+    assert "6 x 6" in out
+
+
+def test_the_worst_second_of_a_fold():
+    seconds = [0.01] * 100 + [0.05] * 60 + [0.02] * 40
+    folded = contact_self.Folded(seconds, [1] * 200, [0] * 200, 900)
+    assert folded.worst == 100
+    assert folded.speed(folded.worst, 60) == pytest.approx(1.0 / 3.0)
+    assert folded.speed() == pytest.approx(200.0 / 60.0 / 4.8)

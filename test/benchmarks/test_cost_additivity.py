@@ -1,0 +1,127 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m benchmarks cost-additivity`: the additivity of costs, on tiny sheets."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import garment
+
+from benchmarks.__main__ import main
+from benchmarks.speed import cost_additivity as adds
+from benchmarks.speed.cost_additivity import Cost
+from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.scene.scene import Scene
+from validation.report import Report
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# The scenes.
+
+
+def test_the_default_cloth_is_that_of_the_configuration() -> None:
+    file = ROOT / "config" / "cloth_sim.yaml"
+    if not file.exists():
+        pytest.skip("not in a checkout")
+    # But for the air across the sheet, which older figures are without.
+    still = Scene.from_file(file).changed({"wind.normal_drag": 0.0})
+    assert Scene.from_parameters(adds.DEFAULT_CLOTH) == still
+
+
+@pytest.mark.parametrize("vertices", [150, 1460])
+def test_the_shirt_is_one_clean_sheet_of_the_size_asked_for(vertices: int) -> None:
+    places, triangles = garment.mesh(vertices)
+    assert abs(len(places) - vertices) <= 0.03 * vertices
+    surface = Surface.from_triangles(triangles, particle_count=len(places))
+    assert surface.pieces().max() == 0
+    # One border, no hole: vertices - edges + faces is that of a disc.
+    assert len(places) - len(surface.edges) + len(triangles) == 1
+    x, y = garment.outline().T
+    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+    a, b, c = (places[triangles[:, k]][:, [0, 2]] for k in range(3))
+    (ux, uy), (wx, wy) = (b - a).T, (c - a).T
+    assert 0.5 * float(np.abs(ux * wy - uy * wx).sum()) == pytest.approx(area, rel=0.03)
+
+
+def test_the_shirt_is_the_same_every_time() -> None:
+    garment.mesh.cache_clear()
+    first = garment.obj_file(200)
+    garment.mesh.cache_clear()
+    assert garment.obj_file(200) == first
+
+
+# Costs that add up.
+
+
+def cost(both: float) -> Cost:
+    times = {frozenset(["air"]): 1.5, frozenset(["numpy"]): 2.0, frozenset(["air", "numpy"]): both}
+    return Cost(base=1e-3, steps=50, times=times)
+
+
+@pytest.mark.parametrize(("both", "holds"), [(2.6, True), (2.68, False)])
+def test_together_costs_what_each_costs_alone_and_a_little(both: float, holds: bool) -> None:
+    report = Report("", "", environment={})
+    adds.add("grid", cost(both), report)
+    # 1.1 (0.5 + 1.0) + 0.02 = 1.67
+    (row,) = report.tables[1].rows
+    assert row[:2] == ["air", "numpy"]
+    assert row[5] == pytest.approx((both - 1.0) / 1.5)
+    assert row[-1] == ("yes" if holds else "no")
+    assert bool(report.failures) is not holds
+
+
+def test_no_cloth_bends_in_two_ways() -> None:
+    pairs = adds.pairs(adds.FEATURES)
+    assert len(pairs) == len(set(pairs)) == 18
+    assert ("opposite", "crossed") not in pairs
+    assert ("altitude", "energy") in pairs
+
+
+@pytest.mark.parametrize("sheet", adds.SHEETS)
+def test_pairs_are_measured(sheet: str, tmp_path: Path) -> None:
+    file = tmp_path / "out.json"
+    options = [
+        "--sheets",
+        sheet,
+        "--features",
+        "opposite",
+        "gripper",
+        "numpy",
+        "--resolution",
+        "8",
+        "--seconds",
+        "0.01",
+    ]
+    main(["cost-additivity", *options, "--json", str(file)])
+    alone, together = json.loads(file.read_text())["tables"]
+    assert [row[0] for row in alone["rows"]] == ["base", "opposite", "gripper", "numpy"]
+    assert [row[:2] for row in together["rows"]] == [
+        ["opposite", "gripper"],
+        ["opposite", "numpy"],
+        ["gripper", "numpy"],
+    ]
+
+
+def test_features_are_what_they_say() -> None:
+    names = frozenset(["altitude", "air", "gripper", "numpy", "energy"])
+    scene = adds.scene("mesh", 8, names, step=1e-4)
+    assert {"altitude", "air", "grips", "floor"} <= {force.name for force in scene.plan().model.forces}
+    assert scene.diagnostics.energy
+    assert {force.name for force in adds.scene("mesh", 8, frozenset()).plan().model.forces}.isdisjoint(
+        {"altitude", "air", "grips", "floor"}
+    )
+
+
+def test_a_user_s_floor_is_the_gradient_of_its_energy() -> None:
+    floor = adds.Floor(0.7, 3.0)
+    x = np.array([[0.0, 0.0], [0.0, 0.0], [0.5, 0.9]])
+    f = np.zeros_like(x)
+    floor.add_force(0.0, x, np.zeros_like(x), f)
+    kick = np.zeros_like(x)
+    kick[2] = 1e-6
+    slope = (floor.energy(0.0, x + kick) - floor.energy(0.0, x - kick)) / 2e-6
+    assert float(f[2].sum()) == pytest.approx(-slope, rel=1e-6)

@@ -1,0 +1,328 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m benchmarks peers` without a network and without peers: a stand-in engine in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+import pytest
+from support.problems import corner_drop, curtain
+
+from benchmarks.__main__ import main
+from benchmarks.peers import environment as peer_environment
+from benchmarks.peers import jobs as peer_jobs
+from benchmarks.peers import runner as peer_run
+from benchmarks.peers import throughput as peers
+from benchmarks.peers.environment import EnvironmentUnusable
+from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
+from benchmarks.peers.solvers import PEERS, REQUIREMENTS
+
+# Its sheet grows a little with every step that is longer than it bears; variants are its faults.
+ENGINE = """
+import os
+import signal
+import time
+
+
+class Engine:
+    distributions = ("numpy",)
+
+    def __init__(self, sheet, step, variant):
+        print("engines talk", flush=True)
+        if variant == "dies":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if variant == "raises":
+            raise RuntimeError("no such solver")
+        self.places = sheet["positions"].copy()
+        if variant == "turned":
+            self.places = self.places[::-1].copy()
+        self.variant = variant
+        self.grows = 1.02 if step > 1e-3 else 1.0
+
+    def advance(self, steps):
+        time.sleep(0.02 if self.variant == "slow" else 0.0)
+        self.places *= self.grows**steps
+        if self.variant == "nan":
+            self.places[-1] = float("nan")
+
+    def positions(self):
+        return self.places
+
+    def remarks(self):
+        return ["was watched"]
+"""
+
+
+@pytest.fixture(scope="module")
+def sheet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("sheet") / "sheet.npz"
+    np.savez(file, **peer_jobs.sheet_tables(curtain(16)))
+    return file
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment whose Python is this one."""
+    folder = tmp_path_factory.mktemp("environment")
+    (folder / "bin").mkdir()
+    python = folder / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    return folder
+
+
+@pytest.fixture
+def stand_in(tmp_path: Path) -> Peer:
+    script = tmp_path / "engine.py"
+    script.write_text(ENGINE)
+    return Peer(
+        name="Stand-in",
+        package="newton",
+        script=str(script),
+        variant="good",
+        differs="is no cloth at all",
+        first_steps=lambda n: 8,
+    )
+
+
+def attempt(peer: Peer, sheet: Path, environment: Path, steps: int, **options: Any) -> Attempt:
+    return peer_jobs.attempt(
+        peer, sheet, steps, environment=environment, **{"frames": 3, "seconds": 60.0, "whole": 1.5, **options}
+    )
+
+
+def test_the_sheet_that_peers_get_is_ours() -> None:
+    tables = peer_jobs.sheet_tables(curtain(16))
+    assert tables["masses"].sum() == pytest.approx(0.2)
+    assert tables["gravity"].tolist() == [0.0, 0.0, -9.81]
+    assert tables["drag"] == 1.0
+    assert np.flatnonzero(tables["anchored"]).tolist() == list(range(16))
+    assert np.flatnonzero(peer_jobs.sheet_tables(corner_drop(16))["anchored"]).tolist() == [0, 15]
+    assert len(tables["pairs"]) == 2 * 16 * 15 + 2 * 15 * 15 + 2 * 16 * 14
+    lengths = np.linalg.norm(np.subtract(*tables["positions"][tables["pairs"].T]), axis=1)
+    assert lengths == pytest.approx(tables["rest_lengths"])
+    # k_s/l0 of edge springs is their modulus; k_d = k_d0 sqrt(k m) by S2 of the model.
+    assert tables["stiffness"][:480] == pytest.approx(1000.0)
+    assert tables["damping"][0] == pytest.approx(0.2 * np.sqrt(1000.0 * 0.2 / 256))
+    corners = tables["positions"][tables["triangles"]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0.0).all()
+    assert 0.5 * normals[:, 2].sum() == pytest.approx(1.0)
+    assert tables["edge_lengths"] == pytest.approx(1.0 / 15.0)
+
+
+def test_stretch_is_that_of_the_longest_edge() -> None:
+    edges, rest = np.array([[0, 1], [1, 2]]), np.array([1.0, 0.5])
+    places = np.array([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [1.1, 0.6, 0.0]])
+    assert peer_run.largest_stretch(places, edges, rest) == pytest.approx(1.2)
+    places[2, 1] = np.nan
+    assert np.isnan(peer_run.largest_stretch(places, edges, rest))
+
+
+def test_a_run_tells_whether_the_sheet_stayed_whole(stand_in: Peer, sheet: Path, environment: Path) -> None:
+    whole = attempt(stand_in, sheet, environment, 20)
+    assert (whole.whole, whole.taken, whole.stretch) == (True, 60, pytest.approx(1.0))
+    assert whole.remarks == ["was watched"]
+    assert whole.versions == {"numpy": np.__version__}
+    assert whole.factor == pytest.approx(3.0 / 60.0 / whole.wall)
+    # 1.02^8 is 1.17: at the third frame 1.61, too much.
+    torn = attempt(stand_in, sheet, environment, 8, frames=10)
+    assert (torn.whole, torn.taken, torn.stretch) == (False, 24, pytest.approx(1.02**24))
+    lost = attempt(attrs.evolve(stand_in, variant="nan"), sheet, environment, 20)
+    assert (lost.whole, lost.taken) == (False, 20)
+
+
+def test_a_slow_engine_is_ended_and_says_how_far_it_came(stand_in: Peer, sheet: Path, environment: Path) -> None:
+    slow = attempt(attrs.evolve(stand_in, variant="slow"), sheet, environment, 20, frames=1000, seconds=0.05)
+    assert slow.whole
+    # Within the first frame already.
+    assert slow.taken < 20
+    assert slow.simulated == pytest.approx(slow.taken / 20 / 60)
+    assert slow.wall >= 0.05
+
+
+@pytest.mark.parametrize(
+    ("variant", "said"),
+    [
+        ("dies", "Stand-in: was killed by SIGKILL: engines talk"),
+        ("raises", "ended with status 1: RuntimeError: no such solver"),
+        ("turned", "the engine's sheet starts 1 m off"),
+    ],
+)
+def test_an_engine_that_fails_says_why(variant: str, said: str, stand_in: Peer, sheet: Path, environment: Path) -> None:
+    with pytest.raises(PeerFailed, match=said):
+        attempt(attrs.evolve(stand_in, variant=variant), sheet, environment, 20)
+
+
+def try_steps(bears: int) -> tuple[list[int], Attempt | None]:
+    """Search for the longest step of an engine whose sheet stays whole with so many steps a frame or more."""
+    tried: list[int] = []
+
+    def run(steps: int) -> Attempt:
+        tried.append(steps)
+        return Attempt(steps=steps, whole=steps >= bears, stretch=1.0, taken=1, wall=1.0, versions={}, remarks=[])
+
+    return tried, peer_jobs.longest_step(run, 16)
+
+
+@pytest.mark.parametrize("bears", [1, 2, 3, 15, 16, 17, 40, 64, 100, 1000])
+def test_the_longest_step_is_found_to_a_fifth(bears: int) -> None:
+    tried, found = try_steps(bears)
+    assert found is not None
+    assert bears <= found.steps <= max(1.2 * bears, bears + 1)
+    assert len(tried) == len(set(tried)) <= 10
+
+
+def test_a_sheet_that_no_step_keeps_whole_is_given_up() -> None:
+    tried, found = try_steps(10**9)
+    assert found is None
+    assert max(tried) <= 4096
+
+
+def test_every_peer_has_its_script_and_exact_versions() -> None:
+    for peer in PEERS:
+        assert Path(peers.__file__).with_name(peer.script).exists()
+        assert peer.package in REQUIREMENTS
+        assert all(peer.first_steps(n) >= 1 for n in (16, 128))
+    assert all("==" in one for wanted in REQUIREMENTS.values() for one in wanted)
+
+
+def test_a_peer_script_loads_nothing_of_this_package(environment: Path) -> None:
+    folder = Path(peers.__file__).parent
+    for name in {"runner.py", *(peer.script for peer in PEERS)}:
+        script = (
+            f"import runpy, sys; runpy.run_path({str(folder / name)!r}); "
+            "print(sorted(n for n in sys.modules if n.split('.')[0] in ('cloth_sim_ros', 'scipy', 'attrs')))"
+        )
+        command = [str(peer_environment.python_of(environment)), "-I", "-c", script]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        assert done.stdout == "[]\n", name
+
+
+def test_variables_that_lead_back_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/ros/lib")
+    monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
+    monkeypatch.setenv("LANG", "C")
+    variables = peer_environment.clean_variables(OMP_NUM_THREADS="1")
+    assert not {"LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"} & variables.keys()
+    assert (variables["LANG"], variables["OMP_NUM_THREADS"]) == ("C", "1")
+
+
+def test_a_folder_with_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(SystemExit):
+        main(["peers", "--environment", str(tmp_path)])
+    assert "holds something, but no Python environment; name another folder" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_broken_environment_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "peers" / "bin").mkdir(parents=True)
+    (tmp_path / "peers" / "bin" / "python").write_text("not a program")
+    with pytest.raises(EnvironmentUnusable, match=r"does not run: .*; remove the folder"):
+        peer_environment.prepare(tmp_path / "peers", {}, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def real_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cache") / "peers"
+    peer_environment.prepare(folder, {}, lambda _: None)
+    return folder
+
+
+def cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing answers where pip asks, and it knows no other place."""
+    monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
+    monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
+    for name in ("PIP_FIND_LINKS", "PIP_EXTRA_INDEX_URL"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_without_a_network_ours_runs_and_every_peer_is_named_as_absent(
+    real_environment: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    cut_off(monkeypatch)
+    file = tmp_path / "peers.json"
+    options = ["--resolutions", "16", "--duration", "0.1", "--repeats", "1", "--peers", "pybullet", "pyPBD"]
+    assert main(["peers", "--environment", str(real_environment), *options, "--json", str(file)]) == 0
+    written = json.loads(file.read_text())
+    assert [row[0] for row in written["tables"][0]["rows"]] == ["cloth_sim_ros, as shipped", "cloth_sim_ros, one core"]
+    (row,) = written["tables"][1]["rows"]
+    assert row[0] == 16
+    assert row[2] < 1e-3
+    assert row[4:] == ["-", "-", "-"]
+    for name in ("pybullet", "pyPBD"):
+        (note,) = [note for note in written["notes"] if note.startswith(f"ABSENT: {name}:")]
+        assert "not installed, and the package index is out of reach" in note
+    # The second is not asked for in vain.
+    said = capsys.readouterr().err
+    assert "installing pybullet==3.2.7" in said
+    assert "installing pyPBD" not in said
+
+
+def test_a_peer_without_a_wheel_is_absent_and_what_is_there_is_not_asked_for(
+    real_environment: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    said: list[str] = []
+    script = "import importlib.metadata as m; print(m.version('pip'))"
+    python = str(peer_environment.python_of(real_environment))
+    pip = subprocess.run([python, "-I", "-c", script], check=True, capture_output=True, text=True).stdout.strip()
+    wanted = {"there": (f"pip=={pip}",), "none": ("cloth-sim-ros-has-no-such-peer==9.9",)}
+    absent = peer_environment.prepare(real_environment, wanted, said.append)
+    assert absent.keys() == {"none"}
+    assert absent["none"].startswith("there is no wheel of cloth-sim-ros-has-no-such-peer==9.9 for Python 3.")
+    assert len(said) == 1
+
+
+def test_the_report_compares_with_the_fastest_peer(
+    stand_in: Peer,
+    environment: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    slow = attrs.evolve(stand_in, name="Slow", variant="slow")
+    dead = attrs.evolve(stand_in, name="Dead", variant="dies")
+    monkeypatch.setattr(peers, "PEERS", (slow, stand_in, dead))
+    monkeypatch.setattr(peer_environment, "prepare", lambda *_: {})
+    monkeypatch.setattr(peers, "PROMISED_AT", (16,))
+    file = tmp_path / "peers.json"
+    options = ["--resolutions", "16", "--duration", "0.1", "--repeats", "2", "--peers", "newton", "--json", str(file)]
+    assert main(["peers", "--environment", str(environment), *options]) == 1
+    written = json.loads(file.read_text())
+    factors = {row[0]: row[1] for row in written["tables"][0]["rows"]}
+    assert factors["Slow"] < factors["Stand-in"]
+    (row,) = written["tables"][1]["rows"]
+    assert row[4] == "Stand-in"
+    assert row[5] == pytest.approx(factors["cloth_sim_ros, as shipped"] / factors["Stand-in"])
+    assert row[6] == pytest.approx(factors["cloth_sim_ros, one core"] / factors["Stand-in"])
+    steps = {row[1]: row[2] for row in written["tables"][2]["rows"]}
+    assert steps["Stand-in"] in range(17, 21)
+    assert "FAILED: N = 16: Dead: was killed by SIGKILL: engines talk" in written["notes"]
+    assert "Stand-in: is no cloth at all" in written["notes"]
+    assert "N = 16: Slow was watched" in written["notes"]
+    (failure,) = written["failures"]
+    assert failure.endswith("times as fast as Stand-in; promised 15")
+    assert "Stand-in, 8 steps a frame: torn" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--repeats", "--seconds", "--duration", "--peer-threads"])
+def test_numbers_must_be_above_zero(option: str, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        main(["peers", option, "0"])
+    assert f"{option} is 0" in capsys.readouterr().err
+
+
+def test_what_counts_as_torn_can_be_set(stand_in: Peer, sheet: Path, environment: Path) -> None:
+    strict = attempt(stand_in, sheet, environment, 8, frames=10, whole=1.2)
+    assert (strict.whole, strict.taken) == (False, 16)
+    with pytest.raises(SystemExit):
+        main(["peers", "--stretch", "1.0"])

@@ -1,0 +1,398 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m benchmarks peers-contact` without peers: made-up motions, ours for some frames, a stand-in engine."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import attrs
+import numpy as np
+import pytest
+from support.problems import PERIOD
+
+from benchmarks.__main__ import main
+from benchmarks.peers import contact as peers_contact
+from benchmarks.peers import contact_measures
+from benchmarks.peers import contact_runs as peer_contact
+from benchmarks.peers import contact_scenes as peer_scenes
+from benchmarks.peers import environment as peer_environment
+from benchmarks.peers.contact_runs import ContactPeer, Recording
+from benchmarks.peers.contact_scenes import Contest
+from benchmarks.peers.contact_solvers import CONTACT_PEERS
+from benchmarks.peers.jobs import PeerFailed
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.sheets.grid import grid_triangles
+from validation.report import Report
+
+TRIANGLE = np.array([[0, 1, 2]])
+RESOLUTION = 8
+
+# It sinks by a millimetre a frame, and held particles go where they are led; variants are its faults.
+ENGINE = """
+import time
+
+import numpy as np
+
+
+class Engine:
+    distributions = ("numpy",)
+
+    def __init__(self, sheet, step, variant):
+        if variant == "raises":
+            raise RuntimeError("no such solver")
+        self.places, self.held = sheet["positions"].copy(), sheet["held"]
+        self.pad_places, self.step, self.variant = sheet["pad_places"], step, variant
+        self.way = self.ended = None
+
+    def lead(self, begin, end, steps):
+        self.way = [begin + (k + 1) / steps * (end - begin) for k in range(steps)]
+
+    def let_go(self):
+        self.way = None
+
+    def advance(self, steps):
+        time.sleep(0.05 if self.variant == "slow" else 0.0)
+        for _ in range(steps):
+            self.places[:, 2] -= 1e-3 / 4
+            if self.way:
+                self.places[self.held] = self.way[0]
+                self.way = self.way[1:] or self.way
+        if self.variant == "nan":
+            self.places[0] = float("nan")
+
+    def positions(self):
+        return self.places.copy()
+
+    def pads(self):
+        return self.pad_places
+
+    def remarks(self):
+        return ["was watched"]
+"""
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment whose Python is this one."""
+    folder = tmp_path_factory.mktemp("environment")
+    (folder / "bin").mkdir()
+    python = folder / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    return folder
+
+
+@pytest.fixture
+def stand_in(tmp_path: Path) -> ContactPeer:
+    script = tmp_path / "engine.py"
+    script.write_text(ENGINE)
+    return ContactPeer(
+        name="Stand-in",
+        package="newton",
+        script=str(script),
+        variant="good",
+        differs="is no cloth at all",
+        steps=4,
+        apart={"fold": "its layers are one"},
+    )
+
+
+def short(name: str, frames: int) -> Contest:
+    """The first frames of a scene."""
+    return attrs.evolve(peer_scenes.CONTESTS[name](RESOLUTION), duration=frames * PERIOD)
+
+
+def made_up(contest: Contest, frames: np.ndarray) -> Recording:
+    """A recording of given positions, in which pads stood still."""
+    pads = np.broadcast_to(contest.pad_places, (len(frames), *contest.pad_places.shape))
+    return Recording(frames=frames, pads=pads, simulated=(len(frames) - 1) * PERIOD, wall=1.0)
+
+
+def test_between_its_corners_a_triangle_may_be_deeper_in_a_ball() -> None:
+    # Corners 3 mm outside a ball of 0.1 m, the triangle's middle 0.1 m from the centre less 4 mm.
+    height, around = 0.096, math.sqrt(0.103**2 - 0.096**2)
+    angles = 2.0 * np.pi * np.arange(3) / 3.0
+    deep = np.stack([around * np.cos(angles), around * np.sin(angles), np.full(3, height)], axis=1)
+    outside = deep + np.array([0.0, 0.0, 0.1])
+    found = contact_measures.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
+    assert found == pytest.approx(0.004)
+    assert contact_measures.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
+    # Without area: its nearest side counts, here its far end. One that is a point alone tells nothing.
+    flat = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 0.15], [0.0, 0.0, 0.09]])
+    both = np.array([[0, 1, 2], [0, 0, 0]])
+    assert contact_measures.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
+
+
+def test_a_particle_in_a_solid_is_as_deep_as_it_is_in_its_worst_frame() -> None:
+    table = Obstacle(name="table", shape="plane")
+    frames = np.zeros((3, 2, 3))
+    frames[:, :, 2] = [[0.1, 0.2], [-0.003, 0.2], [0.1, -0.001]]
+    assert contact_measures.depth(frames, table, np.zeros(3)) == pytest.approx(0.003)
+    assert contact_measures.depth(frames[:1], table, np.zeros(3)) == 0.0
+    # A solid that moves: by its place in each frame.
+    places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.005], [0.0, 0.0, 0.0]])
+    assert contact_measures.depth(frames, table, places) == pytest.approx(0.001)
+
+
+def test_frames_in_which_a_sheet_goes_through_itself_are_found() -> None:
+    plane = np.stack(np.meshgrid(np.arange(6), np.arange(6), indexing="ij"), axis=-1).reshape(-1, 2) * 0.02
+    flat = np.column_stack([plane, np.zeros(36)])
+    triangles = grid_triangles(6, 6, "both")
+    folded = flat.copy()
+    over = folded[:, 0] > 0.05
+    folded[over, 0] = 0.0999 - folded[over, 0]
+    folded[over, 1] += 0.003
+    folded[over, 2] = 0.002
+    through = folded.copy()
+    through[33, 2] = -0.002
+    assert contact_measures.crossings(np.array([flat, folded, through, folded]), triangles, flat) == [2]
+
+
+def test_creep_on_a_ball_is_that_of_the_fastest_particle_on_it() -> None:
+    first = np.array([[0.0, 0.0, 0.102], [0.102, 0.0, 0.0], [0.0, 0.0, 0.12], [0.0, 0.102, 0.0]])
+    last = first + np.array([[1e-6, 0.0, 0.0], [0.0, 3e-6, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]])
+    # Of the last two one never was on it, and one left it.
+    found = contact_measures.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
+    assert found == pytest.approx(6e-6, rel=1e-3)
+    assert math.isnan(contact_measures.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
+
+
+def test_a_pinch_is_judged_by_what_is_between_the_pads() -> None:
+    contest = peer_scenes.pinch(RESOLUTION)
+    start, pad, places = contest.start, contest.pads[0], contest.pad_places
+    between = contact_measures.between_pads(start, pad, places)
+    assert (start[between, 2] >= -peer_scenes.BETWEEN).all()
+    assert (np.abs(start[between, 0]) <= 0.5 * peer_scenes.PAD[0]).all()
+    assert between.sum() == 4
+    frames = np.repeat(start[None], 601, axis=0)
+    seconds = np.arange(601) * PERIOD
+    # It comes to rest by a millimetre, and then creeps by 5 um/s; what hangs swings.
+    frames[:, between, 2] -= (1e-3 * (seconds > 1.0) + 5e-6 * np.clip(seconds - 2.0, 0.0, None))[:, None]
+    frames[:, ~between, 2] += 0.01 * np.sin(seconds)[:, None]
+    result = peers_contact.judge(contest, "made up", made_up(contest, frames))
+    assert result.creep == pytest.approx(5e-6)
+    assert (result.depth, result.outcome, result.factor) == (0.0, "", pytest.approx(10.0))
+    # From 0.5 s on all of it is below the pads: nothing is said of creep.
+    frames[31:, :, 2] -= 0.06
+    fallen = peers_contact.judge(contest, "made up", made_up(contest, frames))
+    assert fallen.outcome == "dropped at 0.52 s"
+    assert math.isnan(fallen.creep)
+    early = peers_contact.judge(contest, "made up", made_up(contest, frames[:31]))
+    assert (early.outcome, math.isnan(early.creep)) == ("ended at 0.50 s of 10", True)
+    into = frames[:31].copy()
+    into[7, :, 1] += 0.003
+    assert peers_contact.judge(contest, "made up", made_up(contest, into)).depth == pytest.approx(6e-4)
+
+
+def test_only_what_ours_promises_and_breaks_is_a_failure() -> None:
+    contest = peer_scenes.fold(RESOLUTION)
+    report = Report("", "")
+    frames = np.repeat(contest.start[None], 181, axis=0)
+    peers_contact._promised(peers_contact.judge(contest, "ours", made_up(contest, frames)), report)
+    assert report.failures == []
+    frames[5, 20, 2] = -1e-4
+    # The edge that is carried ends below the other, the row next to it above.
+    frames[9, :RESOLUTION] = frames[9, -2 * RESOLUTION : -RESOLUTION] + [0.01, -0.01, -0.001]
+    frames[9, RESOLUTION : 2 * RESOLUTION, 2] += 0.005
+    result = peers_contact.judge(contest, "ours", made_up(contest, frames))
+    assert (result.depth, result.crossed) == (pytest.approx(1e-4), 1)
+    peers_contact._promised(result, report)
+    assert report.failures == [
+        "fold: a particle of ours is 0.1 mm inside an obstacle",
+        "fold: ours goes through itself in 1 frames",
+    ]
+    held = attrs.evolve(result, scene="pinch", inside=0.0, crossed=None, creep=0.9e-6)
+    for creep, count in ((0.9e-6, 2), (math.nan, 2), (1.1e-6, 3), (-1.1e-6, 4)):
+        peers_contact._promised(attrs.evolve(held, creep=creep), report)
+        assert len(report.failures) == count
+    assert report.failures[2] == "pinch: ours creeps by 1.1 um/s; at most 1"
+    peers_contact._promised(attrs.evolve(held, outcome="dropped at 1.00 s"), report)
+    assert report.failures[4] == "pinch: ours is dropped at 1.00 s"
+    # On a ball it is particles that are promised: triangles between them are only told.
+    peers_contact._promised(attrs.evolve(held, scene="drape", depth=1e-3), report)
+    assert len(report.failures) == 5
+
+
+def test_an_edge_is_carried_over_to_the_other() -> None:
+    way = peer_scenes.carried()
+    # Taken hold of in the first frame.
+    assert len(way) == 122
+    assert not way[:2].any()
+    assert way[-1] == pytest.approx([0.0, -0.3 + peer_scenes.SHORT, 1.5 * peer_scenes.THICKNESS])
+    assert way[61] == pytest.approx([0.0, 0.5 * way[-1, 1], -0.5 * way[-1, 1] + 0.5 * way[-1, 2]])
+    speeds = np.linalg.norm(np.diff(way, axis=0), axis=1) / PERIOD
+    assert speeds.max() < 0.5
+    assert speeds[[0, 1, -1]].max() < 1e-3
+
+
+@pytest.mark.parametrize("name", peer_scenes.CONTESTS)
+def test_what_peers_are_told_is_ours(name: str) -> None:
+    contest = peer_scenes.CONTESTS[name](RESOLUTION)
+    tables = contest.tables()
+    masses = {"drape": 0.2 * 0.5**2, "fold": 0.2 * 0.3**2, "pinch": 0.2 * 0.18 * 0.09}
+    assert tables["masses"].sum() == pytest.approx(masses[name])
+    assert (tables["positions"] == contest.scene.starting_state().positions).all()
+    assert np.flatnonzero(tables["anchored"]).tolist() == (list(range(56, 64)) if name == "fold" else [])
+    assert tables["held"].tolist() == (list(range(8)) if name == "fold" else [])
+    assert tables["path"].shape == ((122, 8, 3) if name == "fold" else (1, 0, 3))
+    assert len(np.unique(tables["triangles"])) == len(tables["positions"])
+    # Ours gives bending a share of the stiffness along the threads, which peers' membranes keep.
+    springs = contest.scene.model().force("structural").listed
+    assert tables["retardation"] == pytest.approx(np.median(springs.damping / springs.rigidity), rel=0.06)
+
+
+def test_ours_carries_the_edge_and_lets_it_go() -> None:
+    contest = peer_scenes.fold(RESOLUTION)
+    way = contest.path[:20] if contest.hold else contest.path
+    contest = attrs.evolve(contest, path=way, duration=24 * PERIOD)
+    recording = peer_contact.ours(contest, 60.0)
+    assert recording.frames.shape == (25, 64, 3)
+    assert recording.simulated == pytest.approx(0.4)
+    # Springs of 1000 N/m hold it: they give by far less than the way of a frame, near the end 0.8 mm.
+    off = np.abs(recording.frames[:20, contest.held] - way).max()
+    assert off < 0.3 * np.linalg.norm(way[-1] - way[-2], axis=1).min()
+    assert recording.frames[19, contest.held, 2].min() > 0.009
+    fallen = recording.frames[24, contest.held, 2] - recording.frames[19, contest.held, 2]
+    assert fallen.max() < -1e-3
+    result = peers_contact.judge(contest, "ours", recording)
+    assert (result.crossed, result.inside) == (0, 0.0)
+
+
+def test_ours_falls_on_the_ball_and_hangs_between_pads() -> None:
+    drape = short("drape", 25)
+    fallen = peer_contact.ours(drape, 60.0)
+    result = peers_contact.judge(drape, "ours", fallen)
+    assert result.inside == 0.0
+    assert np.linalg.norm(fallen.frames, axis=2).min() < 0.1 + peer_scenes.THICKNESS
+    pinch = short("pinch", 12)
+    held = peer_contact.ours(pinch, 60.0)
+    # The pads have closed, and stay symmetric; the gap is the thickness on either side but for what 4 N press.
+    assert held.pads[0] == pytest.approx(pinch.pad_places)
+    half = held.pads[-1, 0, 1] - 0.5 * peer_scenes.PAD[1]
+    assert 0.5 * peer_scenes.THICKNESS < half < peer_scenes.THICKNESS
+    assert held.pads[-1, 1] == pytest.approx(held.pads[-1, 0] * [1.0, -1.0, 1.0])
+    assert held.frames[-1, :, 2].max() > -2e-3
+
+
+def test_ours_is_ended_where_time_is_up() -> None:
+    recording = peer_contact.ours(short("drape", 1000), 1e-9)
+    assert (len(recording.frames), recording.simulated) == (2, pytest.approx(PERIOD))
+
+
+def test_ours_never_sleeps() -> None:
+    contest = short("pinch", 150)
+    contest = attrs.evolve(contest, scene=contest.scene.changed({"air.drag": 50.0}))
+    recording = peer_contact.ours(contest, 60.0)
+    # Not one frame is the one before.
+    assert (np.diff(recording.frames, axis=0) != 0.0).any(axis=(1, 2)).all()
+
+
+def test_another_engine_is_recorded_frame_by_frame(stand_in: ContactPeer, environment: Path) -> None:
+    contest = attrs.evolve(peer_scenes.fold(RESOLUTION), duration=4 * PERIOD)
+    contest = attrs.evolve(contest, path=contest.path[60:63])
+    recording = peer_contact.theirs(stand_in, contest, 60.0, environment=environment)
+    sunk = recording.frames - contest.start
+    assert sunk[:, -1, 2] == pytest.approx([0.0, -1e-3, -2e-3, -3e-3, -4e-3])
+    held = recording.frames[:, contest.held]
+    assert held[1:3] == pytest.approx(contest.path[1:])
+    # Let go: it sinks as the others do.
+    assert held[4] == pytest.approx(contest.path[2] - [0.0, 0.0, 2e-3])
+    assert (recording.simulated, recording.finite) == (pytest.approx(4 * PERIOD), True)
+    assert recording.remarks == ["was watched"]
+    assert recording.versions == {"numpy": np.__version__}
+
+
+def test_another_engine_is_ended_where_time_is_up_or_places_are_none(stand_in: ContactPeer, environment: Path) -> None:
+    contest = short("drape", 100)
+    slow = peer_contact.theirs(attrs.evolve(stand_in, variant="slow"), contest, 0.12, environment=environment)
+    # Three of the four steps of the first frame.
+    assert len(slow.frames) == 1
+    assert slow.simulated == pytest.approx(0.75 * PERIOD)
+    assert peers_contact.judge(contest, "slow", slow).outcome == "ended at 0.00 s of 1.66667"
+    lost = peer_contact.theirs(attrs.evolve(stand_in, variant="nan"), contest, 60.0, environment=environment)
+    assert (lost.finite, len(lost.frames)) == (False, 1)
+    assert peers_contact.judge(contest, "lost", lost).outcome == "blew up after 0.00 s"
+    with pytest.raises(PeerFailed, match="Stand-in: ended with status 1: RuntimeError: no such solver"):
+        peer_contact.theirs(attrs.evolve(stand_in, variant="raises"), contest, 60.0, environment=environment)
+
+
+@pytest.fixture
+def shortened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut(make: Callable[[int], Contest]) -> Callable[[int], Contest]:
+        return lambda resolution: attrs.evolve(make(resolution), duration=3 * PERIOD)
+
+    cuts = {name: cut(make) for name, make in peer_scenes.CONTESTS.items()}
+    monkeypatch.setattr(peers_contact, "CONTESTS", cuts)
+
+
+def test_the_report_has_every_engine_whatever_became_of_it(
+    stand_in: ContactPeer, environment: Path, shortened: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    broken = attrs.evolve(stand_in, name="Broken", variant="raises")
+    absent = attrs.evolve(stand_in, name="Absent", package="mujoco")
+    monkeypatch.setattr(peers_contact, "CONTACT_PEERS", (stand_in, broken, absent))
+    monkeypatch.setattr(peer_environment, "prepare", lambda *_: {"mujoco": "there is no wheel of it"})
+    file = tmp_path / "report.json"
+    options = ["--resolution", str(RESOLUTION), "--environment", str(environment), "--json", str(file)]
+    assert main(["peers-contact", *options, "--peers", "newton", "mujoco", "--scenes", "drape", "fold"]) == 0
+    written = json.loads(file.read_text())
+    (table,) = written["tables"]
+    names = ["cloth_sim_ros", "Stand-in", "Broken", "Absent"]
+    assert [row[:2] for row in table["rows"]] == [[scene, name] for scene in ("drape", "fold") for name in names]
+    ends = [row[-1] for row in table["rows"]]
+    assert ends == ["", "", "FAILED", "ABSENT"] * 2
+    assert table["rows"][2][2:8] == table["rows"][3][2:8] == ["-"] * 6
+    # The table is at 0, the sheet began a thickness above.
+    deep = dict(zip(table["columns"], table["rows"][5], strict=True))
+    assert (deep["deepest mm"], deep["frames crossed"]) == (pytest.approx(1.0), 0)
+    assert deep["seconds"] == pytest.approx(0.05)
+    notes = written["notes"]
+    assert "ABSENT: mujoco: there is no wheel of it" in notes
+    assert "FAILED: fold: Broken: ended with status 1: RuntimeError: no such solver" in notes
+    assert "Stand-in: is no cloth at all" in notes
+    assert "fold: Stand-in: its layers are one" in notes
+    assert "drape: Stand-in was watched" in notes
+    assert written["failures"] == []
+
+
+def test_without_peers_nothing_is_installed(
+    shortened: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def refuse(*_: object) -> dict[str, str]:
+        raise AssertionError("nothing is to be installed")
+
+    monkeypatch.setattr(peer_environment, "prepare", refuse)
+    assert main(["peers-contact", "--resolution", str(RESOLUTION), "--peers", "--scenes", "pinch"]) == 0
+    assert "| pinch | cloth_sim_ros |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [(["--seconds", "0"], "--seconds is 0"), (["--resolution", "7"], "--resolution is 7; it must be at least 8")],
+)
+def test_numbers_out_of_range_are_refused(options: list[str], said: str, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        main(["peers-contact", *options])
+    assert said in capsys.readouterr().err
+
+
+def test_every_peer_has_its_script_which_loads_nothing_of_this_package(environment: Path) -> None:
+    folder = Path(peers_contact.__file__).parent
+    assert {peer.package for peer in CONTACT_PEERS} == {*peers_contact.PACKAGES}
+    for name in {peer.script for peer in CONTACT_PEERS}:
+        script = (
+            f"import runpy, sys; runpy.run_path({str(folder / name)!r}); "
+            "print(sorted(n for n in sys.modules if n.split('.')[0] in ('cloth_sim_ros', 'scipy', 'attrs')))"
+        )
+        command = [str(peer_environment.python_of(environment)), "-I", "-c", script]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        assert done.stdout == "[]\n", name
+    for peer in CONTACT_PEERS:
+        assert peer.steps >= 1
+        assert peer.apart.keys() <= peer_scenes.CONTESTS.keys()

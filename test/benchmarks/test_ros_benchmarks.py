@@ -1,0 +1,95 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The measurements of the node run, and clouds are built for those alone who want them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+from benchmarks.ros.stream import Stream
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def ask(name, *arguments):
+    """Run a measurement; return what it prints. Its figures are the machine's, and so is its status."""
+    command = [sys.executable, "-m", "benchmarks", name, *arguments]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=300)
+    assert done.returncode in (0, 1) and done.stdout, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_outputs_are_built_for_those_alone_who_want_them():
+    # The measurement refuses to report if a cloud was built for nobody.
+    told = ask("ros-outputs", "--resolution", "8", "--frames", "3")
+    assert told["particles"] == 64
+    assert set(told["presences"]) == {"nobody", "subscriber", "recorder", "both"}
+    assert told["presences"]["nobody"]["to_nobody"] == 1.0
+
+
+def test_start_is_measured_from_the_process_to_the_first_cloud():
+    told = ask("ros-start", "--starts", "1", "--ros", "-p", "cloth.resolution:=[5, 5]")
+    assert len(told["warm_s"]) == 1
+    assert 0.0 < told["warm_processor_median_s"] < told["warm_s"][0] * 4.0
+    assert told["met"] == (told["warm_median_s"] < told["goal_s"])
+    assert len(told["answers_after_s"]) == 2
+    assert min(told["answers_after_s"]) >= 0.0
+
+
+def test_what_the_node_adds_to_a_frame_is_measured():
+    told = ask("ros-node", "idle", "--seconds", "0.5", "--settle", "0.2", "--resolution", "5")
+    for how in ("at rest", "swinging"):
+        found = told[how]
+        assert found["added_ms_a_frame"] == pytest.approx(
+            found["node_ms_a_frame"] - found["simulation_ms_a_frame"], abs=1e-3
+        )
+    assert told["met"] == all(told[how]["added_ms_a_frame"] <= told["goal_ms"] for how in ("at rest", "swinging"))
+
+
+def test_late_frames_are_counted_with_and_without_parameters_that_are_set(ros_domain):
+    told = ask("ros-node", "sets", "--seconds", "0.5", "--rounds", "1", "--resolution", "5")
+    # A thousand a minute, fewer where the machine is slow; all of them taken.
+    assert 1 <= told["set"] <= 12
+    assert told["refused"] == 0
+    assert [len(told["late_frames"][how]) for how in ("with", "without")] == [1, 1]
+
+
+def test_a_cloth_that_is_carried_swung_and_let_go_is_measured(ros_domain):
+    told = ask("ros-live", "--seconds", "0.1", "--pace", "0.1")
+    assert told["cycles"] == 1
+    assert told["frames"] > 0
+    assert told["met"] == (told["late_frames"] == 0)
+    assert told["longest_frame_of_the_first_minute_ms"] == told["longest_frame_ms"] > 0.0
+
+
+def stream(**values):
+    """Ten clouds a second for a second, each a little after it was due."""
+    due = np.arange(10) / 10.0
+    told = {"points": 4, "rate": 10.0, "asleep": True, "sent": 10, "received": 10, "late": 0, "load": 0.1}
+    return Stream(**told | {"stamps": due, "arrivals": due + 0.01} | values)
+
+
+def test_a_lost_cloud_and_a_due_time_without_one_are_told():
+    assert stream().met
+    assert stream().summary()["received_hz"] == pytest.approx(10.0)
+    lost = stream(received=9)
+    assert (lost.summary()["lost"], lost.met) == (1, False)
+    whole = stream()
+    kept = [0, 1, 2, 3, 4, 7, 8, 9]
+    late = stream(stamps=whole.stamps[kept], arrivals=whole.arrivals[kept])
+    assert (late.summary()["left_out"], late.met) == (2, False)
+    assert late.summary()["spacing_max_ms"] == pytest.approx(300.0)
+    assert not stream(sent=0, received=0).met
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
+def test_clouds_are_counted_at_both_ends(moving):
+    (told,) = ask("ros-stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", *["--moving"] * moving)
+    assert (told["points"], told["asleep"]) == (25, not moving)
+    assert 0 < told["sent"] == told["received"]
+    assert told["met"] == (told["left_out"] == 0)

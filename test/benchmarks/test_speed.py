@@ -1,0 +1,173 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m benchmarks speed`: what it times, how it compares, and what it says of a promise that was not met."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.problems import PERIOD, curtain
+
+from benchmarks import timing as speed_turns
+from benchmarks.__main__ import main
+from benchmarks.speed import curtain as speed_curtain
+from benchmarks.speed import kernels as speed_kernels
+from benchmarks.speed import overview as speed
+from benchmarks.speed import stiff as speed_stiff
+from benchmarks.speed.curtain import CurtainSpeed
+from cloth_sim_ros.session.mcap_builder import MAGIC
+
+
+@pytest.mark.parametrize("option", ["--json", "--markdown"])
+def test_a_session_is_not_written_over(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = tmp_path / "kept.mcap"
+    session.write_bytes(MAGIC)
+    monkeypatch.setattr(speed, "run", lambda _: pytest.fail("work was done before the refusal"))
+    with pytest.raises(SystemExit):
+        main(["speed", option, str(session)])
+    assert option in capsys.readouterr().err
+    assert session.read_bytes() == MAGIC
+
+
+def turns_on_fake_clock(spent: dict[str, list[float]]) -> speed_turns.Turns:
+    """Candidates that take the listed times, one a round, on a clock that only they move."""
+    now = [0.0]
+    left = {name: iter(times) for name, times in spent.items()}
+
+    def candidate(name: str) -> None:
+        now[0] += next(left[name])
+
+    candidates = {name: lambda name=name: candidate(name) for name in spent}
+    return speed_turns.take_turns(candidates, seconds=0.0, clock=lambda: now[0])
+
+
+def test_turns_count_medians_and_ratios_of_rounds_without_the_first() -> None:
+    # The machine is three times as slow in two of the five rounds that count: the ratio does not see it.
+    turns = turns_on_fake_clock({"a": [100.0, 1.0, 3.0, 3.0, 1.0, 1.0], "b": [100.0, 2.0, 6.0, 6.0, 2.0, 2.0]})
+    assert turns.seconds["a"] == pytest.approx([1.0, 3.0, 3.0, 1.0, 1.0])
+    assert turns.median("b") == pytest.approx(2.0)
+    assert turns.ratio("b", "a") == pytest.approx(2.0)
+
+
+def test_the_ratio_is_the_median_over_rounds_not_that_of_medians() -> None:
+    turns = speed_turns.Turns({"a": [1.0, 10.0, 2.0], "b": [1.0, 5.0, 4.0]})
+    assert turns.median("a") / turns.median("b") == 0.5
+    assert turns.ratio("a", "b") == 1.0
+
+
+def test_without_a_compiler_our_engine_is_timed_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(speed, "find_compiler", lambda: None)
+    file = tmp_path / "speed.json"
+    assert main(["speed", "--only", "kernels", "--kernels", "8", "--seconds", "0", "--json", str(file)]) == 0
+    written = json.loads(file.read_text())
+    assert [row[:3] for row in written["tables"][0]["rows"]] == [[8, "float32", "-"], [8, "float64", "-"]]
+    assert all(row[3] > 0.0 and row[4] == "-" for row in written["tables"][0]["rows"])
+    assert any("no C compiler" in note for note in written["notes"])
+
+
+def test_plans_are_timed_against_what_they_are_estimated_at(tmp_path: Path) -> None:
+    file = tmp_path / "speed.json"
+    assert main(["speed", "--only", "plans", "--meshes", "100", "--seconds", "0", "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["tables"][0]["rows"]
+    assert [row[1] for row in rows] == [100] + 8 * [speed.PLAN_GRID**2]
+    assert all(row[2] > 0.0 and row[3] > 0.0 for row in rows)
+    assert [row[4] for row in rows] == pytest.approx([row[2] / row[3] for row in rows])
+
+
+def test_two_threads_move_the_sheet_to_the_same_bits() -> None:
+    row = speed_kernels.thread_gain(12, np.float32, seconds=0.0)
+    assert row.same
+    assert row.gain > 0.0
+    # Steps of a frame are stable ones.
+    sheet = curtain(16).build()[0]
+    limit = speed_kernels.leapfrog_limit(*sheet.rates(curtain(16).build()[1].x))
+    assert PERIOD / speed_kernels.thread_gain(16, np.float64, seconds=0.0).steps < limit
+
+
+def test_other_bits_and_a_small_gain_are_failures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    row = speed_kernels.ThreadGain(
+        resolution=96, precision="float64", steps=10, one=1.0, two=0.625, gain=1.6, most=1.9, same=False
+    )
+    monkeypatch.setattr(speed, "thread_gain", lambda *_, **__: row)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    assert main(["speed", "--only", "threads", "--threads", "96"]) == 1
+    printed = capsys.readouterr().out
+    assert "NOT MET: two threads at N = 96, float64: other bits than one thread" in printed
+    assert "NOT MET: two threads at N = 96, float64: 1.60 times one; promised 1.7 (apart 1.90)" in printed
+
+
+def test_the_curtain_runs_as_shipped_and_its_error_is_that_against_the_reference() -> None:
+    scene = speed_curtain.scored(curtain, 16)
+    known = speed_curtain.trusted(scene)
+    assert known.error < 1e-10
+    fine, coarse = (speed_curtain.run(scene, tolerance=tolerance) for tolerance in (1e-6, 1e-2))
+    errors = [known.deviation(scene.frames, run.positions) for run in (fine, coarse)]
+    assert errors[0] < 1e-6
+    # A tolerance that asks for less gets less, and the reference tells.
+    assert 2.0 * errors[0] < errors[1] < 1e-2
+    moved = coarse.positions.copy()
+    moved[2, 77] += 0.25
+    assert known.deviation(scene.frames, moved) == pytest.approx(0.25, rel=1e-3)
+
+
+def test_a_sheet_without_a_time_at_which_errors_mean_something_is_refused(capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        main(["speed", "--only", "curtain", "--curtains", "48"])
+    assert "16, 32, 64, 128 particles a side" in capsys.readouterr().err
+
+
+def curtain_speed(tolerance: float, error: float, factor: float, *, one_core: bool = False) -> CurtainSpeed:
+    return CurtainSpeed(
+        tolerance=tolerance, one_core=one_core, factors=[factor], evaluations=1.0, error=error, reason="because"
+    )
+
+
+def test_the_loosest_tolerance_that_holds_a_millimetre_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    speeds = [
+        curtain_speed(1e-3, 2e-3, 30.0),
+        curtain_speed(1e-4, 1e-4, 20.0),
+        curtain_speed(1e-4, 1e-4, 40.0, one_core=True),
+    ]
+    best = speed_curtain.loosest_accurate(speeds)
+    assert best is not None
+    assert best.factor == 20.0
+    assert speed_curtain.loosest_accurate(speeds[:1]) is None
+    monkeypatch.setattr(speed_curtain, "trusted", lambda _: speed_curtain.Reference(np.ones(1), np.ones(1), 1e-12))
+    monkeypatch.setattr(speed_curtain, "curtain_speeds", lambda *_, **__: speeds)
+    assert main(["speed", "--only", "curtain", "--curtains", "32"]) == 1
+    assert "NOT MET: curtain N = 32: 20 x real time; promised 25" in capsys.readouterr().out
+
+
+def test_one_core_is_one_core_and_all_come_back() -> None:
+    before = os.sched_getaffinity(0)
+    with speed_curtain.cores(one=True):
+        assert len(os.sched_getaffinity(0)) == 1
+    assert os.sched_getaffinity(0) == before
+    with speed_curtain.cores(one=False):
+        assert os.sched_getaffinity(0) == before
+
+
+def test_a_stiff_sheet_is_timed_frame_by_frame(tmp_path: Path) -> None:
+    file = tmp_path / "speed.json"
+    assert main(["speed", "--only", "stiff", "--stiff", "6", "--seconds", "0", "--json", str(file)]) == 0
+    rows = json.loads(file.read_text())["tables"][0]["rows"]
+    assert [row[1] for row in rows] == ["as shipped", "explicit"]
+    assert rows[1][2] == "leapfrog"
+    assert all(0.0 < row[4] <= row[5] and 0.0 <= row[6] <= 1.0 and row[7] <= speed_stiff.TOLERANCE for row in rows)
+
+
+def test_real_time_and_late_frames_are_told_of_all_runs() -> None:
+    frames = np.array([[0.5, 0.5, 2.0], [0.25, 0.25, 0.25], [0.5, 0.5, 0.5]]) * PERIOD
+    speed = speed_stiff.StiffSpeed(name="as shipped", integrators=("implicit",), frames=frames, error=0.0)
+    assert speed.factor == pytest.approx(2.0)
+    assert speed.late == pytest.approx(1.0 / 9.0)

@@ -1,0 +1,59 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""S9 brings ten thousand spoiled pairs of triangles back to their rest shape; S7 alone does not, nor always S8."""
+
+import math
+
+import numpy as np
+import pytest
+
+from validation.bending.recovery import RESTS, STARTS, recover, rest_shape, starts
+
+COUNT = 340  # of each kind of start and each rest shape: 10,200 for a rest angle
+
+
+@pytest.mark.parametrize("edge_stiffness", [10.0, 100.0])
+@pytest.mark.parametrize("degrees", [0.0, 60.0, 120.0])
+def test_altitude_springs_recover_every_start(degrees, edge_stiffness):
+    total, missed = 0, []
+    for name in RESTS:
+        rest = rest_shape(name, math.radians(degrees))
+        for kind in STARTS:
+            begin = starts(kind, rest, COUNT, np.random.default_rng([round(degrees), len(name), len(kind)]))
+            came = recover(begin, rest, edge_stiffness=edge_stiffness)
+            total += came.starts
+            if came.missed:
+                missed.append((name, kind, came.missed))
+            # nothing switches: in the last tenth of every motion the energy only falls, up to rounding
+            assert came.latest_energy_rise < 1e-15
+    assert total >= 10_000
+    assert missed == []
+
+
+@pytest.mark.parametrize("degrees", [0, 30, 75, 85, 105, 150, -60])
+def test_altitude_springs_recover_at_other_rest_angles(degrees):
+    for name in RESTS:
+        rest = rest_shape(name, math.radians(degrees))
+        for kind in STARTS:
+            assert recover(starts(kind, rest, 20, np.random.default_rng(1)), rest).missed == 0, (name, kind)
+
+
+def test_exactly_planar_starts_of_a_flat_rest_need_a_push_and_come_back_with_one():
+    rest = rest_shape("equilateral", 0.0)
+    swapped = rest[[0, 1, 3, 3]] + np.array([[0, 0, 0], [0, 0, 0], [0.05, 0.1, 0], [0, 0, 0]])  # both wings on one side
+    stuck = recover(swapped[None].copy(), rest)
+    assert stuck.missed == 1  # no force leaves the plane
+    pushed = swapped.copy()
+    pushed[2, 2] += 1e-6
+    assert recover(pushed[None], rest).missed == 0
+
+
+def test_the_experiment_can_fail():
+    # S8's length falls to zero where a pair of unequal triangles is folded shut, and holds it there
+    rest = rest_shape("scalene", 0.0)
+    begin = starts("folded", rest, 50, np.random.default_rng(0))
+    assert recover(begin, rest, model="crossed", ratio=4.0, limit=5000).missed == 50
+    # too weak an altitude spring leaves the mirror image to S7
+    folded = rest_shape("equilateral", math.radians(120))
+    begin = starts("inverted", folded, 50, np.random.default_rng(0))
+    assert recover(begin, folded, ratio=0.05, limit=5000).missed > 40

@@ -1,0 +1,148 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A few cases of the stability scan, limits about stretched states, and the processes that the scan runs in."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
+from cloth_sim_ros.physics.integrators.implicit import Implicit
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+from validation import __main__ as bench
+from validation.case_pool import run_cases
+from validation.stability.cases import Case, contact_cases, every_case, random_cases, run_case
+from validation.stability.limits import LARGEST_EXCESS, limit_found, stretched_sheet
+from validation.stability.scan import LARGEST_GAIN
+
+
+@pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.attack)
+def test_attacks_by_contact_stay_finite_and_make_no_energy(case: Case) -> None:
+    verdict = run_case(case)
+    assert verdict.finite, verdict.trouble
+    assert verdict.gain <= LARGEST_GAIN
+
+
+def test_the_scan_is_as_large_as_it_should_be() -> None:
+    cases = every_case()
+    assert len(set(cases)) == len(cases) >= 2000
+
+
+@pytest.mark.parametrize(
+    ("case", "integrator"),
+    [
+        # Energy from springs pushed to a point, at a fixed step.
+        (Case("grid", "inverted cell", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
+        (Case("grid", "stretched x 3", 100.0, 0.0, 60.0, "fixed"), "leapfrog"),
+        # Combined runs that amplify undamped waves.
+        (Case("grid", "release", 100.0, 0.0, 240.0, "auto"), "extrapolated"),
+        # Stages without a solution within reach.
+        (Case("grid", "coincident", 1e6, 0.5, 60.0, "auto"), "implicit"),
+        (Case("grid", "yanked at 10 m/s", 1e6, 3.0, 30.0, "auto"), "implicit"),
+        (Case("grid", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
+        (Case("mesh", "crumpled", 1.0, 0.5, 60.0, "auto"), "extrapolated"),
+        # Steps that change in mid-run, and with them the leapfrog's own energy.
+        (Case("opposite", "inverted cell", 1.0, 0.0, 60.0, "fixed"), "leapfrog"),
+        # A start that a fixed cap of work can follow only in part.
+        (Case("grid", "stretched x 3", 1e4, 0.5, 30.0, "auto"), "extrapolated"),
+        # Folded shut, where S8 is stiffest.
+        (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "auto"), "extrapolated"),
+        (Case("crossed", "half in one point", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
+        (Case("crossed", "half in one point", 100.0, 0.5, 60.0, "fixed"), "leapfrog"),
+        # The same while a gripper does work.
+        (Case("crossed", "zero-length springs", 100.0, 0.5, 60.0, "auto"), "extrapolated"),
+        # A motion that is beyond the fixed step already when its parameters change.
+        (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
+        # All waves at once and in step: their swing must not be locked in by a change of the step.
+        (Case("grid", "stretched x 3", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
+        # Nor by longer steps that are tried after shorter ones.
+        (Case("altitude", "crumpled", 1e4, 0.0, 60.0, "fixed"), "leapfrog"),
+        # Nor by stretches of one frame, each with a step of its own, that the work does not suffice for.
+        (Case("crossed", "inverted cell", 100.0, 0.0, 60.0, "auto"), "extrapolated"),
+    ],
+    ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
+)
+def test_what_is_attacked_stays_finite_and_makes_no_energy(case: Case, integrator: str) -> None:
+    verdict = run_case(case)
+    assert verdict.finite, verdict.trouble
+    assert verdict.gain <= LARGEST_GAIN
+    assert integrator in verdict.integrators
+
+
+@pytest.mark.parametrize(("stretch", "k_d0"), [(1.0, 0.0), (2.0, 0.2), (3.0, 1.0)])
+def test_the_limit_found_about_a_stretched_state_is_hardly_beyond_its_bound(stretch: float, k_d0: float) -> None:
+    plan, x = stretched_sheet(stretch, k_d0, resolution=8)
+    bound = Leapfrog().step_limit(*plan.rates(x))
+    # Found by bisection to 0.2 %.
+    assert 0.998 * bound <= limit_found(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
+
+
+def test_an_implicit_step_without_a_solution_comes_to_rest_where_forces_balance() -> None:
+    """Coincident particles of a sheet too stiff for its steps: it must neither freeze there nor gain energy."""
+    plan, x = stretched_sheet(1.0, 0.5, resolution=8)
+    state = State(x.T.copy())
+    state.x = state.x.copy()
+    state.x[:, 27] = state.x[:, 36]
+    before = plan.energy(0.0, state.x, state.v)
+    Implicit(tolerance=1e-6).advance(plan, state, 0.0, 0.5)
+    assert plan.energy(0.0, state.x, state.v) < 0.05 * before
+    assert np.isfinite(state.x).all()
+
+
+def test_wind_that_sets_a_sheet_going_makes_no_step_smaller() -> None:
+    """Step control must not take the energy that wind brings in for the growth of unstable steps."""
+    values = {"cloth.resolution": [12, 12], "wind.velocity": [0.0, 8.0, 0.0], "integrator": "leapfrog", "step": 2e-4}
+    simulation = Simulation(Scene.from_parameters(values))
+    for _ in range(3):
+        done = simulation.advance().advance
+        assert done is not None
+        assert (done.rejected, done.steps) == (0, 84)
+
+
+def _square(case: int) -> int:
+    if case == 3:
+        raise SystemExit(1)
+    if case == 4:
+        time.sleep(60.0)
+    return case * case
+
+
+def test_a_case_that_takes_too_long_or_ends_its_process_is_told_and_the_others_go_on() -> None:
+    dones = {done.case: done for done in run_cases(_square, [1, 2, 3, 4, 5], workers=2, limit=1.0)}
+    assert {case: done.result for case, done in dones.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
+    assert dones[3].trouble == "its process ended"
+    assert dones[4].trouble == "took longer than 1 s"
+
+
+def test_random_cases_follow_from_their_seed_and_lie_within_the_scan() -> None:
+    cases = random_cases(5, 200)
+    assert cases == random_cases(5, 200) != random_cases(6, 200)
+    assert {case.attack for case in cases} == {case.attack for case in every_case()}
+    assert {case.sheet for case in cases} == {case.sheet for case in every_case()}
+    assert all(1.0 <= case.stiffness <= 1e6 and 0.0 <= case.damping <= 3.0 for case in cases)
+    assert all(30.0 <= case.rate <= 240.0 for case in cases)
+
+
+def test_a_scan_that_was_broken_off_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every verdict is in the file: nothing runs again, what the file says is told."""
+    kept = tmp_path / "verdicts.jsonl"
+    first, second = every_case()[:2]
+    lines = []
+    for case, gain in ((first, 0.0), (second, 0.5)):
+        entry = {name: getattr(case, name) for name in ("sheet", "attack", "stiffness", "damping", "rate", "stepping")}
+        result = {"integrators": ["leapfrog"], "finite": True, "strain": 0.1, "gain": gain}
+        lines.append(json.dumps({"case": entry, "result": result, "seconds": 1.0, "trouble": ""}))
+    kept.write_text("\n".join([*lines, '{"cut off']))
+    every = len(every_case())
+    status = bench.main(["stability", "--parts", "scan", "--resume", str(kept), "--only", "2"])
+    told = capsys.readouterr().out
+    assert status == 1
+    assert f"2 cases of {every}" in told
+    assert "gains 0.5 of the energy turned over" in told

@@ -1,0 +1,73 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m validation work-precision`: who is compared with whom, and what becomes of the slow."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from support.problems import Problem, problem
+
+from validation.__main__ import main
+from validation.tolerance import baselines as rivals
+from validation.tolerance import work_precision
+from validation.tolerance.baselines import Run, Solver, TooSlow
+
+
+def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = False) -> Solver:
+    """A solver that ends so far off the chain's exact place, after a time that it says; later runs may be held up."""
+    runs = []
+
+    def solve(scene: Problem, limit: float) -> Run:
+        runs.append(limit)
+        if held_up and len(runs) > 1 and limit < math.inf:
+            raise TooSlow
+        if seconds > limit:
+            raise TooSlow
+        assert scene.exact is not None
+        x = scene.exact(scene.duration)
+        x[0, 5] += error
+        return Run(x, seconds, 7)
+
+    return Solver(name, "as it is", kind, solve)
+
+
+def test_the_fastest_that_is_accurate_enough_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    ours = [fake("fine", "beside", error=0.0, seconds=1e-9), fake("rough", "ours", error=1e-4, seconds=0.001)]
+    ours += [fake("good", "ours", error=9e-6, seconds=0.01), fake("better", "ours", error=9e-8, seconds=0.05)]
+    ours += [fake("one thread", "alone", error=9e-6, seconds=0.02), fake("the same", "alone", error=9e-8, seconds=0.1)]
+    theirs = [fake("theirs", "library", error=1e-8, seconds=0.2), fake("slower", "library", error=1e-9, seconds=0.3)]
+    theirs += [fake("never", "library", error=0.0, seconds=9.0)]
+    theirs.append(fake("held up", "library", error=1e-9, seconds=0.4, held_up=True))
+    monkeypatch.setattr(work_precision, "our_solvers", lambda _: ours)
+    monkeypatch.setattr(work_precision, "library_solvers", lambda *, slow: theirs)
+    monkeypatch.setattr(work_precision, "_residual", lambda *_: None)
+    file = tmp_path / "report.json"
+    assert main(["work-precision", "--scene", "chain", "--limit", "1", "--repeats", "3", "--json", str(file)]) == 0
+    report = json.loads(file.read_text())
+    everything, comparison = (table["rows"] for table in report["tables"])
+    names = ["fine", "rough", "good", "better", "one thread", "the same", "theirs", "slower", "held up"]
+    assert [row[0] for row in everything] == names
+    assert [[row[0], row[2].split()[0], row[5].split()[0]] for row in comparison] == [
+        [1e-5, "good", "theirs"],
+        [1e-7, "better", "theirs"],
+    ]
+    assert [row[6] for row in comparison] == [pytest.approx(20.0), pytest.approx(4.0)]
+    assert [row[7] for row in comparison] == [pytest.approx(10.0), pytest.approx(2.0)]
+    assert any("never" in note and "not done after 1 s" in note for note in report["notes"])
+    assert any("1e-10" in note for note in report["notes"])
+
+
+def test_ours_and_a_library_solve_the_same_equations() -> None:
+    scene = problem("chain")
+    assert scene.exact is not None
+    exact = scene.exact(scene.duration)
+    ours = next(solver for solver in rivals.our_solvers((1e-7,)) if solver.kind == "ours")
+    theirs = next(solver for solver in rivals.library_solvers(slow=False) if solver.setting.endswith("1e-08"))
+    for solver in (ours, theirs):
+        done = solver.solve(scene, 60.0)
+        assert abs(done.positions - exact).max() < 1e-7
+        assert done.evaluations > 100

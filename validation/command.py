@@ -1,0 +1,63 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Command lines of `python -m benchmarks` and `python -m validation`."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from cloth_sim_ros.session.child_process import safe_imports
+from cloth_sim_ros.session.outputs import OutputError, check_outputs
+
+
+def run_command(
+    package: str, description: str, commands: Mapping[str, tuple[str, str]], arguments: Sequence[str] | None
+) -> int:
+    """Run one of a package's commands, or list them if none is named; return the exit status.
+
+    Args:
+        package: name of the package that is run with `python -m`.
+        description: a sentence about it.
+        commands: by name: a module and a line about it. A module has `add_arguments(parser)` and `run(options)`, which
+            returns a `report.Report`; or `main(arguments)`, which prints by itself and returns the exit status.
+        arguments: of the command line; those of this process if left out.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m {package}",
+        description=description,
+        epilog="\n".join(f"  {name:16s} {text}" for name, (_, text) in commands.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("command", choices=commands, metavar="command", help="one of the names below")
+    if not given:
+        parser.print_help()
+        return 0
+    name, *rest = given
+    if name not in commands:
+        parser.parse_args(given)
+    module = importlib.import_module(commands[name][0])
+    if hasattr(module, "main"):
+        status: int = module.main(rest)
+        return status
+    inner = argparse.ArgumentParser(prog=f"{parser.prog} {name}", description=commands[name][1])
+    module.add_arguments(inner)
+    output = inner.add_argument_group("output")
+    output.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
+    output.add_argument("--csv", type=Path, metavar="FOLDER", help="write each table as CSV")
+    output.add_argument("--plots", type=Path, metavar="FOLDER", help="write plots as PNG")
+    output.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as a section of documentation")
+    options = inner.parse_args(rest)
+    try:
+        check_outputs({"--json": options.json, "--markdown": options.markdown}, [])
+        with safe_imports():
+            report = module.run(options)
+    except (ValueError, OutputError) as error:
+        inner.error(str(error))
+    sys.stdout.write(report.text() + "\n")
+    report.write(json_file=options.json, csv_folder=options.csv, plot_folder=options.plots, markdown=options.markdown)
+    return 1 if report.failures else 0

@@ -1,0 +1,109 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far the moduli of a sheet on irregular triangles lie from those asked for: the distribution over random meshes.
+
+The linear theory of a periodic patch. A spring of stiffness k, length L and direction d under the strain ε stretches by
+e = L d'εd + d'(u_b - u_a), u being any periodic displacement. The least energy ½ Σ k e² per area is ½ ε'Cε: C is the
+sheet's modulus tensor on lengths far above its triangles. With u = 0 instead (every particle moves with the strain) the
+energy is larger: that bound is printed beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
+from cloth_sim_ros.physics.sheets.surface import Surface
+from validation.bending.patterns import Triangulation, triangulation
+from validation.report import Report, Table
+
+#: Meshes: from which lattice, and how far its vertices are moved, in sides; 1 has no memory of the lattice.
+MESHES = (
+    *((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)),
+    *((True, jitter) for jitter in (0.1, 0.2, 0.3)),
+    (False, 1.0),
+)
+
+
+@attrs.frozen(kw_only=True)
+class Moduli:
+    """Moduli of a sheet, divided by what was asked for."""
+
+    along_x: float
+    """Young's modulus along x."""
+    along_y: float
+    """Young's modulus along y."""
+    shear: float
+    """Shear modulus, over 3/8 of the Young's modulus asked for."""
+    poisson: float
+    """Poisson's ratio along x, over 1/3."""
+
+
+def moduli_of(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
+    """Return the moduli of the package's edge springs on a mesh.
+
+    Without `relaxed` every particle moves with the strain, which is stiffer than the sheet.
+    """
+    flat = np.concatenate((mesh.positions, np.zeros((len(mesh.positions), 1))), axis=1)
+    sheet = MeshSheet(rest=flat, surface=Surface.from_triangles(mesh.triangles, particle_count=len(flat)))
+    springs = sheet.springs(stretch_modulus=1.0, k_d0=0.0, density=1.0)
+    mine = mesh.inside(springs.pairs)
+    pairs, root = springs.pairs[mine], np.sqrt(springs.stiffness[mine] / springs.rest_length[mine])[:, None]
+    away = mesh.positions[pairs[:, 1]] - mesh.positions[pairs[:, 0]]
+    x, y = (away / springs.rest_length[mine, None]).T
+    # Stretch of each spring under the unit strains xx, yy and (engineering) xy.
+    given = springs.rest_length[mine, None] * np.stack((x * x, y * y, x * y), axis=1)
+    least = root * given
+    if relaxed:
+        count = int(mesh.same.max()) + 1
+        free = np.zeros((len(pairs), 2 * count))
+        ends, spring = mesh.same[pairs], np.arange(len(pairs))
+        for end, sign in ((1, 1.0), (0, -1.0)):
+            np.add.at(free, (spring, 2 * ends[:, end]), sign * x)
+            np.add.at(free, (spring, 2 * ends[:, end] + 1), sign * y)
+        # Particle 0 stays: a displacement of all particles alike stretches nothing.
+        pulls = (root * free)[:, 2:]
+        least = least - pulls @ np.linalg.solve(pulls.T @ pulls, pulls.T @ least)
+    compliance = np.linalg.inv(least.T @ least / float(mesh.period.prod()))
+    return Moduli(
+        along_x=float(1.0 / compliance[0, 0]),
+        along_y=float(1.0 / compliance[1, 1]),
+        shear=float(1.0 / compliance[2, 2] / SHEAR_OVER_STRETCH),
+        poisson=float(-compliance[0, 1] / compliance[0, 0] / POISSON_RATIO),
+    )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--patterns", type=int, default=100, help="random meshes a row (default: %(default)s)")
+    parser.add_argument("--size", type=int, default=12, help="vertices a side of the period (default: %(default)s)")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure each kind of mesh."""
+    if options.patterns < 2:
+        raise ValueError(f"--patterns is {options.patterns}; a distribution takes 2 or more")
+    columns = ["vertices of", "moved by", "modulus", "mean", "standard deviation", "5 %", "95 %", "affine mean"]
+    table = Table(f"Moduli over those asked for, {options.patterns} random Delaunay meshes a row", columns)
+    for square, jitter in MESHES:
+        meshes = [
+            triangulation(jitter, size=options.size, seed=seed, square=square) for seed in range(options.patterns)
+        ]
+        found, affine = ([moduli_of(mesh, relaxed=relaxed) for mesh in meshes] for relaxed in (True, False))
+        for name in ("Young's", "shear", "Poisson's"):
+            values, bound = _of(name, found), _of(name, affine)
+            spread = [float(q) for q in np.quantile(values, (0.05, 0.95))]
+            row = ["squares" if square else "triangles", f"{jitter:g} side", name, float(values.mean())]
+            table.rows.append([*row, float(values.std(ddof=1)), *spread, float(bound.mean())])
+    note = f"{options.size**2} vertices a mesh, periodic; Young's modulus along x and along y both count"
+    return Report("Moduli of irregular meshes", "python -m validation mesh-moduli", tables=[table], notes=[note])
+
+
+def _of(name: str, found: list[Moduli]) -> Array:
+    if name == "Young's":
+        return np.array([value for one in found for value in (one.along_x, one.along_y)])
+    return np.array([one.shear if name == "shear" else one.poisson for one in found])

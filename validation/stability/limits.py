@@ -1,0 +1,119 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Step limits found beside those predicted, and the sixteen cases that other engines were put to."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import attrs
+import numpy as np
+from support.raw_sheet import RawSheet
+
+from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.integrators.implicit import Implicit
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.state import State
+from validation.report import Table
+
+#: How far the limits found may be beyond the bounds; below them they may not be.
+LARGEST_EXCESS = 0.25
+STRETCHES, DAMPINGS = (1.0, 1.2, 1.5, 2.0, 3.0), (0.0, 0.2, 1.0)
+#: Steps over which a kick must not grow, and the kick [m].
+_STEPS, _KICK = 1500, 1e-9
+#: A sheet that is stretched so many times is whole no longer.
+WHOLE = 1.5
+#: Until when a pointwise error means something on scene A [s]: then a kick has grown about 200 times.
+HORIZON = 0.5
+
+
+def limits() -> tuple[Table, list[str]]:
+    """Limits of fixed steps about stretched states, and which of them are not as bounded."""
+    table = Table(
+        "Step limit of the leapfrog about stretched states",
+        ["stretch", "k_d0", "bound s", "found s", "found / bound"],
+    )
+    failures = []
+    for stretch, k_d0 in itertools.product(STRETCHES, DAMPINGS):
+        plan, x = stretched_sheet(stretch, k_d0)
+        bound = Leapfrog().step_limit(*plan.rates(x))
+        found = limit_found(plan, x, bound)
+        table.rows.append([stretch, k_d0, bound, found, found / bound])
+        if not 0.998 <= found / bound <= 1.0 + LARGEST_EXCESS:
+            failures.append(f"limit at stretch {stretch}, k_d0 {k_d0}: found {found:.3g} s, bound {bound:.3g} s")
+    return table, failures
+
+
+def stretched_sheet(stretch: float, k_d0: float, resolution: int = 12) -> tuple[Plan, Array]:
+    """A sheet with its border pinned, every spring stretched so many times; its equations and its places."""
+    sheet = RawSheet(resolution=resolution, k_d0=k_d0, rest=1.0 / stretch, gravity=(0.0, 0.0, 0.0))
+    index = sheet.index
+    border = np.unique(np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]]))
+    return sheet.plan(border), State(sheet.flat(hung=False)).x
+
+
+def limit_found(plan: Plan, x: Array, bound: float) -> float:
+    """Largest step [s] at which a kick does not grow, by bisection."""
+    low, high = 0.5 * bound, 2.0 * bound
+    kick = _KICK * np.random.default_rng(1).normal(size=x.shape) * (plan.model.inverse_masses > 0.0)
+    while high / low > 1.002:
+        step = math.sqrt(low * high)
+        ends = []
+        for start in (x, x + kick):
+            (run,), _ = plan.runs(0.0, _STEPS * step, (start, np.zeros_like(x)), [_STEPS])
+            ends.append(run.x)
+        away = float(np.abs(ends[1] - ends[0]).max())
+        if math.isfinite(away) and away < 100.0 * _KICK:
+            low = step
+        else:
+            high = step
+    return low
+
+
+@attrs.frozen
+class PeerCase:
+    """Scene A, 16 x 16, 2 s, at a factor of the moduli and a fixed step [s]."""
+
+    stiffness: float
+    step: float
+
+
+PEER_CASES = [
+    PeerCase(*both) for both in itertools.product((1.0, 10.0, 100.0, 1000.0), (1 / 60, 1 / 240, 1 / 1000, 1 / 4000))
+]
+
+
+def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
+    """Run one; return the integrator, the largest stretch, the error [m] at `HORIZON`, and what went wrong.
+
+    The step is the leapfrog's where that is stable with it, else the implicit method's. The error is the largest
+    distance of a particle from where the order 5 of the extrapolated leapfrog at its stability limit brings it.
+    """
+    sheet = RawSheet(resolution=16, stiffness=case.stiffness, k_d0=0.05)
+    plan, state = sheet.plan(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
+    fits = case.step <= 0.9 * Leapfrog().step_limit(*plan.rates(state.x))
+    integrator = Leapfrog(case.step) if fits else Implicit(case.step)
+    exact, reference = state.copy(), Extrapolated(columns=4)
+    worst, error = 1.0, 0.0
+    try:
+        for frame in range(120):
+            integrator.advance(plan, state, frame / 60, 1 / 60)
+            worst = max(worst, *(stretch_of(term.pairs, term.rest_length, state.x) for term in sheet.springs()[:2]))
+            if frame < HORIZON * 60:
+                reference.advance(plan, exact, frame / 60, 1 / 60)
+                error = largest_distance(state.x, exact.x)
+    except (UnstableError, ValueError) as problem:
+        return integrator.name, worst, error, str(problem)
+    return integrator.name, worst, error, "" if worst <= WHOLE else f"stretched {worst:.3g} times"
+
+
+def stretch_of(pairs: np.ndarray, rest_length: Array, x: Array) -> float:
+    """Largest length of springs relative to their rest length; joints, of no length, do not count."""
+    away = x[:, pairs[:, 1]] - x[:, pairs[:, 0]]
+    length = np.sqrt(np.sum(away * away, axis=0))
+    return float(np.max(length[rest_length > 0.0] / rest_length[rest_length > 0.0], initial=0.0))

@@ -1,0 +1,142 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The stability scan: thousands of attacks; step limits found beside those predicted; what peers were put to."""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import attrs
+
+from validation.case_pool import Done, run_cases, run_missing
+from validation.report import Report, Table
+from validation.stability.cases import Case, Verdict, contact_cases, every_case, random_cases, run_case
+from validation.stability.limits import PEER_CASES, PeerCase, limits, run_peer_case
+
+#: Energy that a case may gain over what was put in, relative to the energy turned over.
+LARGEST_GAIN = 0.01
+PARTS = ("scan", "limits", "peers")
+#: Slowest cases that are told.
+_SLOWEST = 10
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to run (all)")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
+    parser.add_argument("--random", type=int, default=0, metavar="N", help="so many random cases in place of it")
+    parser.add_argument("--contact", type=int, default=0, metavar="N", help="so many random attacks by contact instead")
+    parser.add_argument("--seed", type=int, default=1, help="of random cases (1)")
+    parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument(
+        "--limit", type=float, default=60.0, metavar="SECONDS", help="a case of the scan that takes longer has failed"
+    )
+    parser.add_argument(
+        "--resume", type=Path, metavar="FILE", help="keep every verdict there as it comes, and run only those missing"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Run what was asked for."""
+    report = Report("Stability", "python -m validation stability")
+    if "scan" in options.parts:
+        every = random_cases(options.seed, options.random) if options.random else every_case()
+        if options.contact:
+            every = contact_cases(options.seed, options.contact)
+        cases = every[:: options.every][: options.only]
+        _tell(report, _scan(cases, options), len(every))
+    if "limits" in options.parts:
+        table, failures = limits()
+        report.tables.append(table)
+        report.failures += failures
+    if "peers" in options.parts:
+        report.tables.append(_peers(report, options.workers))
+    return report
+
+
+def _scan(cases: list[Case], options: argparse.Namespace) -> list[Done[Case, Verdict]]:
+    from tqdm import tqdm
+
+    limits = {"workers": options.workers, "limit": options.limit}
+    found = run_missing(run_case, cases, **limits, file=options.resume, read=_read)
+    return list(tqdm(found, total=len(cases), unit="case", smoothing=0.02, mininterval=1.0))
+
+
+def _read(entry: dict[str, Any]) -> Done[Case, Verdict]:
+    case, result = Case(**entry["case"]), entry["result"]
+    verdict = None if result is None else Verdict(**{**result, "integrators": tuple(result["integrators"])})
+    return Done(case, verdict, entry["seconds"], entry["trouble"])
+
+
+def _tell(report: Report, dones: list[Done[Case, Verdict]], every: int) -> None:
+    report.tables += [_summary(dones, ("sheet", "attack", "stepping")), _summary(dones, ("stiffness", "damping"))]
+    for done in dones:
+        case, verdict = done.case, done.result
+        if verdict is None or not verdict.finite:
+            report.failures.append(f"{case}: {done.trouble or (verdict and verdict.trouble) or 'not finite'}")
+        elif verdict.gain > LARGEST_GAIN:
+            names = ", ".join(verdict.integrators)
+            report.failures.append(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
+    slowest = Table("Slowest cases", ["sheet", "attack", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
+    for done in sorted(dones, key=lambda done: -done.seconds)[:_SLOWEST]:
+        slowest.rows.append([*attrs.astuple(done.case), done.seconds])
+    report.tables.append(slowest)
+    total = sum(done.seconds for done in dones)
+    report.notes.append(f"{len(dones)} cases of {every}, {total:.0f} s of wall time in all processes together")
+
+
+def _summary(dones: list[Done[Case, Verdict]], keys: tuple[str, ...]) -> Table:
+    table = Table(
+        f"Scan by {', '.join(keys)}",
+        [
+            *keys,
+            "cases",
+            "not finite",
+            "not ended",
+            "largest strain",
+            "largest energy gain",
+            "with flags",
+            "mean wall s",
+            "integrators",
+        ],
+    )
+    groups: dict[tuple[Any, ...], list[Done[Case, Verdict]]] = defaultdict(list)
+    for done in dones:
+        groups[tuple(getattr(done.case, key) for key in keys)].append(done)
+    for key in sorted(groups):
+        group = groups[key]
+        verdicts = [done.result for done in group if done.result is not None]
+        table.rows.append(
+            [
+                *key,
+                len(group),
+                sum(not verdict.finite for verdict in verdicts),
+                len(group) - len(verdicts),
+                max((verdict.strain for verdict in verdicts), default=0.0),
+                max((verdict.gain for verdict in verdicts), default=0.0),
+                sum(verdict.flagged > 0 for verdict in verdicts),
+                sum(done.seconds for done in group) / len(group),
+                ", ".join(sorted({name for verdict in verdicts for name in verdict.integrators})),
+            ]
+        )
+    return table
+
+
+def _peers(report: Report, workers: int) -> Table:
+    table = Table(
+        "Scene A, 16 x 16, 2 s, one step of the stated length",
+        ["moduli x", "step s", "by", "largest stretch", "error at 0.5 s, m"],
+    )
+    rows: dict[PeerCase, list[Any]] = {}
+    for done in run_cases(run_peer_case, PEER_CASES, workers=workers, limit=600.0):
+        case = done.case
+        name, worst, error, trouble = done.result or ("", float("inf"), float("inf"), done.trouble)
+        rows[case] = [case.stiffness, case.step, name, worst, error]
+        if trouble:
+            report.failures.append(f"scene A, moduli x {case.stiffness:g}, step {case.step:.3g} s: {trouble}")
+    table.rows += [rows[case] for case in PEER_CASES]
+    return table

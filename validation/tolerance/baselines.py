@@ -1,0 +1,153 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The solvers of libraries on our own right-hand side, and ours as shipped, behind one call."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+
+import attrs
+import numpy as np
+from scipy.integrate import solve_ivp
+from support.problems import PERIOD, Problem
+from support.reference import RightSide
+
+from cloth_sim_ros.physics import cores
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.forces.force import Array
+from validation.tolerance.jacobian import SparseJacobian
+
+
+class TooSlow(RuntimeError):
+    """A solver that did not end within its time."""
+
+
+@attrs.frozen
+class Run:
+    """One solution: the end, the time that it took, and its work."""
+
+    positions: Array
+    seconds: float
+    evaluations: int
+
+
+@attrs.frozen
+class Solver:
+    """A method at one setting."""
+
+    name: str
+    setting: str
+    #: ours, alone (the same by one thread), library, or beside: shown, but in no comparison.
+    kind: str
+    solve: Callable[[Problem, float], Run]
+    #: What was asked for [m]; infinite for a fixed step.
+    tolerance: float = math.inf
+
+
+def library_solvers(*, slow: bool) -> list[Solver]:
+    """Every library solver at several tolerances; ``slow`` adds those that take minutes."""
+    solvers = []
+    for method, tolerances in (
+        ("RK45", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)),
+        ("DOP853", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 5e-7, 2e-7, 1e-7, 1e-8)),
+    ):
+        solvers += [_scipy(method, tolerance) for tolerance in tolerances]
+    if slow:
+        solvers += [_scipy("LSODA", tolerance) for tolerance in (1e-4, 1e-7)]
+        solvers += [_scipy(method, 1e-5) for method in ("BDF", "Radau")]
+    if importlib.util.find_spec("sksundae") is not None:
+        solvers += [
+            _cvode("Adams", None, tolerance)
+            for tolerance in (1e-2, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+        ]
+        solvers += [_cvode("BDF", "gmres", tolerance) for tolerance in (1e-5, 1e-7, 1e-9)]
+    return solvers
+
+
+def our_solvers(tolerances: tuple[float, ...]) -> list[Solver]:
+    """`auto` at several tolerances, as shipped and by one thread, and plain leapfrogs of fixed steps beside it."""
+    solvers = [_ours("auto", tolerance, alone=alone) for alone in (False, True) for tolerance in tolerances]
+    return [*solvers, *(_plain(share) for share in (0.9, 0.45, 0.225))]
+
+
+def _ours(name: str, tolerance: float, *, alone: bool) -> Solver:
+    def solve(problem: Problem, limit: float) -> Run:
+        plan, state = problem.build()
+        integrator = make_integrator(name, tolerance=tolerance)
+        with cores.alone() if alone else nullcontext():
+            evaluations, begin = 0, time.perf_counter()
+            for frame in range(problem.frames):
+                evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
+            return Run(state.x, time.perf_counter() - begin, evaluations)
+
+    kind, called = ("alone", f"ours, {name}, one thread") if alone else ("ours", f"ours, {name}")
+    return Solver(called, f"tolerance {tolerance:g}", kind, solve, tolerance)
+
+
+def _plain(share: float) -> Solver:
+    def solve(problem: Problem, limit: float) -> Run:
+        plan, state = problem.build()
+        integrator = make_integrator("leapfrog")
+        step = share * integrator.step_limit(*plan.rates(state.x))
+        fixed = make_integrator("leapfrog", step=step)
+        evaluations, begin = 0, time.perf_counter()
+        for frame in range(problem.frames):
+            evaluations += fixed.advance(plan, state, frame * PERIOD, PERIOD).evaluations
+        return Run(state.x, time.perf_counter() - begin, evaluations)
+
+    return Solver("plain leapfrog", f"{share:g} of the limit", "beside", solve)
+
+
+def _scipy(method: str, tolerance: float) -> Solver:
+    def solve(problem: Problem, limit: float) -> Run:
+        plan, state = problem.build()
+        right = _Limited(RightSide(plan), limit)
+        options = {"jac": SparseJacobian(plan.model)} if method in ("BDF", "Radau") else {}
+        begin = time.perf_counter()
+        solved = solve_ivp(
+            right,
+            (0.0, problem.duration),
+            right.inner.start(state),
+            method=method,
+            rtol=tolerance,
+            atol=tolerance,
+            **options,
+        )
+        seconds = time.perf_counter() - begin
+        return Run(np.ascontiguousarray(right.inner.positions(solved.y[:, -1])), seconds, right.inner.calls)
+
+    return Solver(f"scipy {method}", f"rtol = atol = {tolerance:g}", "library", solve)
+
+
+def _cvode(method: str, linear: str | None, tolerance: float) -> Solver:
+    def solve(problem: Problem, limit: float) -> Run:
+        from sksundae.cvode import CVODE
+
+        plan, state = problem.build()
+        right = RightSide(plan)
+        options = {"linsolver": linear} if linear else {"linsolver": "gmres"}
+        solver = CVODE(right.fill, method=method, rtol=tolerance, atol=tolerance, max_num_steps=10**7, **options)
+        begin = time.perf_counter()
+        solved = solver.solve(np.array([0.0, problem.duration]), right.start(state))
+        seconds = time.perf_counter() - begin
+        return Run(np.ascontiguousarray(right.positions(solved.y[-1])), seconds, right.calls)
+
+    name = f"CVODE {method}" + (" + GMRES" if linear else "")
+    return Solver(name, f"rtol = atol = {tolerance:g}", "library", solve)
+
+
+class _Limited:
+    """A right-hand side that gives up after a time."""
+
+    def __init__(self, inner: RightSide, limit: float) -> None:
+        self.inner = inner
+        self._end = time.perf_counter() + limit
+
+    def __call__(self, t: float, y: Array) -> Array:
+        if time.perf_counter() > self._end:
+            raise TooSlow
+        return self.inner(t, y)

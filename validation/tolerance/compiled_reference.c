@@ -1,0 +1,378 @@
+/* Copyright 2026 the cloth_sim_ros authors
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Equations of motion by the formulas of docs/springs.md and docs/bending.md, with none of the engine's code, and the
+ * method of Dormand and Prince of order 8 (Hairer, Norsett, Wanner I, II.5) to solve them. LANES trajectories of one
+ * system run side by side in the same steps: the first is the solution, the others are that solution kicked. Positions and
+ * velocities of a particle lie as [3][LANES]. */
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+typedef double Lanes __attribute__((vector_size(LANES * 8), aligned(8), may_alias));
+typedef int64_t Mask __attribute__((vector_size(LANES * 8), aligned(8), may_alias));
+typedef struct {
+    Lanes x, y, z;
+} Vec;
+
+/* The same in compiled_reference.py. */
+typedef struct {
+    int64_t particles;
+    const double *inverse_mass;
+    int64_t springs;
+    const int64_t *spring_ends;
+    const double *spring_numbers; /* k = k_s / l0 [N/m], l0 [m], k_d [N s/m] */
+    int64_t joints;
+    const int64_t *joint_ends;
+    const double *joint_numbers; /* k [N/m], k_d */
+    int64_t crossed;
+    const int64_t *crossed_particles;
+    const double *crossed_numbers; /* h0 [m], k [N/m], k_d */
+    int64_t altitudes;
+    const int64_t *altitude_particles;
+    const double *altitude_numbers;
+    int64_t panels, corners;
+    const int64_t *panel_particles;
+    double normal, tangential, wind[3];
+    double push[3], drag;
+    int64_t held;
+    const int64_t *held_particles, *held_grippers;
+    const double *held_numbers; /* k, k_d */
+    const double *held_offsets; /* [held][3][LANES], in the gripper's frame */
+    const double *paths;        /* 26 numbers a gripper */
+    double shift[8];            /* time at the start of the stretch less the start of a gripper's path [s] */
+} System;
+
+static inline Vec load(const double *p, int64_t i) {
+    const Lanes *q = (const Lanes *)(p + 3 * LANES * i);
+    return (Vec){q[0], q[1], q[2]};
+}
+static inline void add(double *p, int64_t i, Vec f) {
+    Lanes *q = (Lanes *)(p + 3 * LANES * i);
+    q[0] += f.x, q[1] += f.y, q[2] += f.z;
+}
+static inline Vec minus(Vec a, Vec b) { return (Vec){a.x - b.x, a.y - b.y, a.z - b.z}; }
+static inline Vec plus(Vec a, Vec b) { return (Vec){a.x + b.x, a.y + b.y, a.z + b.z}; }
+static inline Vec times(Lanes s, Vec a) { return (Vec){s * a.x, s * a.y, s * a.z}; }
+static inline Lanes dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+static inline Vec cross(Vec a, Vec b) {
+    return (Vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+static inline Lanes root(Lanes a) {
+    for (int l = 0; l < LANES; ++l) a[l] = sqrt(a[l]);
+    return a;
+}
+/* 1 / a where a is above a limit, 0 where it is not. */
+static inline Lanes inverse_above(Lanes a, Lanes limit) {
+    const Mask above = a > limit;
+    return (Lanes)((Mask)(1.0 / a) & above);
+}
+
+static void springs(const System *s, const double *x, const double *v, double *f) {
+    for (int64_t k = 0; k < s->springs; ++k) {
+        const int64_t i = s->spring_ends[2 * k], j = s->spring_ends[2 * k + 1];
+        const double *number = s->spring_numbers + 3 * k;
+        const Vec away = minus(load(x, j), load(x, i)), rate = minus(load(v, j), load(v, i));
+        const Lanes length = root(dot(away, away));
+        const Lanes inverse = inverse_above(length, (Lanes){0});
+        const Vec along = times(inverse, away);
+        const Vec pull = times(number[0] * (length - number[1]) + number[2] * dot(rate, along), along);
+        add(f, i, pull);
+        add(f, j, times((Lanes){0} - 1.0, pull));
+    }
+    for (int64_t k = 0; k < s->joints; ++k) {
+        const int64_t i = s->joint_ends[2 * k], j = s->joint_ends[2 * k + 1];
+        const Lanes stiff = (Lanes){0} + s->joint_numbers[2 * k], damp = (Lanes){0} + s->joint_numbers[2 * k + 1];
+        const Vec pull = plus(times(stiff, minus(load(x, j), load(x, i))), times(damp, minus(load(v, j), load(v, i))));
+        add(f, i, pull);
+        add(f, j, times((Lanes){0} - 1.0, pull));
+    }
+}
+
+/* Energy k (h - h0)^2 / 2, damping -k_d (grad h . v) grad h. */
+static inline void hinge(const int64_t *at, const double *number, Lanes h, const Vec *gradient, const double *v, double *f) {
+    Lanes rate = {0};
+    for (int c = 0; c < 4; ++c) rate += dot(gradient[c], load(v, at[c]));
+    const Lanes tension = number[1] * (number[0] - h) - number[2] * rate;
+    for (int c = 0; c < 4; ++c) add(f, at[c], times(tension, gradient[c]));
+}
+
+/* h = 6V / M, M^2 = |a x b|^2 + (0.1 |a|^2)^2 of the edge a = 0-1 and the wings b = 2-3. */
+static void crossed(const System *s, const double *x, const double *v, double *f) {
+    for (int64_t k = 0; k < s->crossed; ++k) {
+        const int64_t *at = s->crossed_particles + 4 * k;
+        const Vec p0 = load(x, at[0]), p2 = load(x, at[2]);
+        const Vec a = minus(load(x, at[1]), p0), b = minus(load(x, at[3]), p2), r = minus(p2, p0), c = cross(a, b);
+        const Lanes aa = dot(a, a), square = dot(c, c) + 0.01 * aa * aa;
+        const Lanes inverse_square = inverse_above(square, (Lanes){0} + 1e-30), inverse = root(inverse_square);
+        /* 6V = r . (b x a) of any two points on the lines. */
+        const Lanes h = (Lanes){0} - dot(r, c) * inverse;
+        /* Gradients of 6V and of M^2 / 2 with respect to a, b and r. */
+        const Vec va = cross(r, b), vb = cross(a, r), vr = cross(b, a);
+        const Vec ma = plus(cross(b, c), times(0.02 * aa, a)), mb = cross(c, a);
+        const Vec ga = minus(times(inverse, va), times(h * inverse_square, ma));
+        const Vec gb = minus(times(inverse, vb), times(h * inverse_square, mb)), gr = times(inverse, vr);
+        const Vec none = {{0}, {0}, {0}};
+        const Vec gradient[4] = {minus(minus(none, ga), gr), ga, minus(gr, gb), gb};
+        hinge(at, s->crossed_numbers + 3 * k, h, gradient, v, f);
+    }
+}
+
+/* h = 6V / M, M^2 the sum of the squared |a x b| of the four faces; none where all points are on a line to 1e-12. */
+static void altitudes(const System *s, const double *x, const double *v, double *f) {
+    static const int faces[4][3] = {{0, 1, 2}, {0, 1, 3}, {0, 2, 3}, {1, 2, 3}};
+    for (int64_t k = 0; k < s->altitudes; ++k) {
+        const int64_t *at = s->altitude_particles + 4 * k;
+        Vec p[4], half[4] = {{{0}}}, gradient[4];
+        for (int c = 0; c < 4; ++c) p[c] = load(x, at[c]);
+        Lanes square = {0};
+        for (int face = 0; face < 4; ++face) {
+            const int *o = faces[face];
+            const Vec n = cross(minus(p[o[1]], p[o[0]]), minus(p[o[2]], p[o[0]]));
+            square += dot(n, n);
+            /* Half the gradient of |n|^2 with respect to a corner: the side opposite to it times n. */
+            for (int c = 0; c < 3; ++c)
+                half[o[c]] = plus(half[o[c]], cross(minus(p[o[(c + 1) % 3]], p[o[(c + 2) % 3]]), n));
+        }
+        const Vec a = minus(p[1], p[0]), b = minus(p[2], p[0]), c = minus(p[3], p[0]);
+        const Vec volume[4] = {{{0}}, cross(b, c), cross(c, a), cross(a, b)};
+        const Lanes size = 1e-12 * (dot(a, a) + dot(b, b) + dot(c, c));
+        const Lanes inverse_square = inverse_above(square, size * size), inverse = root(inverse_square);
+        const Lanes h = dot(a, volume[1]) * inverse;
+        gradient[0] = (Vec){{0}, {0}, {0}};
+        for (int i = 1; i < 4; ++i) {
+            gradient[i] = minus(times(inverse, volume[i]), times(h * inverse_square, half[i]));
+            gradient[0] = minus(gradient[0], gradient[i]);
+        }
+        hinge(at, s->altitude_numbers + 3 * k, h, gradient, v, f);
+    }
+}
+
+/* F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of k corners. */
+static void panels(const System *s, const double *x, const double *v, double *f) {
+    const int corners = (int)s->corners;
+    const Vec wind = {(Lanes){0} + s->wind[0], (Lanes){0} + s->wind[1], (Lanes){0} + s->wind[2]};
+    for (int64_t k = 0; k < s->panels; ++k) {
+        const int64_t *at = s->panel_particles + corners * k;
+        const Vec p0 = load(x, at[0]), p1 = load(x, at[1]), p2 = load(x, at[2]);
+        const Vec a = corners == 3 ? minus(p1, p0) : minus(p2, p0);
+        const Vec b = corners == 3 ? minus(p2, p0) : minus(load(x, at[3]), p1);
+        const Vec twice = cross(a, b);
+        const Lanes area = 0.5 * root(dot(twice, twice));
+        const Vec n = times(0.5 * inverse_above(area, (Lanes){0} + 1e-15), twice);
+        for (int c = 0; c < corners; ++c) {
+            const Vec u = minus(load(v, at[c]), wind);
+            const Vec across = times(dot(u, n), n);
+            const Vec drag = plus(times((Lanes){0} + s->normal, across), times((Lanes){0} + s->tangential, minus(u, across)));
+            add(f, at[c], times(area * (-1.0 / corners), drag));
+        }
+    }
+}
+
+static void turn(const double *axis, double first, double second, const double *in, double *out) {
+    const double side[3] = {axis[1] * in[2] - axis[2] * in[1], axis[2] * in[0] - axis[0] * in[2],
+                            axis[0] * in[1] - axis[1] * in[0]};
+    const double again[3] = {axis[1] * side[2] - axis[2] * side[1], axis[2] * side[0] - axis[0] * side[2],
+                             axis[0] * side[1] - axis[1] * side[0]};
+    for (int c = 0; c < 3; ++c) out[c] = in[c] + first * side[c] + second * again[c];
+}
+
+/* Place and velocity of a gripper, its rotation matrix by columns, and its angular velocity, at a time on its path. */
+static void pose(const double *path, double t, double *place, double *speed, double rotation[3][3], double *spin) {
+    double r[3], rate[3];
+    for (int c = 0; c < 3; ++c) {
+        place[c] = path[1 + c] + path[4 + c] * t + path[7 + c] * t * t + path[10 + c] * t * t * t;
+        speed[c] = path[4 + c] + 2.0 * path[7 + c] * t + 3.0 * path[10 + c] * t * t;
+        r[c] = path[17 + c] * t + path[20 + c] * t * t + path[23 + c] * t * t * t;
+        rate[c] = path[17 + c] + 2.0 * path[20 + c] * t + 3.0 * path[23 + c] * t * t;
+    }
+    const double square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2], angle = sqrt(square);
+    double first, second, third; /* sin a / a, (1 - cos a) / a^2, (a - sin a) / a^3 */
+    if (angle < 0.3) {
+        first = 1 - square / 6 * (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110))));
+        second = 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56 * (1 - square / 90 * (1 - square / 132))));
+        third = 1.0 / 6 - square / 120 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110 * (1 - square / 156))));
+    } else {
+        first = sin(angle) / angle;
+        second = (1.0 - cos(angle)) / square;
+        third = (angle - sin(angle)) / (square * angle);
+    }
+    const double x = path[13], y = path[14], z = path[15], w = path[16];
+    const double start[3][3] = {{w * w + x * x - y * y - z * z, 2 * (x * y + z * w), 2 * (x * z - y * w)},
+                                {2 * (x * y - z * w), w * w - x * x + y * y - z * z, 2 * (y * z + x * w)},
+                                {2 * (x * z + y * w), 2 * (y * z - x * w), w * w - x * x - y * y + z * z}};
+    for (int c = 0; c < 3; ++c) turn(r, first, second, start[c], rotation[c]);
+    turn(r, second, third, rate, spin);
+}
+
+static void grips(const System *s, double t, const double *x, const double *v, double *f) {
+    int64_t gripper = -1;
+    double place[3], speed[3], rotation[3][3], spin[3];
+    for (int64_t k = 0; k < s->held; ++k) {
+        if (s->held_grippers[k] != gripper) {
+            gripper = s->held_grippers[k];
+            pose(s->paths + 26 * gripper, t + s->shift[gripper], place, speed, rotation, spin);
+        }
+        const int64_t i = s->held_particles[k];
+        const Vec offset = load(s->held_offsets, k);
+        Lanes arm[3];
+        for (int c = 0; c < 3; ++c) arm[c] = rotation[0][c] * offset.x + rotation[1][c] * offset.y + rotation[2][c] * offset.z;
+        const Vec point = {place[0] + arm[0], place[1] + arm[1], place[2] + arm[2]};
+        const Vec motion = {speed[0] + (spin[1] * arm[2] - spin[2] * arm[1]), speed[1] + (spin[2] * arm[0] - spin[0] * arm[2]),
+                            speed[2] + (spin[0] * arm[1] - spin[1] * arm[0])};
+        const Lanes stiff = (Lanes){0} + s->held_numbers[2 * k], damp = (Lanes){0} + s->held_numbers[2 * k + 1];
+        const Vec pull = plus(times(stiff, minus(point, load(x, i))), times(damp, minus(motion, load(v, i))));
+        add(f, i, pull);
+    }
+}
+
+/* Accelerations [m/s^2] at a time [s] after the start of the stretch. */
+void accelerations(const System *s, double t, const double *x, const double *v, double *a) {
+    const int64_t n = s->particles;
+    memset(a, 0, (size_t)n * 3 * LANES * sizeof(double));
+    springs(s, x, v, a);
+    if (s->crossed) crossed(s, x, v, a);
+    if (s->altitudes) altitudes(s, x, v, a);
+    if (s->panels) panels(s, x, v, a);
+    if (s->held) grips(s, t, x, v, a);
+    for (int64_t i = 0; i < n; ++i) {
+        const double inverse = s->inverse_mass[i], free = inverse > 0.0 ? 1.0 : 0.0;
+        Lanes *at = (Lanes *)(a + 3 * LANES * i);
+        const Lanes *u = (const Lanes *)(v + 3 * LANES * i);
+        for (int c = 0; c < 3; ++c) at[c] = inverse * at[c] + free * (s->push[c] - s->drag * u[c]);
+    }
+}
+
+/* Coefficients of the method: rows A of stages 1 to 11, B, then the two error estimates' 12; C. A slope's first half is the
+ * stage's velocity, itself a sum of accelerations: so positions need accelerations alone, with the weights that products
+ * with A give. */
+typedef struct {
+    double a[12][12], b[12], c[12], third[12], fifth[12];
+    double a_place[12][12], b_place[12], third_place[12], fifth_place[12];
+} Method;
+
+/* Error control of one stretch. */
+typedef struct {
+    double tolerance;       /* of the solution's local error, positions [m] and velocities [m/s] alike */
+    double kick;            /* size of the kicks [m], [m/s] */
+    double share;           /* local error of a kicked trajectory's deviation, relative to the deviation */
+    double step;            /* to begin with, and to go on with [s] */
+    double deviations[2];   /* largest deviations in position and velocity, remembered for a while */
+    int64_t evaluations, rejected;
+    int64_t most; /* evaluations of one stretch, beyond which it is given up */
+} Control;
+
+/* Positions and velocities that lie a part `c` of h behind y, by accelerations k weighted for either, into out. */
+static void combine(int64_t half, int count, double h, double c, const double *places, const double *speeds,
+                    double *const *k, const double *y, double *out) {
+    double place[12], speed[12];
+    const double *from[12];
+    int terms = 0;
+    for (int i = 0; i < count; ++i)
+        if (places[i] != 0.0 || speeds[i] != 0.0)
+            place[terms] = h * h * places[i], speed[terms] = h * speeds[i], from[terms++] = k[i];
+    for (int64_t e = 0; e < half; e += LANES) {
+        Lanes x = {0}, v = {0};
+        for (int i = 0; i < terms; ++i) {
+            const Lanes acceleration = *(const Lanes *)(from[i] + e);
+            x += place[i] * acceleration;
+            v += speed[i] * acceleration;
+        }
+        const Lanes moving = *(const Lanes *)(y + half + e);
+        *(Lanes *)(out + e) = *(const Lanes *)(y + e) + (c * h * moving + x);
+        *(Lanes *)(out + half + e) = moving + v;
+    }
+}
+
+static inline Lanes larger(Lanes a, Lanes b) {
+    const Mask first = a > b;
+    return (Lanes)(((Mask)a & first) | ((Mask)b & ~first));
+}
+/* Sizes: of the first lane as it is, of the others' deviations from it. */
+static inline Lanes sizes(Lanes a) {
+    const double own = a[0];
+    a -= own;
+    a[0] = own;
+    return larger(a, (Lanes){0} - a);
+}
+
+/* The scaled error of a step of which the accelerations are k and the result is y. */
+static double error_of(const Method *m, Control *control, int64_t half, double h, double *const *k, const double *y) {
+    Lanes away[2] = {{0}}, top3[2] = {{0}}, top5[2] = {{0}}, bad = {0};
+    for (int64_t e = 0; e < half; e += LANES) {
+        Lanes e3[2] = {{0}}, e5[2] = {{0}};
+        for (int i = 0; i < 12; ++i) {
+            const Lanes acceleration = *(const Lanes *)(k[i] + e);
+            e3[0] += m->third_place[i] * acceleration, e3[1] += m->third[i] * acceleration;
+            e5[0] += m->fifth_place[i] * acceleration, e5[1] += m->fifth[i] * acceleration;
+        }
+        bad += 0.0 * e3[1];
+        for (int part = 0; part < 2; ++part) {
+            const Lanes now = *(const Lanes *)(y + part * half + e);
+            away[part] = larger(sizes(now), away[part]);
+            top3[part] = larger(sizes(e3[part]), top3[part]);
+            top5[part] = larger(sizes(e5[part]), top5[part]);
+        }
+    }
+    if (!(bad[0] == 0.0)) return INFINITY;
+    double third = 0.0, fifth = 0.0;
+    for (int part = 0; part < 2; ++part) {
+        /* Errors of positions are one more h. */
+        const double unit = part ? 1.0 : h;
+        double deviation = control->kick;
+        for (int l = 1; l < LANES; ++l) deviation = fmax(deviation, away[part][l]);
+        control->deviations[part] = fmax(deviation, 0.95 * control->deviations[part]);
+        for (int l = 0; l < LANES; ++l) {
+            const double scale = l ? control->share * control->deviations[part] : control->tolerance;
+            third = fmax(third, unit * top3[part][l] / scale);
+            fifth = fmax(fifth, unit * top5[part][l] / scale);
+        }
+    }
+    if (fifth == 0.0) return 0.0;
+    return h * fifth * fifth / sqrt(fifth * fifth + 0.01 * third * third);
+}
+
+/* Advance y by a duration [s]; work has room for 7 y. 0; 1 where no step is small enough, 2 beyond `most`. */
+int advance(const System *s, const Method *m, Control *control, double duration, double *y, double *work) {
+    const int64_t half = s->particles * 3 * LANES;
+    double *k[12], *next = work + 12 * half;
+    for (int i = 0; i < 12; ++i) k[i] = work + i * half;
+    const int64_t end = control->evaluations + control->most;
+    double t = 0.0, h = control->step > 0.0 ? control->step : 1e-3 * duration;
+    accelerations(s, t, y, y + half, k[0]);
+    ++control->evaluations;
+    int rejected = 0;
+    while (t < duration) {
+        const double left = duration - t;
+        const int last = h >= left * (1.0 - 1e-12);
+        const double step = last ? left : h > 0.5 * left ? 0.5 * left : h;
+        if (!(step > 1e-13 * duration)) return 1;
+        if (control->evaluations > end) return 2;
+        for (int i = 1; i < 12; ++i) {
+            combine(half, i, step, m->c[i], m->a_place[i], m->a[i], k, y, next);
+            accelerations(s, t + m->c[i] * step, next, next + half, k[i]);
+        }
+        combine(half, 12, step, 1.0, m->b_place, m->b, k, y, next);
+        control->evaluations += 11;
+        const double error = error_of(m, control, half, step, k, next);
+        if (error < 1.0) {
+            double factor = error == 0.0 ? 6.0 : fmin(6.0, 0.9 * pow(error, -0.125));
+            if (rejected) factor = fmin(1.0, factor);
+            h = step < h ? fmax(factor * step, fmin(h, duration)) : factor * step;
+            rejected = 0;
+            t = last ? duration : t + step;
+            memcpy(y, next, 2 * (size_t)half * sizeof(double));
+            if (t < duration) {
+                accelerations(s, t, y, y + half, k[0]);
+                ++control->evaluations;
+            }
+        } else {
+            const double factor = error < INFINITY ? fmax(0.3333, 0.9 * pow(error, -0.125)) : 0.1;
+            h = factor * step;
+            rejected = 1;
+            ++control->rejected;
+        }
+    }
+    control->step = h;
+    return 0;
+}

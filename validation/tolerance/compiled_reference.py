@@ -1,0 +1,317 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a promise is judged by: a model's equations in C, with none of the engine's code, and an integrator of order 8.
+
+`compiled_reference.c` holds both; the compiler of the machine builds it when it is first needed. From the model come
+lists alone: which particles a spring joins, its numbers, masses. `LANES` trajectories of one system run side by side in
+the same steps: the solution, and that solution kicked, so that their deviations grow as the equations let them and not
+as the steps differ.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from support.reference_kernel import compiled, find_compiler
+
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.forces.drag import Drag
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.gravity import Gravity
+from cloth_sim_ros.physics.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
+from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.forces.wind import Wind
+from cloth_sim_ros.physics.model import Model
+
+#: Trajectories side by side: the solution, and so many less one that are kicked.
+LANES = 4
+#: Size of a kick: of positions [m], or of velocities [m/s].
+KICK = 1e-9
+#: Local error of a kicked trajectory's deviation, relative to the deviation.
+SHARE = 1e-4
+FLAGS = ("-O3", "-march=native", "-std=gnu11", "-fPIC", "-fno-math-errno", f"-DLANES={LANES}")
+
+_SOURCE = Path(__file__).with_name("compiled_reference.c")
+_MOST_GRIPPERS = 8
+_POINTER = ctypes.c_void_p
+_COUNT = ctypes.c_int64
+_NUMBER = ctypes.c_double
+
+
+class _System(ctypes.Structure):
+    """The same in compiled_reference.c."""
+
+    _fields_ = (
+        ("particles", _COUNT),
+        ("inverse_mass", _POINTER),
+        ("springs", _COUNT),
+        ("spring_ends", _POINTER),
+        ("spring_numbers", _POINTER),
+        ("joints", _COUNT),
+        ("joint_ends", _POINTER),
+        ("joint_numbers", _POINTER),
+        ("crossed", _COUNT),
+        ("crossed_particles", _POINTER),
+        ("crossed_numbers", _POINTER),
+        ("altitudes", _COUNT),
+        ("altitude_particles", _POINTER),
+        ("altitude_numbers", _POINTER),
+        ("panels", _COUNT),
+        ("corners", _COUNT),
+        ("panel_particles", _POINTER),
+        ("normal", _NUMBER),
+        ("tangential", _NUMBER),
+        ("wind", _NUMBER * 3),
+        ("push", _NUMBER * 3),
+        ("drag", _NUMBER),
+        ("held", _COUNT),
+        ("held_particles", _POINTER),
+        ("held_grippers", _POINTER),
+        ("held_numbers", _POINTER),
+        ("held_offsets", _POINTER),
+        ("paths", _POINTER),
+        ("shift", _NUMBER * _MOST_GRIPPERS),
+    )
+
+
+class _Method(ctypes.Structure):
+    _fields_ = (
+        ("a", _NUMBER * 144),
+        ("b", _NUMBER * 12),
+        ("c", _NUMBER * 12),
+        ("third", _NUMBER * 12),
+        ("fifth", _NUMBER * 12),
+        ("a_place", _NUMBER * 144),
+        ("b_place", _NUMBER * 12),
+        ("third_place", _NUMBER * 12),
+        ("fifth_place", _NUMBER * 12),
+    )
+
+
+class _Control(ctypes.Structure):
+    _fields_ = (
+        ("tolerance", _NUMBER),
+        ("kick", _NUMBER),
+        ("share", _NUMBER),
+        ("step", _NUMBER),
+        ("deviations", _NUMBER * 2),
+        ("evaluations", _COUNT),
+        ("rejected", _COUNT),
+        ("most", _COUNT),
+    )
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Held:
+    """What grippers hold over one frame, and the paths on which they go."""
+
+    #: Of each gripper, shape (gripper_count, PATH_NUMBERS), see `Grips`.
+    paths: Array
+    #: Gripper of each grip, shape (m,).
+    grippers: NDArray[np.int64]
+    #: Held particles, shape (m,).
+    particles: NDArray[np.int64]
+    #: k [N/m] and k_d [N s/m], shape (m, 2).
+    numbers: Array
+    #: Points in their gripper's frame [m], of each trajectory, shape (m, 3, LANES).
+    offsets: Array
+
+
+class ReferenceError(RuntimeError):
+    """The reference can't go on: it finds no step, or needs too many."""
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    compiler = find_compiler()
+    if compiler is None:
+        raise ValueError("the reference is compiled at run time, and there is no C compiler: set $CC, or install gcc")
+    library = compiled(_SOURCE, FLAGS, compiler=compiler)
+    library.accelerations.argtypes = [_POINTER, _NUMBER, _POINTER, _POINTER, _POINTER]
+    library.accelerations.restype = None
+    library.advance.argtypes = [_POINTER, _POINTER, _POINTER, _NUMBER, _POINTER, _POINTER]
+    library.advance.restype = ctypes.c_int
+    return library
+
+
+@cache
+def _method() -> _Method:
+    from scipy.integrate._ivp import dop853_coefficients as table
+
+    method, stages = _Method(), table.A[:12, :12]
+    method.c[:] = table.C[:12].tolist()
+    weights = {"a": stages, "b": table.B, "third": table.E3[:12], "fifth": table.E5[:12]}
+    for name, array in weights.items():
+        getattr(method, name)[:] = array.ravel().tolist()
+        getattr(method, f"{name}_place")[:] = (array @ stages).ravel().tolist()
+    return method
+
+
+class ReferenceSystem:
+    """The equations of motion of a model.
+
+    Args:
+        model: lists of springs, hinges, panels and masses are taken from it, no force.
+
+    Raises:
+        ValueError: for a force that it does not know, or without a C compiler.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._library = _library()
+        self.model = model
+        self._kept: list[Any] = []
+        self._c = system = _System(particles=model.particle_count, corners=3)
+        system.inverse_mass = self._keep(model.inverse_masses, np.float64)
+        pairs, lists = list[PairSprings](), dict[str, list[HingeSprings]](crossed=[], altitude=[])
+        for force in model.forces:
+            if isinstance(force, GridSprings | PairSprings):
+                pairs.append(force.listed if isinstance(force, GridSprings) else force)
+            elif isinstance(force, CrossedSprings | AltitudeSprings):
+                lists[force.kind].append(force)
+            elif isinstance(force, Gravity | Wind):
+                for axis in range(3):
+                    system.push[axis] += float(force.acceleration[axis])
+            elif isinstance(force, Drag):
+                system.drag += force.rate
+            elif isinstance(force, AirPanels):
+                self._set_panels(force)
+            elif not isinstance(force, Grips):
+                raise ValueError(f"the reference does not know the force '{force.name}'")
+        self._set_pairs(pairs)
+        for kind, prefix, total in (("crossed", "crossed", "crossed"), ("altitude", "altitude", "altitudes")):
+            self._set_hinges(lists[kind], prefix, total)
+
+    def _keep(self, array: Any, dtype: type) -> int:
+        """The address of a copy that lives as long as the system."""
+        mine: NDArray[Any] = np.array(array, dtype=dtype, order="C")
+        self._kept.append(mine)
+        return int(mine.ctypes.data)
+
+    def _set_pairs(self, lists: Sequence[PairSprings]) -> None:
+        if not lists:
+            return
+        ends, rest, stiffness, damping = (
+            np.concatenate([getattr(each, name) for each in lists])
+            for name in ("pairs", "rest_length", "stiffness", "damping")
+        )
+        joint = rest == 0.0
+        system, spring = self._c, ~joint
+        system.springs, system.joints = int(spring.sum()), int(joint.sum())
+        system.spring_ends, system.joint_ends = self._keep(ends[spring], np.int64), self._keep(ends[joint], np.int64)
+        numbers = np.stack([stiffness[spring] / rest[spring], rest[spring], damping[spring]], axis=1)
+        system.spring_numbers = self._keep(numbers, np.float64)
+        system.joint_numbers = self._keep(np.stack([stiffness[joint], damping[joint]], axis=1), np.float64)
+
+    def _set_hinges(self, lists: Sequence[HingeSprings], prefix: str, total: str) -> None:
+        if not lists:
+            return
+        particles = np.concatenate([each.hinges for each in lists])
+        numbers = [np.stack([each.rest_length, each.stiffness, each.damping], axis=1) for each in lists]
+        setattr(self._c, total, len(particles))
+        setattr(self._c, f"{prefix}_particles", self._keep(particles, np.int64))
+        setattr(self._c, f"{prefix}_numbers", self._keep(np.concatenate(numbers), np.float64))
+
+    def _set_panels(self, force: AirPanels) -> None:
+        system = self._c
+        system.panels, system.corners = force.panels.shape
+        system.panel_particles = self._keep(force.panels, np.int64)
+        system.normal, system.tangential = force.normal, force.tangential
+        system.wind[:] = force.wind.tolist()
+
+    @property
+    def elements(self) -> float:
+        """Cost of one evaluation in those of a spring, four trajectories each."""
+        c = self._c
+        return float(c.springs + c.joints + 4 * c.crossed + 6 * c.altitudes + 3 * c.panels + 4 * c.particles)
+
+    def hold(self, held: Held | None, t: float) -> None:
+        """Set what grippers hold from a time t [s] on, from which times are counted now."""
+        system = self._c
+        if held is None or not len(held.particles):
+            system.held = 0
+            return
+        if len(held.paths) > _MOST_GRIPPERS or held.paths.shape[1] != PATH_NUMBERS:
+            raise ValueError(f"paths have shape {held.paths.shape}; there are {_MOST_GRIPPERS} grippers at most")
+        # The addresses of one frame are the next one's garbage.
+        self._held = [
+            np.ascontiguousarray(held.particles, dtype=np.int64),
+            np.ascontiguousarray(held.grippers, dtype=np.int64),
+            *(np.ascontiguousarray(a, dtype=np.float64) for a in (held.numbers, held.offsets, held.paths)),
+        ]
+        system.held = len(held.particles)
+        names = ("held_particles", "held_grippers", "held_numbers", "held_offsets", "paths")
+        for name, array in zip(names, self._held, strict=True):
+            setattr(system, name, array.ctypes.data)
+        system.shift[: len(held.paths)] = (t - held.paths[:, 0]).tolist()
+
+    def accelerations(self, x: Array, v: Array, *, since: float = 0.0) -> Array:
+        """Accelerations [m/s^2] (3, n) at positions and velocities (3, n), a time [s] after the start of the frame."""
+        n = self.model.particle_count
+        y = trajectories(x, v)
+        out = np.empty((n, 3, LANES))
+        half = y[1].ctypes.data
+        self._library.accelerations(ctypes.addressof(self._c), since, y.ctypes.data, half, out.ctypes.data)
+        return np.ascontiguousarray(out[:, :, 0].T)
+
+
+def trajectories(x: Array, v: Array) -> Array:
+    """LANES copies of positions and velocities (3, n), shape (2, n, 3, LANES)."""
+    y = np.stack([x.T, v.T])
+    return np.ascontiguousarray(np.repeat(y[..., None], LANES, axis=-1))
+
+
+class Integration:
+    """One run of a system's trajectories.
+
+    Args:
+        system: the equations.
+        y: where they start, (2, n, 3, LANES); it is advanced in place.
+        tolerance: local error of the solution [m], [m/s].
+        most: evaluations in one call of `advance`, beyond which it gives up.
+    """
+
+    def __init__(self, system: ReferenceSystem, y: Array, *, tolerance: float, most: int = 1 << 40) -> None:
+        self.system, self.y = system, y
+        self._control = _Control(tolerance=tolerance, kick=KICK, share=SHARE, most=most)
+        self._work = np.empty(7 * y.size)
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations so far."""
+        return int(self._control.evaluations)
+
+    def advance(self, duration: float) -> None:
+        """Let a time [s] pass, under what the system holds.
+
+        Raises:
+            ReferenceError: if no step is small enough, or it takes too many.
+        """
+        addresses = ctypes.addressof(self.system._c), ctypes.addressof(_method()), ctypes.addressof(self._control)
+        library = self.system._library
+        status = library.advance(*addresses, duration, self.y.ctypes.data, self._work.ctypes.data)
+        if status:
+            why = "finds no step" if status == 1 else f"needs more than {self._control.most} evaluations"
+            raise ReferenceError(f"the reference {why} for {duration:g} s")
+
+    @property
+    def positions(self) -> Array:
+        """Positions of the solution [m], (3, n)."""
+        return np.ascontiguousarray(self.y[0, :, :, 0].T)
+
+    def deviations(self) -> Array:
+        """Largest distance of a particle of each kicked trajectory from its place in the solution [m], (LANES - 1,)."""
+        away = self.y[0, :, :, 1:] - self.y[0, :, :, :1]
+        return np.asarray(np.sqrt(np.sum(away * away, axis=1).max(axis=0)))

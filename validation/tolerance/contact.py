@@ -1,0 +1,261 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The promise where cloth touches: sheets that come down on a table, a sphere, a box's edge, and on themselves.
+
+Speeds are moderate, up to that of a fall of a few centimetres. Surfaces are without friction, or hold what touches
+them. What is exact is told by DOP853 on the same equations, each trajectory by steps of its own, anchors of friction
+dragged after each; tests hold the engine's forces against laws written down anew.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify.independent import dop853
+from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, RunFrame
+from validation.tolerance.random_scenes import log_uniform, smooth_field
+from validation.tolerance.windows import Judgement, Window
+
+KINDS = ("table", "sphere", "edge", "itself")
+#: Coefficients of friction: none, and what holds wherever a sheet lies.
+FRICTIONS = (0.0, 4.0)
+#: Size of a kick [m, m/s]: far above what two runs of the reference differ by, far below the thickness.
+KICK = 1e-7
+#: Local error of the reference, relative to the coordinates, and of the run that it is checked against.
+FINE, ROUGH = 1e-11, 1e-10
+#: Parts of a window at whose borders kicks are made too, where those at its start do not explain its error.
+_PARTS = 4
+#: Simulated time of a scene, and of a window [s].
+_SECONDS, _WINDOW = 2.0, 1.0
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class ContactDraw:
+    """One random scene."""
+
+    scene: Scene
+    state: State
+    words: str
+
+
+def draw_contact(seed: int, index: int) -> ContactDraw:
+    """The scene of a number: its kind and friction in turn, all else by chance."""
+    rng = np.random.default_rng([seed, index, 14])
+    kind = KINDS[index % len(KINDS)]
+    friction = FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
+    rows, columns = (int(count) for count in rng.integers(6, 13, size=2))
+    spacing = float(rng.uniform(0.02, 0.04))
+    height, width = (rows - 1) * spacing, (columns - 1) * spacing
+    thickness = float(rng.uniform(0.15, 0.3)) * spacing
+    gap = float(rng.uniform(0.0, 0.03))
+    bending = str(rng.choice(["none", "axial", "opposite", "crossed"]))
+    values: dict[str, Any] = {
+        "gripper.max_speed": 0.0,
+        "wind.normal_drag": 0.0,
+        "cloth.resolution": [rows, columns],
+        "cloth.size": [height, width],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+        "cloth.anchors": [_anchored(kind, friction)],
+        "cloth.position": [0.0, 0.0, gap + 1.05 * thickness],
+        "material.stretch_modulus": log_uniform(rng, 100.0, 2000.0),
+        "material.damping": float(rng.uniform(0.05, 0.5)),
+        "material.density": log_uniform(rng, 0.1, 0.5),
+        "bending.model": bending,
+        "contact.thickness": thickness,
+        "obstacles": ["thing"],
+        "thing.friction": [friction],
+        "tolerance": log_uniform(rng, 1e-6, 1e-3),
+        "rate": float(rng.integers(30, 121)),
+        **_obstacle(kind, height, width, rng),
+    }
+    if bending == "crossed":
+        values["material.bending_modulus"] = log_uniform(rng, 1e-6, 1e-4)
+    elif bending != "none":
+        values["bending.stiffness"] = log_uniform(rng, 0.1, 5.0)
+    if kind == "itself":
+        values |= {"contact.self": True, "contact.friction": [friction]}
+    scene = Scene.from_parameters(values)
+    places = scene.initial_positions()
+    places = _folded(places, rng.uniform(1.5, 2.5) * thickness) if kind == "itself" else _tilted(places, rng)
+    words = (
+        f"{kind}, {rows} x {columns}, {values['material.stretch_modulus']:.2g} N/m, "
+        f"k_d0 {values['material.damping']:.2g}, {bending}, thickness {1e3 * thickness:.2g} mm, friction {friction:g}, "
+        f"{scene.rate:g} Hz"
+    )
+    return ContactDraw(scene=scene, state=State(places), words=words)
+
+
+def _anchored(kind: str, friction: float) -> str:
+    """What is fixed, so that no sheet slides off what has no friction: nothing of how it falls then would be known."""
+    if friction or kind not in ("sphere", "edge"):
+        return ""
+    return "right" if kind == "edge" else "top"
+
+
+def _obstacle(kind: str, height: float, width: float, rng: np.random.Generator) -> dict[str, Any]:
+    """What the sheet comes down on, its highest point at a height of zero."""
+    if kind == "sphere":
+        radius = float(rng.uniform(0.3, 0.8)) * min(height, width)
+        return {"thing.shape": "sphere", "thing.size": [radius], "thing.position": [0.0, 0.0, -radius]}
+    if kind == "edge":
+        # Some of the sheet lies, some hangs over.
+        lies = float(rng.uniform(0.55, 0.75)) * width
+        return {
+            "thing.shape": "box",
+            "thing.size": [2.0, 2.0, 0.4],
+            "thing.position": [0.5 * width - lies + 1.0, 0.0, -0.2],
+        }
+    return {"thing.shape": "plane", "thing.position": [0.0, 0.0, 0.0]}
+
+
+def _tilted(places: Array, rng: np.random.Generator) -> Array:
+    """The sheet turned by up to two degrees about axes that lie, its lowest particle where it was."""
+    slopes = np.tan(np.radians(rng.uniform(-2.0, 2.0, size=2)))
+    lifted = places.copy()
+    lifted[:, 2] += places[:, :2] @ slopes
+    lifted[:, 2] += places[:, 2].min() - lifted[:, 2].min()
+    return lifted
+
+
+def _folded(places: Array, radius: float) -> Array:
+    """The sheet with its right half folded back over the left one."""
+    folded, along = places.copy(), places[:, 0]
+    first = -0.5 * math.pi * radius
+    angle = np.clip((along - first) / radius, 0.0, math.pi)
+    folded[:, 0] = np.minimum(along, first) + radius * np.sin(angle) - np.maximum(along + first, 0.0)
+    folded[:, 2] += radius * (1.0 - np.cos(angle))
+    return folded
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Run:
+    """The engine's frames, and what it tells of them."""
+
+    draw: ContactDraw
+    frames: list[RunFrame]
+    advances: list[Advance]
+    seconds: list[float]
+    trouble: str
+
+
+def run_contact(draw: ContactDraw) -> Run:
+    """Run a scene to its end."""
+    simulation, watch = Simulation(draw.scene, draw.state), FrameWatch()
+    run = Run(draw=draw, frames=[], advances=[], seconds=[], trouble="")
+    for number in range(round(_SECONDS * draw.scene.rate)):
+        before, begin = simulation.state.share(), time.perf_counter()
+        try:
+            frame = simulation.advance()
+        except (UnstableError, ValueError) as error:
+            return attrs.evolve(run, trouble=f"frame {number}: {error}")
+        seconds = time.perf_counter() - begin
+        seen = watch.after(simulation, draw.scene, before, frame)
+        if seen is None or frame.advance is None:
+            raise RuntimeError(f"frame {number} let no time pass")
+        run.frames.append(seen)
+        run.advances.append(frame.advance)
+        run.seconds.append(seconds)
+    return run
+
+
+def follow(frames: list[RunFrame], kick: tuple[Array, Array] | None, local: float) -> list[Array]:
+    """Positions (3, n) at the end of each frame by DOP853, from the engine's state before the first, kicked or not.
+
+    Raises:
+        ArithmeticError: where it finds no step.
+    """
+    motion, equations, found = Motion(frames[0].before), Equations(), list[Array]()
+    if kick is not None:
+        motion.kick(*kick)
+    for frame in frames:
+        motion.take_hold(frame)
+        plan = equations.plan(frame, motion)
+        motion.now = dop853(plan, frame.t, frame.duration, motion.now, relative=local, absolute=local)
+        found.append(motion.x)
+    return found
+
+
+def judge_contact(seed: int, index: int, windows: int) -> Judgement:
+    """Draw a scene, run it, and judge so many of its windows of one second."""
+    draw = draw_contact(seed, index)
+    run = run_contact(draw)
+    second, count = round(_WINDOW * draw.scene.rate), len(run.frames)
+    rng = np.random.default_rng([seed, index, 15])
+    later = rng.permutation(np.arange(1, max(1, count - second + 1)))[: windows - 1]
+    judged, unknown = list[Window](), list[str]()
+    for first in [0, *sorted(later.tolist())] if count >= second else []:
+        try:
+            judged.append(_window(run, first, second, rng))
+        except ArithmeticError as error:
+            unknown.append(f"window at {first}: {error}")
+    return Judgement(
+        seed=seed,
+        index=index,
+        words=draw.words,
+        tolerance=draw.scene.tolerance,
+        particles=draw.state.particle_count,
+        frames=count,
+        period=draw.scene.period,
+        cost=0.0,
+        windows=tuple(judged),
+        whole=None,
+        flagged_frames=sum(advance.flagged > 0 for advance in run.advances),
+        evaluations=sum(advance.evaluations for advance in run.advances),
+        seconds=sum(run.seconds),
+        longest_frame=max(run.seconds, default=0.0),
+        mismatch=0.0,
+        trouble=run.trouble,
+        unknown=tuple(unknown),
+    )
+
+
+def _window(run: Run, first: int, second: int, rng: np.random.Generator) -> Window:
+    frames, advances = run.frames[first : first + second], run.advances[first : first + second]
+    exact = follow(frames, None, FINE)
+    check = follow(frames, None, ROUGH)
+    tolerance, rest = run.draw.scene.tolerance, run.draw.state.x.T
+    fields = [rng.normal(size=rest.shape), smooth_field(rng, rest)]
+    kicks = [KICK * np.ascontiguousarray(field.T / np.linalg.norm(field, axis=1).max()) for field in fields]
+    growth = max(_growth(frames, exact, kick, moving) for kick in kicks for moving in (False, True))
+    error = max(largest_distance(frame.after.x, x) for frame, x in zip(frames, exact, strict=True))
+    later = 0.0
+    if error > tolerance * max(1.0, growth):
+        for part in range(1, _PARTS):
+            rest_of_it = frames[part * second // _PARTS :]
+            from_there = follow(rest_of_it, None, FINE)
+            grown = (_growth(rest_of_it, from_there, kick, moving) for kick in kicks for moving in (False, True))
+            later = max(later, *grown)
+    most = max(advances, key=lambda advance: (advance.flagged, advance.evaluations))
+    return Window(
+        first=first,
+        frames=second,
+        error=error,
+        growth=growth,
+        promised=tolerance * max(1.0, growth, later),
+        reference_error=max(largest_distance(a, b) for a, b in zip(exact, check, strict=True)),
+        flagged=sum(advance.flagged > 0 for advance in advances),
+        asleep=sum(advance.binds == "rest" for advance in advances),
+        binds=", ".join(sorted({advance.binds for advance in advances})),
+        reason=most.reason,
+        evaluations=sum(advance.evaluations for advance in advances),
+        reference_evaluations=0,
+        later=later,
+    )
+
+
+def _growth(frames: list[RunFrame], exact: list[Array], kick: Array, moving: bool) -> float:
+    """How much a kick of positions, or of velocities, grows at most."""
+    still = np.zeros_like(kick)
+    kicked = follow(frames, (still, kick) if moving else (kick, still), FINE)
+    return max(largest_distance(a, b) for a, b in zip(kicked, exact, strict=True)) / KICK

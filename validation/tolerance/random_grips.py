@@ -1,0 +1,133 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What grippers do to a random scene: they grasp, carry, turn, jump, hold still and release."""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+from support.random_meshes import drawn_alike
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import normalised, product
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+
+ACTIONS = ("carry", "turn", "jump", "hold", "swing")
+#: Frames before a grasp in which an open gripper follows the particle that it is to hold.
+APPROACH = 3
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Hold:
+    """From a grasp of one particle to its release, and what is done between."""
+
+    gripper: str
+    particle: int
+    #: Frames before which it grasps and releases.
+    grasp: int
+    release: int
+    #: Frame at which each action begins, what it is, and its direction with the distance [m] or the angle [rad].
+    actions: tuple[tuple[int, str, Array], ...]
+    #: A target comes with every so many frames.
+    stride: int
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Script:
+    """All holds of a scene."""
+
+    holds: tuple[Hold, ...]
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, scene: Scene, frames: int, *, pace: float = 1.0) -> Script:
+        """Draw what the grippers of a scene do in so many frames, at full pace or more slowly."""
+        rest = scene.initial_positions()
+        size = float(np.ptp(rest, axis=0).max()) or 1.0
+        rate = scene.rate
+        holds = []
+        for name in scene.gripper_names:
+            frame = int(rng.uniform(0.0, 0.5) * rate)
+            while frame < frames - 2:
+                release = frame + max(2, int(rng.uniform(0.3, 2.0) * rate))
+                actions, at = [], frame + 1
+                while at < release:
+                    what = str(rng.choice(ACTIONS))
+                    direction = rng.normal(size=3)
+                    reach = {"turn": 2.0, "jump": 0.25 * size}.get(what, 0.4 * size)
+                    actions.append(
+                        (at, what, pace * rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction))
+                    )
+                    at += max(2, int(rng.uniform(0.15, 0.8) * rate))
+                stride = int(rng.choice([1, 1, 1, 2, 4]))
+                holds.append(
+                    Hold(
+                        gripper=name,
+                        particle=int(rng.integers(len(rest))),
+                        grasp=frame,
+                        release=release,
+                        actions=tuple(actions),
+                        stride=stride,
+                    )
+                )
+                frame = release + max(2, int(rng.uniform(0.2, 1.0) * rate)) + APPROACH
+        return cls(holds=tuple(holds))
+
+    @property
+    def words(self) -> str:
+        """What happens, in a few words."""
+        grippers = {hold.gripper for hold in self.holds}
+        return f"{len(grippers)} grippers, {len(self.holds)} holds" if grippers else "nothing held"
+
+    def moments(self) -> list[int]:
+        """Frames before which something begins, in order."""
+        found = {frame for hold in self.holds for frame in (hold.grasp, hold.release, *(a[0] for a in hold.actions))}
+        return sorted(found)
+
+
+class Player:
+    """Plays a script on a simulation: where a gripper goes follows from the cloth at the moment of the grasp."""
+
+    def __init__(self, script: Script, simulation: Simulation) -> None:
+        self._script, self._simulation = script, simulation
+        self._orientations = {hold.gripper: np.array([0.0, 0.0, 0.0, 1.0]) for hold in script.holds}
+        self._places: dict[str, Array] = {}
+
+    def events(self, frame: int) -> list[Event]:
+        """What happens before a frame, frames counted from 0."""
+        events: list[Event] = []
+        for hold in self._script.holds:
+            if hold.grasp - APPROACH <= frame <= hold.grasp:
+                events.append(self._target(hold.gripper, self._simulation.state.x[:, hold.particle].copy()))
+            if frame == hold.grasp:
+                events.append(Grasp(hold.gripper, True))
+            elif frame == hold.release:
+                events.append(Grasp(hold.gripper, False))
+            elif hold.grasp < frame < hold.release and (frame - hold.grasp) % hold.stride == 0:
+                events.append(self._follow(hold, frame))
+        return events
+
+    def _target(self, gripper: str, place: Array) -> Target:
+        self._places[gripper] = place
+        return Target(gripper, drawn_alike(place), drawn_alike(self._orientations[gripper]))
+
+    def _follow(self, hold: Hold, frame: int) -> Target:
+        place = self._places[hold.gripper]
+        begin, what, vector = [action for action in hold.actions if action[0] <= frame][-1]
+        seconds = hold.stride * self._simulation.scene.period
+        if what == "jump" and frame - hold.stride < begin:
+            place = place + vector
+        elif what == "carry":
+            place = place + seconds * vector
+        elif what == "swing":
+            place = place + seconds * 4.0 * math.cos(12.0 * (frame - begin) * self._simulation.scene.period) * vector
+        elif what == "turn":
+            speed = float(np.linalg.norm(vector))
+            half = 0.5 * seconds * speed
+            step = (*(math.sin(half) * vector / speed).tolist(), math.cos(half))
+            turned = normalised(product(step, self._orientations[hold.gripper].tolist()))
+            self._orientations[hold.gripper] = turned
+        return self._target(hold.gripper, place)

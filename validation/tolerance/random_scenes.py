@@ -1,0 +1,297 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random scenes that a promise is judged on: what is drawn from a seed, and what judging a scene costs."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import attrs
+import numpy as np
+from support.random_meshes import drawn_alike, random_mesh
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from validation.tolerance.compiled_reference import ReferenceSystem
+from validation.tolerance.random_grips import Script
+
+#: Particles of a sheet along a side, stretch moduli [N/m], densities [kg/m^2], tolerances [m], frames a second.
+SIDES, MODULI, DENSITIES = (5, 60), (50.0, 1e5), (0.02, 2.0)
+TOLERANCES, RATES = (1e-8, 1e-2), (30, 240)
+#: Simulated time of a scene [s].
+DURATIONS = (2.0, 4.0)
+#: Largest scene that is judged, in evaluations of one spring by the reference: a minute or so of one core.
+CAP = 5e9
+#: Steps of the reference in a period of the highest frequency, by which its cost is estimated.
+_STEPS_A_RADIAN = 0.8
+_STAGES = 12
+_ANCHORS = (
+    ["top"],
+    ["top_left", "top_right"],
+    ["top", "bottom"],
+    ["left", "right"],
+    ["left"],
+    ["top_left"],
+    ["bottom_right", "top_left"],
+    [""],
+)
+#: How many of them hold a sheet that hangs.
+_HANGING = 4
+#: Part of the scenes that are calm: they hang by what holds them above, damped, and are handled slowly. In the others
+#: a kick grows beyond all bounds within the second as a rule, and a window says little.
+_CALM = 0.6
+#: How much slower grippers are there.
+_SLOWLY = 0.15
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Draw:
+    """One scene, how it starts, and what is done to it."""
+
+    seed: int
+    index: int
+    scene: Scene
+    state: State
+    script: Script
+    #: Frames that it runs.
+    frames: int
+    #: What was drawn, in a few words.
+    words: str
+    #: What judging it costs, see `CAP`.
+    cost: float
+    #: Highest frequency of the start, or its damping rate where that is higher [1/s].
+    frequency: float
+
+    @property
+    def frames_a_second(self) -> int:
+        """Frames of a window of one second."""
+        return round(self.scene.rate)
+
+
+def draw(seed: int, index: int) -> Draw:
+    """Return the scene of that number among those of a seed."""
+    rng = np.random.default_rng([seed, index])
+    while True:
+        calm = bool(rng.random() < _CALM)
+        try:
+            values, files, words = _values(rng, calm)
+            scene = Scene.from_parameters(values, files=files)
+            break
+        except ParameterError:
+            # Not every material can be woven into every grid.
+            continue
+    duration = float(rng.uniform(*DURATIONS))
+    frames = max(round(scene.rate), round(duration * scene.rate))
+    state = _start(rng, scene, 0.2 if calm else 1.0)
+    script = Script.random(rng, scene, frames, pace=_SLOWLY if calm else 1.0)
+    system = ReferenceSystem(scene.model())
+    what = ", ".join([*words, f"{scene.rate:g} Hz", f"{frames / scene.rate:.1f} s", script.words])
+    frequency = frequency_of(scene, state.x)
+    return Draw(
+        seed=seed,
+        index=index,
+        scene=scene,
+        state=state,
+        script=script,
+        frames=frames,
+        words=what,
+        cost=reference_cost(system, frequency, frames / scene.rate),
+        frequency=frequency,
+    )
+
+
+def reference_cost(system: ReferenceSystem, frequency: float, duration: float, *, windows: int = 4) -> float:
+    """Estimated evaluations of one spring by the reference: the whole run and the windows, each twice."""
+    seconds = 2.0 * (duration + windows - 1)
+    return seconds * _STAGES * _STEPS_A_RADIAN * frequency * system.elements
+
+
+def frequency_of(scene: Scene, x: Array) -> float:
+    """Highest frequency of a scene at positions x (3, n), or its damping rate where that is higher [1/s]."""
+    plan = scene.plan()
+    omega2, damping = plan.rates(x)
+    if scene.gripper_names:
+        # Grips are in proportion to mass: one frequency for all.
+        omega2 += scene.gripper.stiffness / float(plan.model.masses.max())
+    return max(math.sqrt(omega2), damping, 2.0 * scene.rate)
+
+
+def _values(rng: np.random.Generator, calm: bool) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
+    kind = str(rng.choice(["grid", "mesh", "springs"], p=[0.6, 0.2, 0.2]))
+    values: dict[str, Any] = {
+        "rate": float(rng.integers(RATES[0], RATES[1] + 1)),
+        "tolerance": log_uniform(rng, *TOLERANCES),
+        "air.drag": 0.0 if rng.random() < 0.3 else log_uniform(rng, 0.2 if calm else 0.02, 2.0),
+        "wind.normal_drag": 0.0,
+        "gravity": [0.0, 0.0, -9.81] if calm else _gravity(rng),
+    }
+    files: dict[str, bytes] = {}
+    if kind == "springs":
+        files["springs.json.yaml"], more, words = _springs(rng, calm)
+        values |= {"cloth.springs": "springs.json.yaml", "bending.model": "none", **more}
+    else:
+        more, files, words = _sheet(rng, kind, calm)
+        values |= more
+    if rng.random() < 0.4:
+        values["wind.velocity"] = rng.uniform(-4.0, 4.0, 3).tolist()
+        words.append("wind")
+        if kind != "springs" and rng.random() < 0.6:
+            values |= {
+                "wind.normal_drag": log_uniform(rng, 0.02, 2.0),
+                "wind.tangential_drag": float(rng.uniform(0.0, 0.1)),
+            }
+            words.append("air on panels")
+    names = [f"gripper{k}" for k in range(int(rng.choice([0, 1, 2, 3], p=[0.25, 0.4, 0.2, 0.15])))]
+    extent = 0.3 * max(values.get("cloth.size", [0.5]))
+    values |= {
+        "grippers": names or [""],
+        "gripper.radius": float(rng.uniform(0.2, 1.0) * extent),
+        "gripper.stiffness": log_uniform(rng, 30.0, 3000.0),
+        "gripper.damping": float(rng.uniform(0.0, 2.0)),
+    }
+    return values, files, words
+
+
+def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
+    """A grid or a mesh of some material."""
+    stretch, density = log_uniform(rng, *MODULI), log_uniform(rng, *DENSITIES)
+    damping = 0.0 if rng.random() < (0.1 if calm else 0.25) else float(rng.uniform(0.0, 1.0))
+    shear = 0.0 if rng.random() < 0.05 else stretch * log_uniform(rng, 0.01, 0.3)
+    models = ["none", "axial", "opposite", "crossed", "altitude"]
+    model = str(rng.choice(models if kind == "grid" else [name for name in models if name != "axial"]))
+    values: dict[str, Any] = {
+        "material.stretch_modulus": stretch,
+        "material.density": density,
+        "material.damping": damping,
+        "bending.model": model,
+        "cloth.position": rng.uniform(-1.0, 1.0, 3).tolist(),
+        "gripper.max_speed": 0.0,
+        "cloth.orientation": _hanging(rng) if calm else rng.normal(size=4).tolist(),
+    }
+    if model in ("axial", "opposite"):
+        values["bending.stiffness"] = stretch * log_uniform(rng, 1e-4, 0.1)
+    elif model != "none":
+        values["material.bending_modulus"] = log_uniform(rng, 1e-7, 1e-3)
+        values["bending.rest_angle"] = 0.0 if rng.random() < 0.7 else float(rng.uniform(-0.5, 0.5))
+    files: dict[str, bytes] = {}
+    if kind == "grid":
+        rows, columns = (round(log_uniform(rng, *SIDES)) for _ in range(2))
+        height = float(rng.uniform(0.3, 1.2))
+        width = float(height * (columns - 1) / (rows - 1) * log_uniform(rng, 0.7, 1.4))
+        anchors = list(_ANCHORS[rng.integers(_HANGING if calm else len(_ANCHORS))])
+        if not calm and rng.random() < 0.2:
+            anchors = [str(int(rng.integers(rows * columns))) for _ in range(int(rng.integers(1, 4)))]
+        layout = str(rng.choice(["left", "right", "alternating", "both"]))
+        values |= {
+            "material.shear_modulus": shear,
+            "cloth.size": [height, width],
+            "cloth.resolution": [rows, columns],
+            "cloth.anchors": anchors,
+            "cloth.shear_layout": layout,
+        }
+        shape = f"grid {rows} x {columns} {layout}"
+    else:
+        files["sheet.obj"], points, shape = random_mesh(rng)
+        chosen = rng.integers(0, len(points), int(rng.integers(0, 4)))
+        if calm:
+            chosen = np.flatnonzero(points[:, 1] > points[:, 1].max() - 0.1 * np.ptp(points[:, 1]))
+        anchors = [str(int(k)) for k in chosen] or [""]
+        values |= {"cloth.mesh": "sheet.obj", "cloth.anchors": anchors}
+    held = " ".join(anchors) if len(anchors) < 4 else f"{len(anchors)} particles"
+    words = [
+        "calm" if calm else "wild",
+        shape,
+        f"{stretch:.2g} N/m",
+        f"{density:.2g} kg/m2",
+        f"k_d0 {damping:.2g}",
+        model,
+        f"anchors {held or 'none'}",
+    ]
+    return values, files, words
+
+
+def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any], list[str]]:
+    """A single spring, or a chain of mixed ones."""
+    count = 2 if rng.random() < 0.4 else int(rng.integers(3, 102))
+    rest = rng.uniform(0.02, 0.2, count - 1) if count > 2 else rng.uniform(0.1, 1.0, 1)
+    if rng.random() < 0.2:
+        rest[:] = 0.0
+    slack = float(rng.uniform(1.05 if calm else 0.7, 1.5))
+    length = np.where(rest > 0.0, slack * rest, 0.05)
+    direction = rng.normal(size=3)
+    positions = np.concatenate([[0.0], np.cumsum(length)])[:, None] * (direction / np.linalg.norm(direction))
+    positions += 0.01 * length.mean() * rng.normal(size=positions.shape)
+    rigidity = (
+        np.array([log_uniform(rng, *MODULI) for _ in rest])
+        if rng.random() < 0.5
+        else np.full(len(rest), log_uniform(rng, *MODULI))
+    )
+    masses = (
+        np.array([log_uniform(rng, 1e-3, 0.3) for _ in positions])
+        if rng.random() < 0.5
+        else np.full(count, log_uniform(rng, 1e-3, 0.3))
+    )
+    damping = 0.0 if rng.random() < 0.3 else float(rng.uniform(0.0, 1.0 if count > 2 else 3.0))
+    anchors = [[""], ["0"], ["0", str(count - 1)] if count > 2 else ["0"]][int(rng.integers(3))]
+    velocities = (0.05 if calm else 0.3) * rng.normal(size=positions.shape)
+    if rng.random() < 0.7:
+        # The others move as they began to.
+        velocities[[int(name) for name in anchors if name]] = 0.0
+    tables = {
+        "positions": drawn_alike(positions).tolist(),
+        "velocities": velocities.tolist(),
+        "masses": masses.tolist(),
+        "springs": [[k, k + 1] for k in range(count - 1)],
+        "rest_lengths": rest.tolist(),
+        "stiffness": (rigidity * np.where(rest > 0.0, rest, 1.0)).tolist(),
+        "k_d0": damping,
+    }
+    what = "spring" if count == 2 else f"chain of {count}"
+    kind = "joints" if not rest.any() else f"{rigidity.min():.2g} to {rigidity.max():.2g} N/m"
+    words = ["calm" if calm else "wild", what, kind, f"k_d0 {damping:.2g}", f"anchors {' '.join(anchors) or 'none'}"]
+    return json.dumps(tables).encode(), {"cloth.anchors": anchors, "cloth.size": [float(length.sum()), 1e-6]}, words
+
+
+def _gravity(rng: np.random.Generator) -> list[float]:
+    if rng.random() < 0.75:
+        return [0.0, 0.0, -9.81]
+    return [0.0, 0.0, 0.0] if rng.random() < 0.5 else rng.uniform(-6.0, 6.0, 3).tolist()
+
+
+def _hanging(rng: np.random.Generator) -> list[float]:
+    """The sheet upright, turned about the vertical: the default orientation after a yaw."""
+    half, root = rng.uniform(0.0, math.pi), math.sqrt(0.5)
+    sine, cosine = drawn_alike([root * math.sin(half), root * math.cos(half)]).tolist()
+    return [cosine, sine, sine, cosine]
+
+
+def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
+    """At rest, or bent and moving smoothly."""
+    state = scene.starting_state()
+    if rng.random() < 0.5:
+        return state
+    rest = state.positions
+    size = float(np.ptp(rest, axis=0).max())
+    free = scene.model().inverse_masses > 0.0
+    state.x += drawn_alike(0.05 * share * size * smooth_field(rng, rest).T * free)
+    state.v += drawn_alike(rng.uniform(0.0, share) * smooth_field(rng, rest).T * free)
+    return state
+
+
+def smooth_field(rng: np.random.Generator, rest: Array) -> Array:
+    """A smooth random field of vectors over positions (n, 3), the longest of length 1."""
+    size = float(np.ptp(rest, axis=0).max()) or 1.0
+    field = np.tile(rng.normal(size=3), (len(rest), 1))
+    for _ in range(4):
+        waves, phase = rng.normal(scale=4.0 / size, size=3), rng.uniform(0.0, 2.0 * np.pi)
+        field = field + np.cos(rest @ waves + phase)[:, None] * rng.normal(size=3)
+    return np.asarray(field / np.sqrt(np.sum(field * field, axis=1).max()))
+
+
+def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
+    """A number whose logarithm is uniform, to nine digits: the last bits of exp differ from machine to machine."""
+    return float(f"{np.exp(rng.uniform(math.log(least), math.log(most))):.9g}")

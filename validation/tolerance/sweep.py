@@ -1,0 +1,117 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Achieved error against the tolerance that was asked for, over the well-conditioned scenes."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+
+import attrs
+import numpy as np
+from support.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
+from support.reference import Reference, reference
+
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
+from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.scene.scene import Scene
+from validation.report import Plot, Report, Table
+
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+#: Where accuracy sets the step, the achieved error is at least this share of the tolerance.
+LEAST_SHARE = 0.01
+#: Largest residual of the energy balance, relative to the energy turned over, at the default tolerance.
+LARGEST_RESIDUAL = 1e-3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    known = [*PROBLEMS, *MORE_PROBLEMS]
+    parser.add_argument("--scenes", nargs="+", choices=known, metavar="SCENE", default=list(PROBLEMS))
+    parser.add_argument("--tolerances", nargs="+", type=float, default=list(TOLERANCES), metavar="METRES")
+    parser.add_argument("--integrator", choices=INTEGRATORS, default="auto")
+    parser.add_argument("--energy", action="store_true", help="close the energy balance of each run too (slower)")
+
+
+@attrs.frozen
+class Outcome:
+    """One scene at one tolerance."""
+
+    #: Largest position error at any frame [m].
+    error: float
+    #: Sum of the estimates [m].
+    estimate: float
+    evaluations: int
+    rejected: int
+    flagged: int
+    #: Share of the frames in which each binding held.
+    binds: Counter[str]
+    integrators: Counter[str]
+    #: Residual of the energy balance over the energy turned over; NaN if not asked for.
+    residual: float
+
+
+def measure(scene: Problem, known: Reference, integrator: str, tolerance: float, *, energy: bool) -> Outcome:
+    """Run a scene at a tolerance and compare every frame with the reference."""
+    plan, state = scene.build()
+    stepper = make_integrator(integrator, tolerance=tolerance)
+    balance = EnergyBalance(plan, state) if energy else None
+    book = balance.book if balance is not None else None
+    error = estimate = residual = 0.0
+    evaluations = rejected = flagged = 0
+    binds: Counter[str] = Counter()
+    integrators: Counter[str] = Counter()
+    for frame in range(scene.frames):
+        done = stepper.advance(plan, state, frame * PERIOD, PERIOD, book)
+        error = max(error, known.deviation(frame + 1, state.x))
+        estimate += done.error or 0.0
+        evaluations += done.evaluations
+        rejected += done.rejected
+        flagged += done.flagged
+        binds[done.binds] += 1
+        integrators[done.integrator] += 1
+        if balance is not None:
+            residual = max(residual, abs(balance.close((frame + 1) * PERIOD, state)))
+    relative = residual / balance.turned_over if balance is not None else math.nan
+    return Outcome(error, estimate, evaluations, rejected, flagged, binds, integrators, relative)
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure, and hold what was found against what is promised."""
+    columns = ["scene", "tolerance m", "achieved m", "achieved / tolerance", "estimate / tolerance", "binds"]
+    columns += ["integrator", "evaluations", "rejected", "flagged"] + (["energy residual"] if options.energy else [])
+    table = Table("Achieved error", columns)
+    slopes = Table(
+        "Slope of achieved error over tolerance where accuracy sets the step", ["scene", "tolerances", "slope"]
+    )
+    report = Report("Tolerance held", "python -m validation tolerance-sweep", tables=[table, slopes])
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for name in options.scenes:
+        scene = problem(name)
+        known = reference(scene)
+        accurate = []
+        for tolerance in options.tolerances:
+            out = measure(scene, known, options.integrator, tolerance, energy=options.energy)
+            share = out.error / tolerance
+            binding = ", ".join(f"{bound} {count}" for bound, count in out.binds.most_common())
+            row = [name, tolerance, out.error, share, out.estimate / tolerance, binding]
+            row += [", ".join(out.integrators), out.evaluations, out.rejected, out.flagged]
+            table.rows.append(row + ([out.residual] if options.energy else []))
+            lines.setdefault(name, []).append((tolerance, max(out.error, 1e-16)))
+            if share > 1.0:
+                report.failures.append(f"{name} at {tolerance:g} m: achieved {out.error:.3g} m")
+            if out.binds["accuracy"] > 0.5 * scene.frames:
+                accurate.append((tolerance, out.error))
+                if share < LEAST_SHARE:
+                    report.failures.append(
+                        f"{name} at {tolerance:g} m: accuracy binds, yet only {share:.2g} of it is used"
+                    )
+            if options.energy and tolerance <= Scene().tolerance and not out.residual <= LARGEST_RESIDUAL:
+                report.failures.append(f"{name} at {tolerance:g} m: energy residual {out.residual:.2g}")
+        if len(accurate) > 1:
+            asked, got = np.log(accurate).T
+            slope = float(np.polyfit(asked, got, 1)[0])
+            slopes.rows.append([name, len(accurate), slope])
+    report.plots.append(Plot("Achieved error over tolerance", "tolerance [m]", "largest position error [m]", lines))
+    return report

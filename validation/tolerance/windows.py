@@ -1,0 +1,298 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a recorded run keeps the promise: windows of one second and the whole, against the reference, with kicks."""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
+from validation.tolerance.compiled_reference import KICK, LANES, Held, Integration, ReferenceError, trajectories
+from validation.tolerance.random_scenes import draw, smooth_field
+from validation.tolerance.recording import SAME_FORCES, Recording, record
+
+#: The reference's local error relative to the tolerance, and how much finer its second run is.
+REFERENCE, FINER = 1e-3, 0.1
+#: What the two runs may differ by, relative to what is promised; else both are made finer.
+REFERENCE_ERROR = 0.02
+#: Least local error that is asked for [m]: not far below it rounding is all that there is.
+LEAST_LOCAL = 1e-13
+#: Growth from which the whole run is followed no further: a kick says nothing any more.
+HORIZON = 1e6
+#: Parts of a window at whose borders particles are kicked too, where kicks at its start do not explain its error.
+_PARTS = 8
+#: Growth of a kick up to which flagged windows count.
+CALM = 1e3
+#: Steps of the reference in a frame beyond which its equations are taken to be singular there: so many, and so many in
+#: the time of a radian of the highest frequency at the start.
+_MOST_STEPS, _STIFFER, _STAGES = 300, 10, 12
+
+
+@attrs.frozen(kw_only=True)
+class Window:
+    """One stretch of time, judged."""
+
+    #: Its first frame, and how many there are.
+    first: int
+    frames: int
+    #: Largest distance of a particle from where it should be [m], at the end of any of its frames.
+    error: float
+    #: Growth of a kick at its start.
+    growth: float
+    #: What is promised [m].
+    promised: float
+    #: What two runs of the reference differ by [m].
+    reference_error: float
+    #: Frames of it that are flagged, and that were slept through.
+    flagged: int
+    asleep: int
+    #: What bound the steps of its frames, and why, of the frame with the most evaluations.
+    binds: str
+    reason: str
+    #: Evaluations of the engine, and of the reference.
+    evaluations: int
+    reference_evaluations: int
+    #: Growth of kicks made later in it, which may shrink when they are made at its start; 0 where nobody looked.
+    later: float = 0.0
+
+    @property
+    def from_start(self) -> float:
+        """Error relative to what would be promised if kicks grew as those at its start do."""
+        return self.ratio * max(1.0, self.growth, self.later) / max(1.0, self.growth)
+
+    @property
+    def ratio(self) -> float:
+        """Error relative to what is promised."""
+        return self.error / self.promised
+
+    @property
+    def known(self) -> bool:
+        """Whether the reference is good enough to judge it."""
+        return self.reference_error <= 0.2 * self.promised
+
+
+@attrs.frozen(kw_only=True)
+class Judgement:
+    """What became of one scene."""
+
+    seed: int
+    index: int
+    words: str
+    tolerance: float
+    particles: int
+    frames: int
+    #: Length of a frame [s].
+    period: float
+    cost: float
+    windows: tuple[Window, ...]
+    #: From the start up to where kicks have grown beyond `HORIZON`; None where the engine did not get there.
+    whole: Window | None
+    flagged_frames: int
+    evaluations: int
+    seconds: float
+    longest_frame: float
+    mismatch: float
+    trouble: str
+    #: Windows that the reference can't follow, and why.
+    unknown: tuple[str, ...]
+
+    def worst(self, *, flagged: bool) -> Window | None:
+        """The window with the largest error among those with, or without, flagged frames."""
+        chosen = [window for window in self.windows if window.known and bool(window.flagged) == flagged]
+        return max(chosen, key=lambda window: window.ratio, default=None)
+
+    @property
+    def verdict(self) -> str:
+        """In a word or two."""
+        if self.trouble:
+            return "STOPPED"
+        if not self.mismatch <= SAME_FORCES:
+            return "FORCES DIFFER"
+        unflagged, flagged = self.worst(flagged=False), self.worst(flagged=True)
+        if unflagged and unflagged.ratio > 1.0:
+            return "BROKEN"
+        if flagged and flagged.ratio > 2.0:
+            return "BROKEN, flagged"
+        if self.whole and self.whole.known and self.whole.ratio > 1.0 and not self.whole.flagged:
+            return "BROKEN, whole"
+        return "kept" if not self.unknown and all(window.known for window in self.windows) else "kept, some unknown"
+
+
+def judge(seed: int, index: int, windows: int) -> Judgement:
+    """Draw a scene, run it, and judge so many of its windows."""
+    drawn = draw(seed, index)
+    run = record(drawn)
+    second = drawn.frames_a_second
+    judged, unknown = list[Window](), list[str]()
+    whole, trouble = None, run.trouble
+    count = len(run.frames)
+    if not run.mismatch > SAME_FORCES:
+        for start in [0, *starts(run, windows)] if count >= second else []:
+            try:
+                window, longer = judge_window(run, start, second if start else count, seed=index + start)
+                judged.append(window)
+                whole = longer or whole
+            except ReferenceError as error:
+                unknown.append(f"window at {start}: {error}")
+    return Judgement(
+        seed=seed,
+        index=index,
+        words=drawn.words,
+        tolerance=drawn.scene.tolerance,
+        particles=run.system.model.particle_count,
+        frames=count,
+        period=run.period,
+        cost=drawn.cost,
+        windows=tuple(judged),
+        whole=whole,
+        flagged_frames=sum(frame.advance.flagged > 0 for frame in run.frames),
+        evaluations=sum(frame.advance.evaluations for frame in run.frames),
+        seconds=sum(frame.seconds for frame in run.frames),
+        longest_frame=max((frame.seconds for frame in run.frames), default=0.0),
+        mismatch=run.mismatch,
+        trouble=trouble,
+        unknown=tuple(unknown),
+    )
+
+
+def starts(run: Recording, count: int) -> list[int]:
+    """First frames of the windows that are judged beside that at the start: after events, and anywhere."""
+    last = len(run.frames) - run.draw.frames_a_second
+    rng = np.random.default_rng([run.draw.seed, run.draw.index, 1])
+    moments = [frame for frame in run.draw.script.moments() if 0 < frame <= last]
+    wanted = max(0, count - 1)
+    found = set(rng.permutation(moments)[: (wanted + 1) // 2].tolist()) if moments else set[int]()
+    others = [frame for frame in range(1, last + 1) if frame not in found]
+    found |= set(rng.permutation(others)[: wanted - len(found)].tolist())
+    return sorted(int(frame) for frame in found)
+
+
+def kicks(run: Recording, seed: int, *, second: bool) -> Array:
+    """Kicks of the trajectories behind the first, of size 1 in positions or velocities, shape (2, n, 3, LANES - 1)."""
+    rng = np.random.default_rng([seed, int(second)])
+    model, rest = run.system.model, run.positions[0].T
+    found = np.zeros((2, model.particle_count, 3, LANES - 1))
+    for lane in range(LANES - 1):
+        # Each particle by itself: the shortest waves; or smoothly: the longest.
+        field = rng.normal(size=rest.shape) if lane == 0 else smooth_field(rng, rest)
+        if lane == 0:
+            field /= np.linalg.norm(field, axis=1)[:, None]
+        velocity = second if lane == 0 else lane % 2 == 0
+        found[int(velocity), :, :, lane] = field
+    return found * (model.inverse_masses > 0.0)[None, :, None, None]
+
+
+def judge_window(run: Recording, first: int, frames: int, *, seed: int) -> tuple[Window, Window | None]:
+    """The window of one second from a frame on; for longer stretches all of it too."""
+    tolerance = run.draw.scene.tolerance
+    second = run.draw.frames_a_second
+    least = LEAST_LOCAL / FINER
+    local = max(REFERENCE * tolerance, least)
+    while True:
+        rough = follow(run, first, frames, kicks(run, seed, second=False), local)
+        fine = follow(run, first, frames, kicks(run, seed, second=True), FINER * local)
+        window = window_of(run, first, second, rough, fine, tolerance)
+        if window.reference_error <= REFERENCE_ERROR * window.promised or local <= least:
+            break
+        local = max(0.01 * local, least)
+    if window.ratio > 1.0:
+        later = max(_growth_from(run, first, second, part, seed, local) for part in range(1, _PARTS))
+        promised = tolerance * max(1.0, window.growth, later)
+        window = attrs.evolve(window, later=later, promised=promised)
+    if frames <= second:
+        return window, None
+    many = min(len(rough.positions), len(fine.positions))
+    return window, window_of(run, first, many, rough, fine, tolerance * max(1.0, many * run.period))
+
+
+def _growth_from(run: Recording, first: int, frames: int, part: int, seed: int, local: float) -> float:
+    """Growth of kicks that are made at the end of so many parts of a window, up to any later frame of it."""
+    passed = part * frames // _PARTS
+    if not 0 < passed < frames:
+        return 0.0
+    both = (follow(run, first + passed, frames - passed, kicks(run, seed, second=k), local) for k in (False, True))
+    return max(float(np.max(each.growths)) for each in both)
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Followed:
+    """One run of the reference."""
+
+    #: At the end of each frame, (3, n).
+    positions: list[Array]
+    #: Growth of each kick at the end of each frame.
+    growths: list[Array]
+    evaluations: int
+
+
+def follow(run: Recording, first: int, frames: int, kick: Array, local: float) -> Followed:
+    """Run the reference from the engine's state at a frame on, to the horizon at most, with a local error [m].
+
+    Raises:
+        ReferenceError: where its equations are singular.
+    """
+    y = trajectories(run.positions[first], run.velocities[first])
+    y[..., 1:] += KICK * kick
+    steps = _STIFFER * run.draw.frequency * run.period + _MOST_STEPS
+    integration = Integration(run.system, y, tolerance=local, most=int(_STAGES * steps))
+    positions, growths = list[Array](), list[Array]()
+    offsets: dict[tuple[int, int], Array] = {}
+    for number in range(first, first + frames):
+        t = number * run.period
+        frame = run.frames[number]
+        run.system.hold(own_points(frame.held, frame.fresh, offsets, y), t)
+        integration.advance(run.period)
+        positions.append(integration.positions)
+        growths.append(integration.deviations() / KICK)
+        if len(positions) >= run.draw.frames_a_second and growths[-1].max() > HORIZON:
+            break
+    return Followed(positions=positions, growths=growths, evaluations=integration.evaluations)
+
+
+def own_points(held: Held | None, fresh: np.ndarray, known: dict[tuple[int, int], Array], y: Array) -> Held | None:
+    """What grippers hold, new grips at the places that the trajectories themselves have come to."""
+    if held is None:
+        known.clear()
+        return None
+    points = held.offsets.copy()
+    now: dict[tuple[int, int], Array] = {}
+    for grip, (gripper, particle) in enumerate(zip(held.grippers.tolist(), held.particles.tolist(), strict=True)):
+        key = (gripper, particle)
+        path = held.paths[gripper]
+        if fresh[grip]:
+            away = y[0, particle] - path[1:4, None]
+            points[grip] = rotation_matrix(path[13:17]).T @ away
+        elif key in known:
+            points[grip] = known[key]
+        now[key] = points[grip].copy()
+    known.clear()
+    known.update(now)
+    return attrs.evolve(held, offsets=points)
+
+
+def window_of(run: Recording, first: int, frames: int, rough: Followed, fine: Followed, tolerance: float) -> Window:
+    """Judge a stretch by two runs of the reference, `tolerance` being what is promised of a kick that does not grow."""
+    growth = max(float(np.max(each.growths[:frames])) for each in (rough, fine))
+    pairs = zip(rough.positions[:frames], fine.positions[:frames], strict=True)
+    reference_error = max(largest_distance(a, b) for a, b in pairs)
+    there = run.positions[first + 1 : first + 1 + frames]
+    error = max(largest_distance(a, b) for a, b in zip(there, fine.positions[:frames], strict=True))
+    part = run.frames[first : first + frames]
+    most = max(part, key=lambda frame: (frame.advance.flagged, frame.advance.evaluations)).advance
+    return Window(
+        first=first,
+        frames=frames,
+        error=error,
+        growth=growth,
+        promised=tolerance * max(1.0, growth),
+        reference_error=reference_error,
+        flagged=sum(frame.advance.flagged > 0 for frame in part),
+        asleep=sum(frame.advance.binds == "rest" for frame in part),
+        binds=", ".join(sorted({frame.advance.binds for frame in part})),
+        reason=most.reason,
+        evaluations=sum(frame.advance.evaluations for frame in part),
+        reference_evaluations=rough.evaluations + fine.evaluations,
+    )
