@@ -63,6 +63,8 @@ BESIDE: dict[str, tuple[set[str], set[str]]] = {
     "validation": (_MEASURED, {"support"}),
     "benchmarks": (_MEASURED | {"batch", "ros"}, {"support", "validation"}),
 }
+#: Folders of the tests of both, without which the product's tests pass.
+TESTED = ("benchmarks", "validation")
 
 
 def room_of(path: Path) -> str:
@@ -181,6 +183,13 @@ def test_measuring_folders_answer_before_they_load_what_is_heavy(folder: str) ->
     if not (ROOT / folder).is_dir():
         pytest.skip(f"there is no {folder}")
     assert not loaded_by([f"{folder}.__main__"]) & (ROS | LATE | {"numpy", "scipy"})
+
+
+def test_the_package_and_its_tests_need_no_measuring_folder() -> None:
+    tests = [path for path in (ROOT / "test").rglob("*.py") if path.parent.name not in TESTED]
+    for path in [*PACKAGE.rglob("*.py"), *tests]:
+        tops = {name.split(".")[0] for name in imports_of(path)}
+        assert not tops & {*BESIDE, *({"support"} if path.is_relative_to(PACKAGE) else ())}, path
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))

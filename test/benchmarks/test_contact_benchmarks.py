@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import contact_starts as starts
 from support.obstacle_sheets import FRAME, SHEET, Capstan
 
 from benchmarks.__main__ import main
@@ -59,7 +60,7 @@ def test_a_pinch_holds_from_its_weight_on_and_what_is_not_met_is_told(capsys, mo
 def test_starts_stay_slow_and_limits_are_reported(capsys, monkeypatch):
     monkeypatch.setattr(contact_starts, "GAPS", (0.3,))
     monkeypatch.setattr(contact_starts, "PRESSES", (1e-3,))
-    monkeypatch.setattr(contact_starts, "RATE", 60)
+    monkeypatch.setattr(starts, "RATE", 60)
     situations = {"start": (contact_starts.start, ("plane", "fold")), "added": (contact_starts.added, ("sphere",))}
     monkeypatch.setattr(contact_starts, "SITUATIONS", situations)
     monkeypatch.setattr(contact_starts, "PRESSED_ON", ("plane",))

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
+import rclpy
+
+from benchmarks.ros import latency
 from benchmarks.ros.stream import Stream
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,3 +96,20 @@ def test_clouds_are_counted_at_both_ends(moving):
     assert (told["points"], told["asleep"]) == (25, not moving)
     assert 0 < told["sent"] == told["received"]
     assert told["met"] == (told["left_out"] == 0)
+
+
+def test_latencies_are_found(ros_domain: int) -> None:
+    """Whatever they are on a busy machine: the measurement itself."""
+    rclpy.init(args=[])
+    try:
+        found = latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
+    finally:
+        rclpy.try_shutdown()
+    assert found.particles == 64
+    assert len(found.seconds) > 10
+    assert (found.seconds > 0.0).all()
+    assert found.summary()["integrator_why"]
+    quick = latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.001, diagnostics={})
+    slow = latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.019, diagnostics={})
+    assert quick.met
+    assert not slow.met

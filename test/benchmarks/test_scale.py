@@ -1,39 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Large sheets: nothing is made that they do not need, and the command that measures them."""
+"""`python -m benchmarks scale`: time and memory of large sheets."""
 
 import json
 
 import pytest
 
 from benchmarks.__main__ import main
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators import stage_matrix
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.simulation import Simulation
-
-
-def test_the_cost_of_a_matrix_is_known_before_it_is_made():
-    scene = Scene.from_parameters({"cloth.resolution": [40, 40]})
-    matrix = stage_matrix.stage_matrix(scene.model())
-    rows, width = matrix.size
-    assert rows == 39 * 40
-    assert 40 <= width <= 45
-    assert "_rows" not in vars(matrix._matrix)
-
-
-def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
-    scene = Scene.from_parameters({"cloth.resolution": [12, 12]})
-
-    def refuse(_model):
-        raise AssertionError("a matrix was asked for")
-
-    monkeypatch.setattr(stage_matrix, "stage_matrix", refuse)
-    monkeypatch.setattr(CONSTANTS, "operation", 1e3)
-    with pytest.raises(AssertionError, match="a matrix was asked for"):
-        Simulation(scene).advance()
-    monkeypatch.setattr(CONSTANTS, "implicit", 100.0)
-    Simulation(scene).advance()
 
 
 @pytest.mark.parametrize("kind", ["grid", "mesh"])

@@ -9,6 +9,7 @@ import pytest
 from support.problems import PERIOD, Problem, curtain, problem
 from support.raw_sheet import RawSheet
 from support.reference import Reference, reference
+from support.reference_runs import measure
 
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.constants import CONSTANTS
@@ -26,7 +27,6 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.tolerance.sweep import measure
 
 
 @pytest.fixture(scope="module", params=["chain", "mesh"])

@@ -11,7 +11,6 @@ from geometry_msgs.msg import PoseStamped
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
-from benchmarks.ros import latency as measure_latency
 from cloth_sim_ros.ros.commands import Commands
 
 
@@ -60,22 +59,3 @@ def test_a_frame_waits_for_commands_but_not_for_a_flood() -> None:
     flooded = commands_of([1] * 30)
     turns = [flooded.settled() for _ in range(30)]
     assert [turn for turn, settled in enumerate(turns) if settled] == [10, 21]
-
-
-def test_latencies_are_found(ros_domain: int) -> None:
-    """Whatever they are on a busy machine: the measurement itself."""
-    import rclpy
-
-    rclpy.init(args=[])
-    try:
-        found = measure_latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
-    finally:
-        rclpy.try_shutdown()
-    assert found.particles == 64
-    assert len(found.seconds) > 10
-    assert (found.seconds > 0.0).all()
-    assert found.summary()["integrator_why"]
-    quick = measure_latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.001, diagnostics={})
-    slow = measure_latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.019, diagnostics={})
-    assert quick.met
-    assert not slow.met

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support import contact_starts as starts
 from support import garment
+from support.layer_stacks import places_of
 from support.obstacle_sheets import BORNE, SHEET, THICKNESS
 from support.session_maker import SessionMaker
 
-from benchmarks.contact import recovery as starts
-from benchmarks.contact.layers import places_of
 from cloth_sim_ros.physics.contact_thickness import LAYER_RECOVERY_SPEED, RECOVERY_SPEED, START_GAP
 from cloth_sim_ros.physics.control import explicit
 from cloth_sim_ros.physics.forces.force import Array

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from support import layer_stacks as stacks
 from support.self_scenes import folded
 
-from benchmarks.contact import layers as bench
 from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.parameters import ParameterError
@@ -64,28 +64,28 @@ def touching(simulation):
 
 
 def test_a_stack_below_the_angle_of_friction_stays_to_the_bit_of_its_anchors():
-    below = bench.stack(6, 9, STEEP - 0.5, (MU,))
-    bench.advance(below, 45)
-    kept, x = bench.anchors(below), below.state.x.copy()
+    below = stacks.stack(6, 9, STEEP - 0.5, (MU,))
+    stacks.advance(below, 45)
+    kept, x = stacks.anchors(below), below.state.x.copy()
     assert (kept[:, 3] == 1.0).any()
-    bench.advance(below, 30)
-    assert np.array_equal(bench.anchors(below), kept)
+    stacks.advance(below, 30)
+    assert np.array_equal(stacks.anchors(below), kept)
     assert np.abs(below.state.x - x).max() < 1e-6
 
 
 def test_a_stack_slides_where_coulomb_says_and_friction_in_motion_is_mu_n():
-    assert not bench.slides(bench.stack(6, 9, math.degrees(math.atan(0.98 * MU)), (MU,)))
-    assert bench.slides(bench.stack(6, 9, math.degrees(math.atan(1.02 * MU)), (MU,)))
-    assert abs(bench.friction_off(6, 9, MU)) < 0.02
+    assert not stacks.slides(stacks.stack(6, 9, math.degrees(math.atan(0.98 * MU)), (MU,)))
+    assert stacks.slides(stacks.stack(6, 9, math.degrees(math.atan(1.02 * MU)), (MU,)))
+    assert abs(stacks.friction_off(6, 9, MU)) < 0.02
 
 
 def test_friction_is_right_where_work_runs_out():
     # In most of its frames the tolerance takes more work than there is.
-    assert abs(bench.friction_off(7, 13, 1.0)) < 0.02
+    assert abs(stacks.friction_off(7, 13, 1.0)) < 0.02
 
 
 def test_friction_only_takes_energy_and_the_balance_tells_how_much():
-    balance, worst, least = bench.balanced(bench.stack(6, 9, 40.0, (MU, 0.4)), 12)
+    balance, worst, least = stacks.balanced(stacks.stack(6, 9, 40.0, (MU, 0.4)), 12)
     assert least > 0.0
     assert 0.5 * balance.lost < balance.rubbed <= balance.lost
     assert worst <= 1e-3 * balance.turned_over

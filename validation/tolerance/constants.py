@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from support.problems import PERIOD, problem
 from support.raw_sheet import RawSheet
 from support.reference import Reference, reference
+from support.reference_runs import measure
 
 from cloth_sim_ros.physics.constants import CONSTANTS, Constants
 from cloth_sim_ros.physics.control.automatic import make_integrator
@@ -25,7 +26,6 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table
-from validation.tolerance.sweep import measure
 
 #: Scenes whose errors are known, with their tolerances [m], and the integrator.
 HELD = (

@@ -5,16 +5,13 @@
 from __future__ import annotations
 
 import argparse
-import math
-from collections import Counter
 
-import attrs
 import numpy as np
-from support.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
-from support.reference import Reference, reference
+from support.problems import MORE_PROBLEMS, PROBLEMS, problem
+from support.reference import reference
+from support.reference_runs import measure
 
-from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Plot, Report, Table
 
@@ -32,49 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerances", nargs="+", type=float, default=list(TOLERANCES), metavar="METRES")
     parser.add_argument("--integrator", choices=INTEGRATORS, default="auto")
     parser.add_argument("--energy", action="store_true", help="close the energy balance of each run too (slower)")
-
-
-@attrs.frozen
-class Outcome:
-    """One scene at one tolerance."""
-
-    #: Largest position error at any frame [m].
-    error: float
-    #: Sum of the estimates [m].
-    estimate: float
-    evaluations: int
-    rejected: int
-    flagged: int
-    #: Share of the frames in which each binding held.
-    binds: Counter[str]
-    integrators: Counter[str]
-    #: Residual of the energy balance over the energy turned over; NaN if not asked for.
-    residual: float
-
-
-def measure(scene: Problem, known: Reference, integrator: str, tolerance: float, *, energy: bool) -> Outcome:
-    """Run a scene at a tolerance and compare every frame with the reference."""
-    plan, state = scene.build()
-    stepper = make_integrator(integrator, tolerance=tolerance)
-    balance = EnergyBalance(plan, state) if energy else None
-    book = balance.book if balance is not None else None
-    error = estimate = residual = 0.0
-    evaluations = rejected = flagged = 0
-    binds: Counter[str] = Counter()
-    integrators: Counter[str] = Counter()
-    for frame in range(scene.frames):
-        done = stepper.advance(plan, state, frame * PERIOD, PERIOD, book)
-        error = max(error, known.deviation(frame + 1, state.x))
-        estimate += done.error or 0.0
-        evaluations += done.evaluations
-        rejected += done.rejected
-        flagged += done.flagged
-        binds[done.binds] += 1
-        integrators[done.integrator] += 1
-        if balance is not None:
-            residual = max(residual, abs(balance.close((frame + 1) * PERIOD, state)))
-    relative = residual / balance.turned_over if balance is not None else math.nan
-    return Outcome(error, estimate, evaluations, rejected, flagged, binds, integrators, relative)
 
 
 def run(options: argparse.Namespace) -> Report:

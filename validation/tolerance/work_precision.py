@@ -11,12 +11,13 @@ import statistics
 import attrs
 from support.problems import MORE_PROBLEMS, PROBLEMS, Problem, problem
 from support.reference import Reference, reference
+from support.reference_runs import measure
 
 from cloth_sim_ros.physics import cores
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Plot, Report, Table
 from validation.tolerance.baselines import Solver, TooSlow, library_solvers, our_solvers
-from validation.tolerance.sweep import LARGEST_RESIDUAL, measure
+from validation.tolerance.sweep import LARGEST_RESIDUAL
 
 #: At these errors [m] the best library solver takes at least so many times our time.
 PROMISES = {1e-5: 10.0, 1e-7: 5.0, 1e-10: 2.5}
