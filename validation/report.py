@@ -10,6 +10,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,12 @@ class Report:
                 _draw(plot, plot_folder / f"{_file_name(plot.name)}.png")
         if markdown is not None:
             markdown.write_text(self.text() + "\n")
+
+
+def say(text: str) -> None:
+    """Write a line about the progress of a command to standard error."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
 
 
 def environment() -> dict[str, str]:

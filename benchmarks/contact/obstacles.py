@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -26,7 +25,7 @@ from benchmarks.timing import take_turns
 from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
-from validation.report import Report, Table
+from validation.report import Report, Table, say
 
 PARTS = (
     "slopes",
@@ -63,8 +62,7 @@ def run(options: argparse.Namespace) -> Report:
     """Measure what was asked for."""
     report = Report("Contact", "python -m benchmarks contact")
     for part in options.parts:
-        sys.stderr.write(f"benchmarks contact: {part} ...\n")
-        sys.stderr.flush()
+        say(f"{part} ...")
         _MEASURES[part](report, options)
     return report
 

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import attrs
@@ -19,11 +17,10 @@ from benchmarks.peers import contact_runs as peer_contact
 from benchmarks.peers import environment as peer_environment
 from benchmarks.peers.contact_runs import ContactPeer, Recording
 from benchmarks.peers.contact_scenes import CONTESTS, DRAG, FRICTION, RADIUS, THICKNESS, TOLERANCE, Contest
-from benchmarks.peers.contact_solvers import CONTACT_PEERS
 from benchmarks.peers.jobs import PeerFailed
-from benchmarks.peers.solvers import REQUIREMENTS
+from benchmarks.peers.solvers import CONTACT_PEERS, REQUIREMENTS
 from benchmarks.speed.curtain import cores
-from validation.report import Report, Table
+from validation.report import Report, Table, say
 
 OURS = "cloth_sim_ros"
 #: Packages with a peer that knows contact.
@@ -41,18 +38,8 @@ _LEAST = 8
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--scenes", nargs="+", choices=CONTESTS, default=[*CONTESTS], help="which to run")
-    parser.add_argument("--peers", nargs="*", choices=PACKAGES, default=[*PACKAGES], help="which engines besides ours")
     parser.add_argument("--resolution", type=int, default=20, metavar="N", help="particles a side")
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, metavar="S", help="wall seconds after which a run ends early"
-    )
-    parser.add_argument(
-        "--environment",
-        type=Path,
-        metavar="FOLDER",
-        default=peer_environment.default_folder(),
-        help="where the peers are installed, from PyPI (%(default)s)",
-    )
+    peer_environment.add_arguments(parser, PACKAGES, seconds=60.0)
 
 
 @attrs.frozen(kw_only=True)
@@ -93,14 +80,14 @@ def run(options: argparse.Namespace) -> Report:
     contests = [CONTESTS[name](options.resolution) for name in options.scenes]
     folder = options.environment.expanduser().absolute()
     wanted = {name: PACKAGES[name] for name in options.peers}
-    absent = peer_environment.prepare(folder, wanted, _say) if wanted else {}
+    absent = peer_environment.prepare(folder, wanted, say) if wanted else {}
     peers = [peer for peer in CONTACT_PEERS if peer.package in wanted]
     report = Report("Peers in contact", f"python -m benchmarks peers-contact --resolution {options.resolution}")
     report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
     columns = ["scene", "engine", "times real time", "deepest mm", "creep um/s", "frames crossed", "longest edge"]
     table = Table("Cloth that touches", [*columns, "seconds", "outcome"])
     for contest in contests:
-        _say(f"{contest.name}: {OURS}")
+        say(f"{contest.name}: {OURS}")
         with cores(one=True):
             own = judge(contest, OURS, peer_contact.ours(contest, options.seconds))
         table.rows.append(own.row())
@@ -109,7 +96,7 @@ def run(options: argparse.Namespace) -> Report:
             if peer.package in absent:
                 table.rows.append(_nothing(contest, peer, "ABSENT"))
                 continue
-            _say(f"{contest.name}: {peer.name}")
+            say(f"{contest.name}: {peer.name}")
             try:
                 recording = peer_contact.theirs(peer, contest, options.seconds, environment=folder)
             except PeerFailed as error:
@@ -230,8 +217,3 @@ def _explain(options: argparse.Namespace, contests: list[Contest], peers: list[C
         for contest in contests:
             if contest.name in peer.apart:
                 report.notes.append(f"{contest.name}: {peer.name}: {peer.apart[contest.name]}")
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"benchmarks peers-contact: {text}\n")
-    sys.stderr.flush()

@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+import argparse
 import fcntl
 import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -38,6 +39,21 @@ def default_folder() -> Path:
     """Where the environment is unless another place is named."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache) / "cloth_sim_ros" / "peers"
+
+
+def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], seconds: float) -> None:
+    """Declare the options that all comparisons with other engines have."""
+    parser.add_argument("--peers", nargs="*", choices=packages, default=[*packages], help="which engines besides ours")
+    parser.add_argument(
+        "--seconds", type=float, default=seconds, metavar="S", help="wall seconds after which a run ends early"
+    )
+    parser.add_argument(
+        "--environment",
+        type=Path,
+        metavar="FOLDER",
+        default=default_folder(),
+        help="where the peers are installed, from PyPI (%(default)s)",
+    )
 
 
 def clean_variables(**more: str) -> dict[str, str]:

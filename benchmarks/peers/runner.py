@@ -3,13 +3,13 @@
 """Runs one other engine on a given sheet: a script for the peers' own Python, without anything of this package.
 
 `python -I runner.py` reads a job from its input as JSON and writes what came of it to its output as one line of
-JSON. The job: `script`, the file, beside this one, whose `Engine` runs the sheet; `sheet`, an npz file (see
-`peer_jobs.sheet_tables`); `variant`, which solver of the engine; `steps`, steps in a frame; `frame` [s]; `frames`;
+JSON. The job: `script`, the file beside this one whose `Engine` runs the sheet; `sheet`, an npz file (see
+`jobs.sheet_tables`); `variant`, which solver of the engine; `steps`, steps in a frame; `frame` [s]; `frames`;
 `seconds`, wall time after which it ends early; `whole`, the stretch above which the sheet counts as torn.
 
-A job with `record` is a scene with contact (see `peer_scenes`): no stretch is judged, and the positions at every frame,
-with those of the pads, go to the npz file of that name. `hold` then is the number of frames in which particles are
-held.
+A job with `record` is a scene with contact (see `contact_scenes`), for the file's `ContactEngine`: no stretch is
+judged, and the positions at every frame, with those of the pads, go to the npz file of that name. `hold` then is the
+number of frames in which particles are held.
 
 An `Engine(sheet, step, variant)` is made with nothing left to compile. It has `advance(steps)`, `positions()` [m] of
 shape (particle_count, 3), `distributions`, the names of the packages that it runs on, and `remarks()`.
@@ -118,7 +118,8 @@ def main() -> None:
     job = json.load(sys.stdin)
     with np.load(job["sheet"]) as tables:
         sheet = {name: tables[name] for name in tables.files}
-    Engine = runpy.run_path(str(Path(__file__).parent / job["script"]))["Engine"]
+    kind = "ContactEngine" if "record" in job else "Engine"
+    Engine = runpy.run_path(str(Path(__file__).parent / job["script"]))[kind]
     engine = Engine(sheet, job["frame"] / job["steps"], job["variant"])
     result = record(engine, sheet, job) if "record" in job else measure(engine, sheet, job)
     result["versions"] = {name: importlib.metadata.version(name) for name in engine.distributions}

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from benchmarks.peers.contact_runs import ContactPeer
 from benchmarks.peers.jobs import Peer
 
 #: Of each package, what is installed.
@@ -18,7 +19,7 @@ PEERS = (
     Peer(
         name="Newton semi-implicit",
         package="newton",
-        script="newton_sheet.py",
+        script="engine_newton.py",
         variant="semi_implicit",
         differs=_NEWTON,
         first_steps=lambda n: n,
@@ -26,7 +27,7 @@ PEERS = (
     Peer(
         name="Newton XPBD",
         package="newton",
-        script="newton_sheet.py",
+        script="engine_newton.py",
         variant="xpbd",
         differs=f"{_NEWTON}; 10 iterations a step",
         first_steps=lambda n: n,
@@ -34,7 +35,7 @@ PEERS = (
     Peer(
         name="Newton VBD",
         package="newton",
-        script="newton_sheet.py",
+        script="engine_newton.py",
         variant="vbd",
         differs=f"{_NEWTON}; 10 iterations a step",
         first_steps=lambda n: max(n // 16, 1),
@@ -42,7 +43,7 @@ PEERS = (
     Peer(
         name="MuJoCo flex",
         package="mujoco",
-        script="mujoco_sheet.py",
+        script="engine_mujoco.py",
         variant="discrete",
         differs="an isotropic elastic membrane of the modulus along our threads, damped alike, our drag; implicit",
         first_steps=lambda n: 1,
@@ -50,7 +51,7 @@ PEERS = (
     Peer(
         name="PyBullet springs",
         package="pybullet",
-        script="pybullet_sheet.py",
+        script="engine_pybullet.py",
         variant="springs",
         differs="springs of one stiffness along a triangulation's edges, others across them; no drag of the air",
         first_steps=lambda n: n,
@@ -58,9 +59,77 @@ PEERS = (
     Peer(
         name="pyPBD XPBD",
         package="pyPBD",
-        script="pypbd_sheet.py",
+        script="engine_pypbd.py",
         variant="xpbd",
         differs="our stiffnesses as compliant constraints, one sweep a step; neither damping nor drag",
         first_steps=lambda n: max(n // 8, 1),
+    ),
+)
+_MEMBRANE = "an isotropic elastic membrane of the modulus along our threads, which does not narrow, damped as ours is"
+_MUJOCO = (
+    "steps of 1/480 s, CG, elliptic cones; solref 0.01 and solimp 0.95, 0.99 of the sheet, solref 0.003 of solids, as "
+    "in its examples; our drag"
+)
+_DRIVEN = "pads of 0.05 kg on slides, damped by 10 N s/m"
+CONTACT_PEERS: tuple[ContactPeer, ...] = (
+    ContactPeer(
+        name="Newton VBD",
+        package="newton",
+        script="engine_newton.py",
+        variant="vbd",
+        steps=10,
+        differs=(
+            f"{_MEMBRANE}, with hinges of 0.001 N; single precision, steps of 1/600 s of 10 iterations; contact is a "
+            "penalty of 1000 N/m and 0.1 N s/m on particles alone, which begins at the thickness, as in its example of "
+            "a cloth that is twisted; friction as it comes, smoothed below 10 mm/s; our drag, once a step; on the "
+            "processor, though it is made for GPUs"
+        ),
+        apart={
+            "fold": "contact with itself begins at the thickness and is looked for at 1.75 times that",
+            "pinch": "pads stand still, where the penalties of the particles between them begin with the force",
+        },
+    ),
+    ContactPeer(
+        name="MuJoCo flex",
+        package="mujoco",
+        script="engine_mujoco.py",
+        variant="elastic",
+        steps=8,
+        differs=f"{_MEMBRANE}, which bends as a plate of 1 mm does; its discrete integrator, {_MUJOCO}",
+        apart={
+            "fold": "layers keep twice the thickness; the edge is tied by soft constraints to what carries it",
+            "pinch": _DRIVEN,
+        },
+    ),
+    ContactPeer(
+        name="MuJoCo flex, edges",
+        package="mujoco",
+        script="engine_mujoco.py",
+        variant="edges",
+        steps=8,
+        differs=(
+            "edges of fixed length by soft constraints, solref 0.005, no bending; impratio 10, noslip of 10 "
+            f"iterations, its implicitfast integrator, {_MUJOCO}"
+        ),
+        apart={
+            "fold": "layers keep twice the thickness; the edge is tied by soft constraints to what carries it",
+            "pinch": _DRIVEN,
+        },
+    ),
+    ContactPeer(
+        name="PyBullet deformable",
+        package="pybullet",
+        script="engine_pybullet.py",
+        variant="springs",
+        steps=17,
+        differs=(
+            "springs along a triangulation's edges, all of one stiffness, far below ours, and a hundredth of it across "
+            "them; all particles of one mass; steps of 1/1020 s; its collision margin is our thickness; no drag of the "
+            "air"
+        ),
+        apart={
+            "fold": "the table is a box; the edge is tied to a heavy body that carries it",
+            "pinch": f"{_DRIVEN}, which stop 0.8 mm from each other",
+        },
     ),
 )

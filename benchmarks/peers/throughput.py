@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +19,7 @@ from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 from benchmarks.speed import curtain as speed_curtain
-from validation.report import Plot, Report, Table
+from validation.report import Plot, Report, Table, say
 
 #: Ours are at least so many times as fast as the fastest peer, at these N of scene C.
 PROMISE, PROMISED_AT = 15.0, (64, 128)
@@ -36,23 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", choices=SCENES, default="curtain", help="an edge pinned (C), or two corners (A)")
     sizes = [*speed_curtain.SCORED_FRAMES]
     parser.add_argument("--resolutions", type=int, nargs="+", metavar="N", default=sizes, help="particles a side")
-    parser.add_argument("--peers", nargs="+", choices=REQUIREMENTS, default=[*REQUIREMENTS], help="which to run")
     parser.add_argument("--duration", type=float, default=1.0, metavar="S", help="simulated seconds of each run")
-    parser.add_argument(
-        "--seconds", type=float, default=10.0, metavar="S", help="wall seconds after which a peer's run ends early"
-    )
     parser.add_argument(
         "--stretch", type=float, default=1.5, metavar="TIMES", help="an edge longer than this times its rest is torn"
     )
     parser.add_argument("--repeats", type=int, default=3, help="timed rounds with every peer at its longest step")
     parser.add_argument("--peer-threads", type=int, default=1, metavar="N", help="for a peer that can use several")
-    parser.add_argument(
-        "--environment",
-        type=Path,
-        metavar="FOLDER",
-        default=peer_environment.default_folder(),
-        help="where the peers are installed, from PyPI (%(default)s)",
-    )
+    peer_environment.add_arguments(parser, REQUIREMENTS, seconds=10.0)
 
 
 @attrs.define
@@ -105,7 +94,7 @@ def run(options: argparse.Namespace) -> Report:
         raise ValueError(f"--stretch is {options.stretch:g}; it must be above 1, the length at rest")
     folder = options.environment.expanduser().absolute()
     wanted = {name: REQUIREMENTS[name] for name in options.peers}
-    absent = peer_environment.prepare(folder, wanted, _say)
+    absent = peer_environment.prepare(folder, wanted, say) if wanted else {}
     peers = [peer for peer in PEERS if peer.package in wanted and peer.package not in absent]
     fields = [measure(options, folder, resolution, peers) for resolution in options.resolutions]
     report = Report("Peers", f"python -m benchmarks peers --scene {options.scene} --stretch {options.stretch:g}")
@@ -121,7 +110,7 @@ def run(options: argparse.Namespace) -> Report:
 def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: list[Peer]) -> Field:
     """Run all engines on one sheet: the search for each one's longest step, then rounds in which all take turns."""
     scene = SCENES[options.scene]
-    _say(f"N = {resolution}: reference")
+    say(f"N = {resolution}: reference")
     field = _score(speed_curtain.scored(scene, resolution), resolution)
     whole = attrs.evolve(speed_curtain.scored(scene, resolution), frames=max(round(options.duration / PERIOD), 1))
     with tempfile.TemporaryDirectory() as place:
@@ -152,7 +141,7 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
                 continue
             longest[peer] = Entry(peer.name, attempts=[found])
         for number in range(options.repeats):
-            _say(f"N = {resolution}: round {number + 1} of {options.repeats}")
+            say(f"N = {resolution}: round {number + 1} of {options.repeats}")
             for one, entry in ((False, field.ours), (True, field.one_core)):
                 with speed_curtain.cores(one=one):
                     entry.factors.append(whole.duration / speed_curtain.run(whole, tolerance=field.tolerance).seconds)
@@ -188,7 +177,7 @@ def _told(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) 
     def tell(steps: int) -> Attempt:
         done = attempt(peer, steps)
         how = "whole" if done.whole else "torn"
-        _say(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
+        say(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
         return done
 
     return tell
@@ -271,8 +260,3 @@ def _judge(fields: list[Field], report: Report) -> None:
         if best and field.resolution in PROMISED_AT and field.ours.factor < PROMISE * best.factor:
             times = field.ours.factor / best.factor
             report.failures.append(f"{where}: {times:.3g} times as fast as {best.name}; promised {PROMISE:g}")
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"benchmarks peers: {text}\n")
-    sys.stderr.flush()

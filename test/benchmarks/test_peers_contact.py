@@ -24,8 +24,8 @@ from benchmarks.peers import contact_scenes as peer_scenes
 from benchmarks.peers import environment as peer_environment
 from benchmarks.peers.contact_runs import ContactPeer, Recording
 from benchmarks.peers.contact_scenes import Contest
-from benchmarks.peers.contact_solvers import CONTACT_PEERS
 from benchmarks.peers.jobs import PeerFailed
+from benchmarks.peers.solvers import CONTACT_PEERS
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.sheets.grid import grid_triangles
 from validation.report import Report
@@ -40,7 +40,7 @@ import time
 import numpy as np
 
 
-class Engine:
+class ContactEngine:
     distributions = ("numpy",)
 
     def __init__(self, sheet, step, variant):

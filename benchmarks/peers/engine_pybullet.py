@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""PyBullet's deformable cloth on scenes with contact: springs along a triangulation's edges."""
+"""PyBullet's deformable cloth: springs of one stiffness along a triangulation's edges, and across them for bending."""
 
 from __future__ import annotations
 
@@ -24,44 +24,76 @@ class Engine:
     distributions = ("pybullet",)
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        self._start_world(sheet, step)
+        self._load(
+            sheet,
+            springElasticStiffness=float(sheet["stiffness"][0]),
+            springDampingStiffness=float(sheet["damping"][0]),
+            springBendingStiffness=float(sheet["stiffness"][-1]),
+            useSelfCollision=0,
+            useFaceContact=0,
+            collisionMargin=0.0,
+        )
+
+    def _start_world(self, sheet: dict[str, Any], step: float) -> None:
         import pybullet
 
-        self._bullet, self._step = pybullet, step
+        self._bullet = pybullet
         pybullet.connect(pybullet.DIRECT)
         pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD)
-        self._gravity = sheet["gravity"]
-        pybullet.setGravity(*self._gravity.tolist())
+        pybullet.setGravity(*sheet["gravity"].tolist())
         pybullet.setTimeStep(step)
-        pybullet.setPhysicsEngineParameter(sparseSdfVoxelSize=0.25)
+
+    def _load(self, sheet: dict[str, Any], **options: Any) -> None:
+        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in sheet["positions"].tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (1 + sheet["triangles"]).tolist()]
+        options |= {"useMassSpring": 1, "useBendingSprings": 1, "springDampingAllDirections": 0, "useNeoHookean": 0}
+        with tempfile.TemporaryDirectory() as folder:
+            mesh = Path(folder, "sheet.obj")
+            mesh.write_text("\n".join(lines) + "\n")
+            self._body = self._bullet.loadSoftBody(str(mesh), mass=float(sheet["masses"].sum()), **options)
+        for particle in np.flatnonzero(sheet["anchored"]).tolist():
+            self._bullet.createSoftBodyAnchor(self._body, particle, -1, -1)
+
+    def advance(self, steps: int) -> None:
+        """Take so many steps."""
+        for _ in range(steps):
+            self._bullet.stepSimulation()
+
+    def positions(self) -> Any:
+        """Positions [m]."""
+        _, places = self._bullet.getMeshData(self._body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH)
+        return np.array(places)
+
+    def remarks(self) -> list[str]:
+        """Nothing to add."""
+        return []
+
+
+class ContactEngine(Engine):
+    """Scenes with contact; one variant."""
+
+    def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        self._start_world(sheet, step)
+        self._step, self._gravity = step, sheet["gravity"]
+        self._bullet.setPhysicsEngineParameter(sparseSdfVoxelSize=0.25)
         self._joints: int | None = None
         self._pads = np.zeros((0, 3))
         self._surround(sheet)
         mass = float(sheet["masses"].sum()) / len(sheet["masses"])
         #: Of springs [N/m].
         self._stiffness = min(float(sheet["modulus"]), _BEARABLE * mass / step**2)
-        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in sheet["positions"].tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (1 + sheet["triangles"]).tolist()]
-        with tempfile.TemporaryDirectory() as folder:
-            mesh = Path(folder, "sheet.obj")
-            mesh.write_text("\n".join(lines) + "\n")
-            self._body = pybullet.loadSoftBody(
-                str(mesh),
-                mass=float(sheet["masses"].sum()),
-                useMassSpring=1,
-                useBendingSprings=1,
-                springElasticStiffness=self._stiffness,
-                springDampingStiffness=float(sheet["retardation"] * sheet["modulus"]),
-                springBendingStiffness=0.01 * self._stiffness,
-                springDampingAllDirections=0,
-                useNeoHookean=0,
-                useSelfCollision=int(sheet["own"]),
-                useFaceContact=1,
-                # Another body's friction is a factor; theirs is 1.
-                frictionCoeff=float(sheet["friction"]),
-                collisionMargin=float(sheet["thickness"]),
-            )
-        for particle in np.flatnonzero(sheet["anchored"]).tolist():
-            pybullet.createSoftBodyAnchor(self._body, particle, -1, -1)
+        self._load(
+            sheet,
+            springElasticStiffness=self._stiffness,
+            springDampingStiffness=float(sheet["retardation"] * sheet["modulus"]),
+            springBendingStiffness=0.01 * self._stiffness,
+            useSelfCollision=int(sheet["own"]),
+            useFaceContact=1,
+            # Another body's friction is a factor; theirs is 1.
+            frictionCoeff=float(sheet["friction"]),
+            collisionMargin=float(sheet["thickness"]),
+        )
         self._way: Any = iter(())
         self._carrier = -1
         self._anchors: list[int] = []
@@ -137,11 +169,6 @@ class Engine:
                 for link, force in enumerate(self._forces):
                     bullet.setJointMotorControl2(self._joints, link, bullet.TORQUE_CONTROL, force=force)
             bullet.stepSimulation()
-
-    def positions(self) -> Any:
-        """Positions [m]."""
-        _, places = self._bullet.getMeshData(self._body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH)
-        return np.array(places)
 
     def pads(self) -> Any:
         """Where they are [m]."""

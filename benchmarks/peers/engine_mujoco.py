@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo's flex on scenes with contact: an elastic membrane, or edges whose lengths are constraints."""
+"""MuJoCo's flex: an elastic membrane, or edges whose lengths are constraints, instead of springs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,26 @@ from typing import Any
 
 import numpy as np
 
-#: Thickness that turns the sheet's modulus [N/m] into Young's [Pa], and gives the membrane a cloth's bending.
+#: Thickness that turns the sheet's modulus [N/m] into Young's [Pa]; so thin that bending hardly resists.
 _THICKNESS = 1e-3
 #: What moves each pad beside its force: mass [kg] and damping [N s/m].
 _PAD_MASS, _PAD_DAMPING = 0.05, 10.0
+
+_MODEL = """
+<mujoco>
+  <option timestep="{step!r}" integrator="discrete" gravity="{gravity}"/>
+  <size memory="4G"/>
+  <worldbody>
+    <flexcomp name="sheet" type="grid" dim="2" count="{columns} {rows} 1" spacing="{h!r} {h!r} {h!r}"
+              pos="{middle}" mass="{mass!r}" radius="1e-3">
+      <edge equality="false"/>
+      <elasticity young="{young!r}" poisson="0" thickness="{thickness!r}" damping="{damping!r}" elastic2d="both"/>
+      <contact selfcollide="none" contype="0" conaffinity="0"/>
+      <pin grid="{pins}"/>
+    </flexcomp>
+  </worldbody>
+</mujoco>
+"""
 _OPTIONS = {
     "elastic": 'integrator="discrete" solver="CG" tolerance="1e-6" iterations="400"',
     "edges": 'integrator="implicitfast" solver="CG" tolerance="1e-6" iterations="400" impratio="10" '
@@ -22,7 +38,7 @@ _MATERIALS = {
     'elastic2d="both"/>',
     "edges": '<edge equality="true" solref="0.005 1"/>',
 }
-_MODEL = """
+_CONTACT_MODEL = """
 <mujoco>
   <option timestep="{step!r}" cone="elliptic" gravity="{gravity}" {options}/>
   <size memory="4G"/>
@@ -45,9 +61,62 @@ _PAD = """<body pos="{place}"><joint type="slide" axis="0 1 0" damping="{damping
 
 
 class Engine:
-    """See `runner`; variants elastic and edges."""
+    """See `runner`; one variant."""
 
     distributions = ("mujoco",)
+
+    def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
+        import mujoco
+
+        self._mujoco = mujoco
+        self._rows, self._columns = int(sheet["rows"]), int(sheet["columns"])
+        row, column = np.divmod(np.flatnonzero(sheet["anchored"]), self._columns)
+        middle = 0.5 * (sheet["positions"].min(axis=0) + sheet["positions"].max(axis=0))
+        along = sheet["stiffness"][0]
+        text = _MODEL.format(
+            step=float(step),
+            gravity=_numbers(sheet["gravity"]),
+            rows=self._rows,
+            columns=self._columns,
+            h=float(sheet["edge_lengths"][0]),
+            middle=_numbers(middle),
+            mass=float(sheet["masses"].sum()),
+            young=float(along / _THICKNESS),
+            thickness=_THICKNESS,
+            # Stress in proportion to the strain's rate: the time that the springs' damping over their stiffness is.
+            damping=float(sheet["damping"][0] / along),
+            # Its grid counts y upwards; our rows lead down.
+            pins=_numbers(np.stack([column, self._rows - 1 - row], axis=1).ravel()),
+        )
+        self._model = mujoco.MjModel.from_xml_string(text)
+        self._model.dof_damping[:] = float(sheet["drag"]) * sheet["masses"][0]
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+
+    def advance(self, steps: int) -> None:
+        """Take so many steps."""
+        for _ in range(steps):
+            self._mujoco.mj_step(self._model, self._data)
+
+    def positions(self) -> Any:
+        """Positions [m]."""
+        grid = self._vertices().reshape(self._columns, self._rows, 3)
+        return np.ascontiguousarray(grid[:, ::-1].transpose(1, 0, 2)).reshape(-1, 3)
+
+    def _vertices(self) -> Any:
+        self._mujoco.mj_kinematics(self._model, self._data)
+        self._mujoco.mj_flex(self._model, self._data)
+        return self._data.flexvert_xpos
+
+    def remarks(self) -> list[str]:
+        """What it warned of."""
+        kinds = self._mujoco.mjtWarning
+        given = [(kinds(i).name, int(one.number)) for i, one in enumerate(self._data.warning) if one.number]
+        return [f"warned {name} {count} times" for name, count in given]
+
+
+class ContactEngine(Engine):
+    """Scenes with contact; variants elastic, a membrane, and edges, whose lengths are constraints."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
         import mujoco
@@ -57,7 +126,7 @@ class Engine:
             young=float(sheet["modulus"]) / _THICKNESS, thickness=_THICKNESS, damping=float(sheet["retardation"])
         )
         anchored = np.flatnonzero(sheet["anchored"])
-        text = _MODEL.format(
+        text = _CONTACT_MODEL.format(
             step=float(step),
             gravity=_numbers(sheet["gravity"]),
             options=_OPTIONS[variant],
@@ -108,13 +177,11 @@ class Engine:
             here = next(self._way, None)
             if here is not None:
                 self._data.mocap_pos[0] = here
-            self._mujoco.mj_step(self._model, self._data)
+            super().advance(1)
 
     def positions(self) -> Any:
         """Positions [m]."""
-        self._mujoco.mj_kinematics(self._model, self._data)
-        self._mujoco.mj_flex(self._model, self._data)
-        return self._data.flexvert_xpos.copy()
+        return self._vertices().copy()
 
     def pads(self) -> Any:
         """Where they are [m]."""
@@ -122,12 +189,6 @@ class Engine:
         if len(places):
             places[:, 1] += self._data.qpos[:2]
         return places
-
-    def remarks(self) -> list[str]:
-        """What it warned of."""
-        kinds = self._mujoco.mjtWarning
-        given = [(kinds(i).name, int(one.number)) for i, one in enumerate(self._data.warning) if one.number]
-        return [f"warned {name} {count} times" for name, count in given]
 
 
 def _solids(sheet: dict[str, Any]) -> str:
