@@ -133,6 +133,13 @@ def run_missing(
         yield done
 
 
+def shown(dones: Iterator[Done[C, R]], total: int, unit: str) -> Any:
+    """Yield what became of each case, beside a progress bar."""
+    from tqdm import tqdm
+
+    return tqdm(dones, total=total, unit=unit, smoothing=0.02, mininterval=1.0)
+
+
 def _plain(number: Any) -> Any:
     """A number of numpy as Python's own."""
     return number.item()

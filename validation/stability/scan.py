@@ -11,7 +11,7 @@ from typing import Any
 
 import attrs
 
-from validation.case_pool import Done, run_cases, run_missing
+from validation.case_pool import Done, run_cases, run_missing, shown
 from validation.report import Report, Table
 from validation.stability.cases import Case, Verdict, contact_cases, every_case, random_cases, run_case
 from validation.stability.limits import PEER_CASES, PeerCase, limits, run_peer_case
@@ -59,11 +59,9 @@ def run(options: argparse.Namespace) -> Report:
 
 
 def _scan(cases: list[Case], options: argparse.Namespace) -> list[Done[Case, Verdict]]:
-    from tqdm import tqdm
-
     limits = {"workers": options.workers, "limit": options.limit}
     found = run_missing(run_case, cases, **limits, file=options.resume, read=_read)
-    return list(tqdm(found, total=len(cases), unit="case", smoothing=0.02, mininterval=1.0))
+    return list(shown(found, len(cases), "case"))
 
 
 def _read(entry: dict[str, Any]) -> Done[Case, Verdict]:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from validation.case_pool import Done, run_missing
+from validation.case_pool import Done, run_missing, shown
 from validation.report import Report, Table
 from validation.tolerance.random_scenes import CAP, draw
 from validation.tolerance.windows import CALM, Judgement, Window, judge
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--windows", type=int, default=4, help="windows of one second a scene, beside the whole run (4)"
     )
-    parser.add_argument("--cap", type=float, default=CAP, metavar="WORK", help=f"see CAP in promise_scenes ({CAP:g})")
+    parser.add_argument("--cap", type=float, default=CAP, metavar="WORK", help=f"see CAP in random_scenes ({CAP:g})")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one a core)")
     parser.add_argument(
         "--resume", type=Path, metavar="FILE", help="keep what is found there as it comes, and run only what is missing"
@@ -139,7 +139,7 @@ def progress(cases: list[_Case], options: argparse.Namespace, judged_by: Callabl
 
     limits = {"workers": options.jobs, "limit": options.limit}
     found = run_missing(judged_by, cases, **limits, file=options.resume, read=_read)
-    for done in tqdm(found, total=len(cases), unit="scene", smoothing=0.02, mininterval=1.0):
+    for done in shown(found, len(cases), "scene"):
         tqdm.write(_line(done))
         yield done
 

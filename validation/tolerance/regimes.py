@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.scene.scene import Scene
-from validation.case_pool import run_cases
+from validation.case_pool import run_cases, shown
 from validation.report import Report, Table
 from validation.tolerance.random_grips import Script
 from validation.tolerance.random_scenes import Draw, frequency_of
@@ -291,7 +291,7 @@ def regimes(options: argparse.Namespace) -> Report:
     cases += [(regime, tolerance) for regime in pendulums() for tolerance in PENDULUM_TOLERANCES]
     found: dict[tuple[str, float], Outcome] = {}
     done_cases = run_cases(judge_regime, cases, workers=options.jobs, limit=options.limit)
-    for done in tqdm(done_cases, total=len(cases), unit="case", smoothing=0.02, mininterval=1.0):
+    for done in shown(done_cases, len(cases), "case"):
         regime, tolerance = done.case
         if done.result is None:
             report.failures.append(f"{regime.name} at {tolerance:.0e} m: {done.trouble}")

@@ -21,7 +21,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.case_pool import Done, run_missing
+from validation.case_pool import Done, run_missing, shown
 from validation.report import Report, Table
 from validation.tolerance.random_scenes import DENSITIES, log_uniform
 
@@ -201,8 +201,8 @@ def violent(options: argparse.Namespace) -> Report:
     cases = [(options.seed, index) for index in range(options.count)]
     found: list[Violence] = []
     limits = {"workers": options.jobs, "limit": options.limit}
-    done_cases = run_missing(run_violent, cases, **limits, file=options.resume, read=_read)
-    for done in tqdm(done_cases, total=len(cases), unit="scene", smoothing=0.02, mininterval=1.0):
+    dones = run_missing(run_violent, cases, **limits, file=options.resume, read=_read)
+    for done in shown(dones, len(cases), "scene"):
         if done.result is None:
             report.failures.append(f"scene {done.case[1]}: {done.trouble}")
         else:
