@@ -9,34 +9,21 @@ import itertools
 import math
 import time
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
 import attrs
 import numpy as np
 from support.obstacle_sheets import FRAME, SHEET, Motion
 
 from benchmarks.timing import take_turns
+from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table
 
-#: The scene of config/fold.yaml but for its resolution, without air across the sheet.
-FOLD: dict[str, Any] = {
-    "cloth.size": [0.4, 0.4],
-    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
-    "cloth.anchors": [""],
-    "wind.normal_drag": 0.0,
-    "tolerance": 1e-3,
-    "grippers": ["left", "right"],
-    "gripper.radius": 0.03,
-    "contact.self": True,
-    "obstacles": ["table"],
-    "table.shape": "box",
-    "table.size": [1.2, 0.8, 0.04],
-    "table.position": [0.0, 0.0, -0.02],
-    "table.friction": [0.5, 0.4],
-}
+#: The scene that is folded.
+FOLD_FILE = Path(__file__).resolve().parents[2] / "config" / "fold.yaml"
 #: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], each on its side, and the
 #: angle about x [degrees].
 ASIDE = 0.19
@@ -118,7 +105,8 @@ def events(frames: int) -> Iterator[list[Event]]:
 def fold(count: int, thickness: float, frames: int) -> Folded:
     """Fold a towel of count x count particles, for so many frames."""
     values = {
-        **FOLD,
+        **parameter_file.read(FOLD_FILE, node="cloth_sim", strict=True),
+        "wind.normal_drag": 0.0,
         "cloth.resolution": [count, count],
         "cloth.position": [0.0, 0.0, 0.975 * thickness],
         "contact.thickness": thickness,

@@ -12,10 +12,9 @@ import argparse
 import itertools
 import math
 import statistics
-import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
 
 import attrs
 import numpy as np
@@ -28,26 +27,14 @@ from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.report import Report, Table
+from validation.report import Report, Table, say
 
-#: The scene of config/cloth_sim.yaml, without air across the sheet.
-DEFAULT_CLOTH: dict[str, Any] = {
-    "rate": 60.0,
-    "cloth.size": [1.0, 1.0],
-    "cloth.resolution": [30, 30],
-    "cloth.position": [0.0, 0.0, 1.0],
-    "cloth.anchors": ["top"],
-    "material.density": 0.2,
-    "material.stretch_modulus": 1000.0,
-    "material.shear_modulus": 100.0,
-    "material.damping": 0.1,
-    "wind.normal_drag": 0.0,
-    "grippers": ["gripper"],
-    "gripper.radius": 0.05,
-}
+#: The scene that features are added to.
+DEFAULT_CLOTH = Path(__file__).resolve().parents[2] / "config" / "cloth_sim.yaml"
 #: AB - base is at most so many times the sum, and this share of base.
 TIMES, SHARE = 1.1, 0.02
 SHEETS = ("grid", "mesh")
@@ -161,7 +148,7 @@ def measured(sheet: str, options: argparse.Namespace) -> Cost:
     limit = min(_limit(scene(sheet, options.resolution, names)) for names in wanted)
     steps = math.ceil(PERIOD / (_STEP_SHARE * limit))
     step = PERIOD / steps
-    _say(f"{sheet}: {len(wanted)} cloths, {steps} steps a frame")
+    say(f"{sheet}: {len(wanted)} cloths, {steps} steps a frame")
     turns = take_turns(
         {str(k): turn(scene(sheet, options.resolution, names, step=step)) for k, names in enumerate(wanted)},
         seconds=options.seconds,
@@ -181,7 +168,9 @@ def _to_base(turns: Turns, number: int) -> float:
 
 def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float = 0.0) -> Scene:
     """The default cloth, as a grid or as an irregular mesh, without bending and gripper, with features added."""
-    values: dict[str, Any] = {**DEFAULT_CLOTH, "integrator": "leapfrog", "step": step, "grippers": [""]}
+    values = parameter_file.read(DEFAULT_CLOTH, node="cloth_sim", strict=True)
+    # Without air across the sheet, which is a feature.
+    values |= {"wind.normal_drag": 0.0, "integrator": "leapfrog", "step": step, "grippers": [""]}
     files: dict[str, bytes] = {}
     if sheet == "grid":
         values["cloth.resolution"] = [resolution, resolution]
@@ -248,8 +237,3 @@ def _limit(wanted: Scene) -> float:
     if wanted.gripper_names:
         simulation.advance([Target("gripper", lower_corner(simulation)), Grasp("gripper", True)])
     return leapfrog_limit(*simulation.plan.rates(simulation.state.x))
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"benchmarks cost-additivity: {text}\n")
-    sys.stderr.flush()

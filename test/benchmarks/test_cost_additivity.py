@@ -13,21 +13,9 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.speed import cost_additivity as adds
 from benchmarks.speed.cost_additivity import Cost
-from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report
 
 ROOT = Path(__file__).resolve().parents[2]
-
-# The scenes.
-
-
-def test_the_default_cloth_is_that_of_the_configuration() -> None:
-    file = ROOT / "config" / "cloth_sim.yaml"
-    if not file.exists():
-        pytest.skip("not in a checkout")
-    # But for the air across the sheet, which older figures are without.
-    still = Scene.from_file(file).changed({"wind.normal_drag": 0.0})
-    assert Scene.from_parameters(adds.DEFAULT_CLOTH) == still
 
 
 def cost(both: float) -> Cost:
