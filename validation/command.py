@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from cloth_sim_ros.session.child_process import safe_imports
+from cloth_sim_ros.session.child_process import child_environment, module_command, safe_imports
 from cloth_sim_ros.session.outputs import OutputError, check_outputs
 
 
@@ -61,3 +63,14 @@ def run_command(
     sys.stdout.write(report.text() + "\n")
     report.write(json_file=options.json, csv_folder=options.csv, plot_folder=options.plots, markdown=options.markdown)
     return 1 if report.failures else 0
+
+
+def child(module: str, *arguments: str) -> dict[str, Any]:
+    """Return command and environment of a process that runs a module of this repository, for `subprocess`.
+
+    Nothing is imported from its working folder, therefore the top of the repository is on its path.
+    """
+    environment = child_environment()
+    paths = [str(Path(__file__).resolve().parents[1]), environment.get("PYTHONPATH", "")]
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
+    return {"args": module_command(module, *arguments), "env": environment}

@@ -7,10 +7,9 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
+from validation.command import child
 from validation.report import Plot, Report, Table
 
 #: A particle's step in the largest sheet takes at most so many times that of a sheet of about 10^4.
@@ -22,8 +21,6 @@ SIZES = (32, 64, 100, 180, 320, 560, 1000)
 _LARGE = 100_000
 KINDS = ("grid", "mesh")
 _MEGA = 1e6
-#: By its path, because a child of a benchmark searches its working folder for nothing.
-_SHEET = Path(__file__).with_name("sheet.py")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,9 +76,9 @@ def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict
     best: dict[int, dict[str, Any]] = {}
     for _ in range(options.rounds):
         for size in options.sizes:
-            command = [sys.executable, "-P", str(_SHEET), kind, str(size)]
+            arguments = [kind, str(size), "--seconds", str(options.seconds)]
             done = subprocess.run(
-                [*command, "--seconds", str(options.seconds)], check=False, capture_output=True, text=True
+                **child("benchmarks.scale.sheet", *arguments), check=False, capture_output=True, text=True
             )
             if done.returncode:
                 last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One sheet in a process of its own: how long its steps take, and how much memory it needs.
 
-`python benchmarks/scale/sheet.py grid 1000` prints JSON. A process of its own, because memory that was asked
+`python -m benchmarks.scale.sheet grid 1000` prints JSON. A process of its own, because memory that was asked
 for once is seldom given back.
 """
 

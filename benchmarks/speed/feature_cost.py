@@ -8,40 +8,27 @@ import argparse
 import json
 import statistics
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+from support.feature_variants import BARE, FORCES, Running, Variant, swinging, variants
+from support.frame_counts import MARKERS, bytes_of_a_frame, calls_of_a_frame, modules_of
+
 from benchmarks.speed.curtain import cores
-from benchmarks.speed.feature_counts import bytes_of_a_frame, calls_of_a_frame, modules_of
-from benchmarks.speed.feature_scenes import BARE, FORCES, Running, Variant, swinging, variants
 from benchmarks.speed.hand_written_loop import HandMadeLoop
 from benchmarks.timing import take_turns
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
+from validation.command import child
 from validation.report import Report, Table
 
 #: A frame takes at most so many times that of the loop made by hand.
 HAND_PROMISE = 1.02
 #: A frame that is slept through takes at most this part of one that moves.
 SLEEP_PROMISE = 0.03
-#: Measurements of the node.
-_ROS = Path(__file__).parents[1] / "ros"
 PARTS = ("hand", "features", "counts", "outputs", "start")
-#: What a scene that uses a feature loads, and others do not.
-MARKERS = {
-    "mesh files": ("cloth_sim_ros.scene.mesh_file", "plyfile", "trimesh"),
-    "raw springs": ("cloth_sim_ros.scene.springs_file",),
-    "bending springs across hinges": ("cloth_sim_ros.physics.sheets.bending",),
-    "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.integrators.implicit_run"),
-    "energy balance": ("cloth_sim_ros.simulation.energy_watch", "cloth_sim_ros.physics.energy_balance"),
-    "recording": ("cloth_sim_ros.session", "mcap", "rosbags"),
-    "ROS": ("rclpy", "sensor_msgs"),
-    "plots, viewer": ("matplotlib", "rerun"),
-}
 #: Scenes of which the modules are looked at.
 _SCENES: dict[str, dict[str, Any]] = {
     "default": {},
@@ -195,8 +182,7 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
 
 def _ask(module: str, report: Report) -> dict[str, Any] | None:
     """What a measurement of the node prints. In a process of its own: nothing here may load ROS."""
-    command = [sys.executable, "-P", str(_ROS / f"{module}.py")]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    done = subprocess.run(**child(f"benchmarks.ros.{module}"), check=False, capture_output=True, text=True)
     try:
         told: dict[str, Any] = json.loads(done.stdout)
     except ValueError:

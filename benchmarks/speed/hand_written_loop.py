@@ -7,8 +7,8 @@ from __future__ import annotations
 import ctypes
 
 import numpy as np
+from support.feature_variants import swinging
 
-from benchmarks.speed.feature_scenes import swinging
 from cloth_sim_ros.engine.binding import TOLD_NUMBERS, Frame, check, library
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.fixed import steps_for

@@ -17,6 +17,18 @@ from typing import Any
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.simulation.simulation import Simulation
 
+#: What a scene that uses a feature loads, and others do not.
+MARKERS = {
+    "mesh files": ("cloth_sim_ros.scene.mesh_file", "plyfile", "trimesh"),
+    "raw springs": ("cloth_sim_ros.scene.springs_file",),
+    "bending springs across hinges": ("cloth_sim_ros.physics.sheets.bending",),
+    "implicit steps": ("cloth_sim_ros.physics.integrators.implicit", "cloth_sim_ros.physics.integrators.implicit_run"),
+    "energy balance": ("cloth_sim_ros.simulation.energy_watch", "cloth_sim_ros.physics.energy_balance"),
+    "recording": ("cloth_sim_ros.session", "mcap", "rosbags"),
+    "ROS": ("rclpy", "sensor_msgs"),
+    "plots, viewer": ("matplotlib", "rerun"),
+}
+
 
 @contextlib.contextmanager
 def counted_calls() -> Iterator[Counter[str]]:
