@@ -17,9 +17,6 @@ import argparse
 import contextlib
 import gc
 import json
-import os
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -29,21 +26,14 @@ from typing import Any
 
 import attrs
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-from cloth_sim_ros.session.child_process import child_environment, module_command
+from benchmarks.ros.gripper_probe import CORNER, PATIENCE, GripperProbe
+from benchmarks.ros.node_process import node_process, ros_context
 
-#: Where the last particle of the default cloth hangs; radius [m] and speed [m/s] of the circle that it is led on.
-_CORNER, _RADIUS, _SPEED = np.array([0.5, 0.0, 0.5]), 0.1, 0.2
-#: Longest wait for the node to begin, for an answer, or for a cloud [s].
-_PATIENCE = 120.0
+#: Radius [m] and speed [m/s] of the circle that the corner is led on.
+_RADIUS, _SPEED = 0.1, 0.2
 #: Targets that are sent before those that count [s].
 _FIRST = 1.0
 
@@ -84,7 +74,7 @@ class Latencies:
         }
 
 
-class Prober:
+class Prober(GripperProbe):
     """Publishes targets and listens to the clouds.
 
     Args:
@@ -93,16 +83,9 @@ class Prober:
     """
 
     def __init__(self, *, stream: float, alive: Callable[[], None]) -> None:
-        self._alive = alive
-        self._node = Node("latency_probe")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._targets = self._node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", QoSProfile(depth=10))
-        self._node.create_subscription(PointCloud2, "/cloth_sim/points", self._see, QoSProfile(depth=10))
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, QoSProfile(depth=10))
+        super().__init__("latency_probe", alive)
         self._between = 1.0 / stream
         self._random = np.random.default_rng(1)
-        self._next = time.monotonic()
         self._begun: float | None = None
         #: When each target was published [s], by its place, in order; and when each cloud arrived, by its stamp [ns].
         self.published: dict[tuple[float, ...], float] = {}
@@ -116,13 +99,12 @@ class Prober:
         Raises:
             RuntimeError: if the node does not answer, or it holds nothing.
         """
-        close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
-        self._spin_until(close.service_is_ready)
-        self._spin_until(self._targets.get_subscription_count)
+        self.spin_until(self._close.service_is_ready)
+        self.spin_until(self._targets.get_subscription_count)
         seen = len(self.arrived)
-        self._spin_until(lambda: len(self.arrived) > seen + 10)
-        answer = close.call_async(SetBool.Request(data=True))
-        self._spin_until(answer.done)
+        self.spin_until(lambda: len(self.arrived) > seen + 10)
+        answer = self._close.call_async(SetBool.Request(data=True))
+        self.spin_until(answer.done)
         if not answer.result().success:
             raise RuntimeError(f"the gripper holds nothing: {answer.result().message}")
 
@@ -133,9 +115,9 @@ class Prober:
         gc.freeze()
         self._begun = time.monotonic()
         end = self._begun + _FIRST + seconds
-        self._spin_until(lambda: time.monotonic() >= end, limit=2.0 * (_FIRST + seconds))
+        self.spin_until(lambda: time.monotonic() >= end, limit=2.0 * (_FIRST + seconds))
         seen = len(self.arrived)
-        self._spin_until(lambda: len(self.arrived) > seen + 10)
+        self.spin_until(lambda: len(self.arrived) > seen + 10)
 
     def latencies(self, folder: Path) -> np.ndarray:
         """Return them [s], of the targets that were recorded in the session in a folder."""
@@ -160,72 +142,26 @@ class Prober:
                 shown = max(shown, newest)
         return np.array(found)
 
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-
-    def _see(self, cloud: PointCloud2) -> None:
+    def see(self, cloud: PointCloud2) -> None:
         now = time.monotonic()
         self.particles = cloud.width * cloud.height
         self.arrived[cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec] = now
 
-    def _hear(self, report: DiagnosticArray) -> None:
-        for status in report.status:
-            if status.name.endswith(": cloth"):
-                self.diagnostics = {entry.key: entry.value for entry in status.values}
+    def hear(self, values: dict[str, str]) -> None:
+        self.diagnostics = values
 
-    def _publish(self) -> None:
-        place = _CORNER
+    def place(self, now: float) -> np.ndarray:
+        if self._begun is None:
+            return CORNER
+        turn = _SPEED / _RADIUS * (time.monotonic() - self._begun)
+        return CORNER + _RADIUS * np.array([0.0, -np.sin(turn), 1.0 - np.cos(turn)])
+
+    def sent(self, place: tuple[float, ...]) -> None:
         if self._begun is not None:
-            turn = _SPEED / _RADIUS * (time.monotonic() - self._begun)
-            place = place + _RADIUS * np.array([0.0, -np.sin(turn), 1.0 - np.cos(turn)])
-        message = PoseStamped()
-        p = message.pose.position
-        p.x, p.y, p.z = (float(value) for value in place)
-        message.pose.orientation.w = 1.0
-        if self._begun is not None:
-            self.published[(p.x, p.y, p.z)] = time.monotonic()
-        self._targets.publish(message)
+            self.published[place] = time.monotonic()
 
-    def _spin_until(self, condition: Callable[[], Any], *, limit: float = _PATIENCE) -> None:
-        """Serve what arrives and keep the stream up until the condition holds."""
-        spin_until(self._executor, condition, due=self._due, alive=self._alive, limit=limit)
-
-    def _due(self, now: float) -> float:
-        if now >= self._next:
-            self._next = now + self._between * float(self._random.uniform(0.5, 1.5))
-            self._publish()
-        return self._next
-
-
-def spin_until(
-    executor: SingleThreadedExecutor,
-    condition: Callable[[], Any],
-    *,
-    due: Callable[[float], float],
-    alive: Callable[[], None],
-    limit: float,
-) -> None:
-    """Serve what arrives, and do what is due, until a condition holds.
-
-    Args:
-        executor: serves.
-        condition: is asked after each turn.
-        due: does what is due at a time [s]; returns when it is to be asked again.
-        alive: raises RuntimeError where the node that is waited for has ended.
-        limit: longest wait [s].
-
-    Raises:
-        RuntimeError: if the condition does not hold by then.
-    """
-    end = time.monotonic() + limit
-    while not condition():
-        now = time.monotonic()
-        alive()
-        if now > end:
-            raise RuntimeError(f"waited {limit:g} s in vain")
-        executor.spin_once(timeout_sec=max(0.0, min(due(now) - now, 0.01)))
+    def pause(self) -> float:
+        return self._between * float(self._random.uniform(0.5, 1.5))
 
 
 @contextlib.contextmanager
@@ -242,24 +178,15 @@ def running_node(
         f"record.folder:={folder}",
         *further,
     ]
-    command = module_command("cloth_sim_ros.ros.main", "--ros-args")
-    for parameter in parameters:
-        command += ["-p", parameter]
     log = folder / "node.log"
-    with log.open("wb") as stream:
-        process = subprocess.Popen(
-            command, env=child_environment(), stdin=subprocess.DEVNULL, stdout=stream, stderr=stream
-        )
+    with node_process([], parameters, log=log, patience=PATIENCE) as process:
 
-    def alive() -> None:
-        if process.poll() is not None:
-            raise RuntimeError(f"the node ended with status {process.returncode}:\n{log.read_text(errors='replace')}")
+        def alive() -> None:
+            if process.poll() is not None:
+                said = log.read_text(errors="replace")
+                raise RuntimeError(f"the node ended with status {process.returncode}:\n{said}")
 
-    try:
         yield alive
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(_PATIENCE)
 
 
 def measure(
@@ -300,10 +227,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
     options = parser.parse_args(arguments)
-    # A graph of its own: nobody else's targets, nobody else's clouds.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    rclpy.init(args=[])
-    try:
+    with ros_context():
         found = measure(
             resolution=tuple(options.resolution),
             rate=options.rate,
@@ -311,8 +235,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             seconds=options.seconds,
             further=options.parameters,
         )
-    finally:
-        rclpy.try_shutdown()
     for name, value in found.summary().items():
         print(f"{name:26} {value:.3f}" if isinstance(value, float) else f"{name:26} {value}")
     if options.json is not None:

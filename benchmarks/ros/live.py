@@ -23,25 +23,17 @@ from typing import Any
 
 import attrs
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
-from benchmarks.ros.latency import running_node, spin_until
+from benchmarks.ros.gripper_probe import CORNER, PATIENCE, GripperProbe
+from benchmarks.ros.latency import running_node
+from benchmarks.ros.node_process import ros_context
 
-#: Where the lower corner of the default cloth hangs [m].
-_CORNER = np.array([0.5, 0.0, 0.5])
 #: Time between two targets [s].
 _BETWEEN = 0.01
-#: Longest wait for the node to begin, or for an answer [s].
-_PATIENCE = 60.0
 #: A frame that takes longer is counted [ms]; the first minute is told apart [s].
 _LONG, _FIRST = 50.0, 60.0
 
@@ -60,7 +52,7 @@ class Cycle:
         return Cycle(**{name: factor * seconds for name, seconds in attrs.asdict(self).items()})
 
 
-class Robot:
+class Robot(GripperProbe):
     """Does with a cloth what a robot does, listens to its clouds, and follows its diagnostics.
 
     Args:
@@ -68,14 +60,7 @@ class Robot:
     """
 
     def __init__(self, alive: Callable[[], None]) -> None:
-        self._alive = alive
-        self._node = Node("live_probe")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._targets = self._node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", QoSProfile(depth=10))
-        self._node.create_subscription(PointCloud2, "/cloth_sim/points", self._see, QoSProfile(depth=10))
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, QoSProfile(depth=10))
-        self._close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
+        super().__init__("live_probe", alive)
         self._reset = self._node.create_client(Trigger, "/cloth_sim/reset")
         self._set = self._node.create_client(SetParameters, "/cloth_sim/set_parameters")
         #: Stamps of clouds, and when they arrived [s].
@@ -86,24 +71,23 @@ class Robot:
         #: When each part of a cycle began [s], and its name.
         self.parts: list[tuple[float, str]] = []
         #: Where the gripper is to be, by time.
-        self._path: Callable[[float], np.ndarray] = lambda _: _CORNER
-        self._next = 0.0
+        self._path: Callable[[float], np.ndarray] = lambda _: CORNER
 
     def begin(self) -> None:
         """Wait until the node is there and has said how many frames were late so far."""
         for client in (self._close, self._reset, self._set):
-            self._spin_until(client.service_is_ready)
-        self._spin_until(lambda: len(self.reports) > 1 and self.arrivals)
+            self.spin_until(client.service_is_ready)
+        self.spin_until(lambda: len(self.reports) > 1 and self.arrivals)
 
     def go_through(self, cycle: Cycle) -> None:
         """One cycle."""
         self._begin("carried")
-        self._lead(lambda _: _CORNER, 0.25)
+        self._lead(lambda _: CORNER, 0.25)
         self._ask(self._close, SetBool.Request(data=True))
         turn = 2.0 * np.pi / cycle.carried
 
         def carried(t: float) -> np.ndarray:
-            return _CORNER + np.array([0.0, -0.25 * np.sin(turn * t), 0.2 * (1.0 - np.cos(turn * t))])
+            return CORNER + np.array([0.0, -0.25 * np.sin(turn * t), 0.2 * (1.0 - np.cos(turn * t))])
 
         self._lead(carried, cycle.carried)
         self._begin("swung")
@@ -112,21 +96,16 @@ class Robot:
         # Half a metre to and fro, a little up and down, each beginning at rest.
         def swung(t: float) -> np.ndarray:
             away = 0.25 * min(1.0, t / (0.25 * cycle.swung)) * np.sin(2.0 * np.pi * t / 1.6)
-            return _CORNER + np.array([-0.6 * away, away, 0.1 * (1.0 - np.cos(2.0 * np.pi * t / 3.2))])
+            return CORNER + np.array([-0.6 * away, away, 0.1 * (1.0 - np.cos(2.0 * np.pi * t / 3.2))])
 
         self._lead(swung, cycle.swung)
         self._begin("let go")
         self._ask(self._close, SetBool.Request(data=False))
-        self._lead(lambda _: _CORNER, cycle.falling)
+        self._lead(lambda _: CORNER, cycle.falling)
         self._begin("flat again")
         self._anchor(["top"])
         self._ask(self._reset, Trigger.Request())
-        self._lead(lambda _: _CORNER, cycle.flat)
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown()
-        self._node.destroy_node()
+        self._lead(lambda _: CORNER, cycle.flat)
 
     def _begin(self, part: str) -> None:
         self.parts.append((time.monotonic(), part))
@@ -134,7 +113,7 @@ class Robot:
     def _lead(self, path: Callable[[float], np.ndarray], seconds: float) -> None:
         begun = time.monotonic()
         self._path = lambda now: path(now - begun)
-        self._spin_until(lambda: time.monotonic() - begun >= seconds, limit=seconds + _PATIENCE)
+        self.spin_until(lambda: time.monotonic() - begun >= seconds, limit=seconds + PATIENCE)
         end = path(seconds)
         self._path = lambda _: end
 
@@ -146,37 +125,24 @@ class Robot:
 
     def _ask(self, client: Any, request: Any) -> Any:
         future = client.call_async(request)
-        self._spin_until(future.done)
+        self.spin_until(future.done)
         answer = future.result()
         if not getattr(answer, "success", True):
             raise RuntimeError(f"{client.srv_name}: {answer.message}")
         return answer
 
-    def _see(self, cloud: PointCloud2) -> None:
+    def see(self, cloud: PointCloud2) -> None:
         self.arrivals.append(time.monotonic())
         self.stamps.append(cloud.header.stamp.sec + 1e-9 * cloud.header.stamp.nanosec)
 
-    def _hear(self, report: DiagnosticArray) -> None:
-        for status in report.status:
-            if status.name.endswith(": cloth"):
-                self.reports.append((time.monotonic(), {entry.key: entry.value for entry in status.values}))
+    def hear(self, values: dict[str, str]) -> None:
+        self.reports.append((time.monotonic(), values))
 
-    def _publish(self, now: float) -> None:
-        message = PoseStamped()
-        place = message.pose.position
-        place.x, place.y, place.z = (float(value) for value in self._path(now))
-        message.pose.orientation.w = 1.0
-        self._targets.publish(message)
+    def place(self, now: float) -> np.ndarray:
+        return self._path(now)
 
-    def _spin_until(self, condition: Callable[[], Any], *, limit: float = _PATIENCE) -> None:
-        """Serve what arrives and keep the targets up until the condition holds."""
-        spin_until(self._executor, condition, due=self._due, alive=self._alive, limit=limit)
-
-    def _due(self, now: float) -> float:
-        if now >= self._next:
-            self._next = now + _BETWEEN
-            self._publish(now)
-        return self._next
+    def pause(self) -> float:
+        return _BETWEEN
 
 
 def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
@@ -222,32 +188,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if not (options.seconds > 0.0 and options.pace > 0.0):
         parser.error(f"--seconds is {options.seconds:g} and --pace {options.pace:g}; both must be above 0")
-    # A graph of its own: nobody else's targets, nobody else's clouds.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    rclpy.init(args=[])
     rate, cycles = 60.0, 0
-    try:
-        with (
-            tempfile.TemporaryDirectory() as place,
-            # The corner alone: 2 cm of a sheet whose particles lie 3.4 cm apart.
-            running_node(
-                resolution=(30, 30),
-                rate=rate,
-                folder=Path(place),
-                further=["gripper.radius:=0.02", *options.parameters],
-            ) as alive,
-        ):
-            robot = Robot(alive)
-            try:
-                robot.begin()
-                end = time.monotonic() + options.seconds
-                while time.monotonic() < end:
-                    robot.go_through(Cycle().scaled(options.pace))
-                    cycles += 1
-            finally:
-                robot.close()
-    finally:
-        rclpy.try_shutdown()
+    with (
+        ros_context(),
+        tempfile.TemporaryDirectory() as place,
+        # The corner alone: 2 cm of a sheet whose particles lie 3.4 cm apart.
+        running_node(
+            resolution=(30, 30),
+            rate=rate,
+            folder=Path(place),
+            further=["gripper.radius:=0.02", *options.parameters],
+        ) as alive,
+    ):
+        robot = Robot(alive)
+        try:
+            robot.begin()
+            end = time.monotonic() + options.seconds
+            while time.monotonic() < end:
+                robot.go_through(Cycle().scaled(options.pace))
+                cycles += 1
+        finally:
+            robot.close()
     found = summary(robot, rate=rate, cycles=cycles)
     print(json.dumps(found, indent=1))
     return 0 if found["met"] else 1

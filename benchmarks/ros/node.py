@@ -16,23 +16,19 @@ import argparse
 import contextlib
 import json
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from benchmarks.ros.node_process import node_process, processor_time, ros_context
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: What the node may add to a frame [ms].
@@ -54,32 +50,15 @@ def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
     Raises:
         RuntimeError: if it ends before.
     """
-    command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__node:={name}")
-    for key, value in values.items():
-        command += ["-p", f"{key}:={json.dumps(value)}"]
-    process = subprocess.Popen(
-        command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stderr is not None
-    try:
+    parameters = [f"{key}:={json.dumps(value)}" for key, value in values.items()]
+    with node_process(["-r", f"__node:={name}"], parameters) as process:
+        assert process.stderr is not None
         for line in process.stderr:
             if "grippers:" in line:
                 break
         else:
             raise RuntimeError(f"the cloth ended with status {process.wait()}")
         yield process.pid
-    finally:
-        process.send_signal(signal.SIGINT)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.communicate(timeout=10.0)
-        process.kill()
-
-
-def processor_time(pid: int) -> float:
-    """Processor time that a process has taken so far [s]."""
-    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[str, float]:
@@ -246,11 +225,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         }
         told["met"] = all(told[how]["added_ms_a_frame"] <= GOAL for how in ("at rest", "swinging"))
     else:
-        rclpy.init()
-        try:
+        with ros_context():
             told = measure_sets(values, options.seconds, options.rounds)
-        finally:
-            rclpy.try_shutdown()
         told["met"] = not told["refused"]
     sys.stdout.write(json.dumps(told, indent=1) + "\n")
     return 0 if told["met"] else 1

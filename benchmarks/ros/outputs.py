@@ -26,11 +26,12 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
+from benchmarks.ros.node_process import ros_context
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.session.child_process import child_environment
 from cloth_sim_ros.simulation.simulation import Simulation
+from validation.command import child
 
 #: Pause after each frame [s]: what is left of a period in which nothing is due, for the recorder's thread and for
 #: whoever listens.
@@ -61,10 +62,11 @@ class Candidate:
         self._listener: subprocess.Popen[bytes] | None = None
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if heard:
-            command = [sys.executable, "-P", __file__, "--listen", topic]
             # Not this process's own output: who reads that waits until nobody can write there any more.
             self._listener = subprocess.Popen(
-                command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                **child("benchmarks.ros.outputs", "--listen", topic),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
             )
             end = time.monotonic() + _PATIENCE
             while not self._node.count_subscribers(topic):
@@ -162,11 +164,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if options.frames < 1:
         parser.error(f"--frames is {options.frames}; at least 1 is needed")
-    rclpy.init()
-    try:
+    with ros_context():
         times = measure(options.resolution, options.frames)
-    finally:
-        rclpy.try_shutdown()
     alone = times["nobody"]
     told = {
         name: {

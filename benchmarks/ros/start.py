@@ -11,20 +11,15 @@ stands the processor time that the process had taken by then: where the machine 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
-import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -32,7 +27,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 
-from cloth_sim_ros.session.child_process import child_environment, module_command
+from benchmarks.ros.node_process import node_process, processor_time, ros_context
 
 #: Longest wait for a first cloud [s].
 _PATIENCE = 60.0
@@ -75,15 +70,11 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
         QoSProfile(depth=10),
         raw=True,
     )
-    command = module_command("cloth_sim_ros.ros.main", "--ros-args", "-r", f"__ns:=/{namespace}", *arguments)
     question = node.create_client(GetParameters, "cloth_sim/get_parameters")
     asked: list[Future] = []
     seen = answered = None
     begun = again = time.monotonic()
-    process = subprocess.Popen(
-        command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
-    try:
+    with node_process(["-r", f"__ns:=/{namespace}", *arguments]) as process:
         while not arrivals or answered is None:
             executor.spin_once(timeout_sec=0.02)
             if seen is None and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
@@ -101,24 +92,12 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
             if time.monotonic() - begun > _PATIENCE:
                 missing = "answer" if arrivals else "cloud"
                 raise RuntimeError(f"no {missing} came in {_PATIENCE:g} s")
-        busy = _processor_time(process.pid)
-    finally:
-        process.send_signal(signal.SIGINT)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.communicate(timeout=10.0)
-        process.kill()
-        executor.shutdown()
-        node.destroy_node()
+        busy = processor_time(process.pid)
+    executor.shutdown()
+    node.destroy_node()
     # What answers is in the graph, even where its name is told of later than its services.
     seen = answered if seen is None else min(seen, answered)
     return Start(wall=arrivals[0] - begun, busy=busy, answers_after=answered - seen)
-
-
-def _processor_time(pid: int) -> float:
-    """Processor time that a process has taken so far [s]."""
-    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -133,11 +112,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.starts < 1:
         parser.error(f"--starts is {options.starts}; at least 1 is needed")
-    rclpy.init()
-    try:
+    with ros_context():
         first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
-    finally:
-        rclpy.try_shutdown()
     median = float(np.median([start.wall for start in warm]))
     told: dict[str, Any] = {
         "first_s": round(first.wall, 3),

@@ -34,8 +34,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
+from benchmarks.ros.node_process import ros_context
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.session.child_process import child_environment
+from validation.command import child
 
 #: A cloth that takes few steps a frame [N/m], and one that falls asleep, too.
 _MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "bending.model": "none"}
@@ -109,9 +110,12 @@ class Stream:
 @contextlib.contextmanager
 def subscriber(topic: str, file: Path) -> Iterator[None]:
     """A reliable subscriber in a process of its own, which writes to a file what it receives."""
-    command = [sys.executable, "-P", __file__, "--listen", topic, str(file)]
     # Not this process's own output: who reads that waits until nobody can write there any more.
-    process = subprocess.Popen(command, env=child_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        **child("benchmarks.ros.stream", "--listen", topic, str(file)),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         yield
     finally:
@@ -251,16 +255,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     least = 2.0 / options.rate
     if not options.seconds >= least:
         parser.error(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
-    # A graph of its own: nobody else's clouds.
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    rclpy.init(args=[])
-    try:
+    with ros_context():
         found = [
             measure(side, seconds=options.seconds, rate=options.rate, moving=options.moving)
             for side in options.resolutions
         ]
-    finally:
-        rclpy.try_shutdown()
     sys.stdout.write(json.dumps([stream.summary() for stream in found], indent=1) + "\n")
     return 0 if all(stream.met for stream in found) else 1
 

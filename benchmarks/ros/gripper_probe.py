@@ -1,0 +1,97 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A robot's side of a node: a stream of targets to its gripper, its clouds and its diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import SetBool
+
+#: Where the lower corner of the default cloth hangs [m].
+CORNER = np.array([0.5, 0.0, 0.5])
+#: Longest wait for the node to begin, for an answer, or for a cloud [s].
+PATIENCE = 120.0
+
+
+class GripperProbe:
+    """Publishes targets as they are due, and serves what arrives.
+
+    Args:
+        name: of its own node.
+        alive: raises RuntimeError if the measured node has ended.
+    """
+
+    def __init__(self, name: str, alive: Callable[[], None]) -> None:
+        self._alive = alive
+        self._node = Node(name)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._targets = self._node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", QoSProfile(depth=10))
+        self._node.create_subscription(PointCloud2, "/cloth_sim/points", self.see, QoSProfile(depth=10))
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, QoSProfile(depth=10))
+        self._close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
+        self._next = time.monotonic()
+
+    def place(self, now: float) -> np.ndarray:
+        """Place [m] of the target at a time [s]."""
+        raise NotImplementedError
+
+    def pause(self) -> float:
+        """Time until the next target [s]."""
+        raise NotImplementedError
+
+    def sent(self, place: tuple[float, ...]) -> None:
+        """Called right before a target is published."""
+
+    def see(self, cloud: PointCloud2) -> None:
+        """Called with each cloud."""
+        raise NotImplementedError
+
+    def hear(self, values: dict[str, str]) -> None:
+        """Called with each report of the cloth's diagnostics."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def spin_until(self, condition: Callable[[], Any], *, limit: float = PATIENCE) -> None:
+        """Serve what arrives and publish targets until a condition holds.
+
+        Raises:
+            RuntimeError: if it does not hold after a time [s], or the measured node has ended.
+        """
+        end = time.monotonic() + limit
+        while not condition():
+            now = time.monotonic()
+            self._alive()
+            if now > end:
+                raise RuntimeError(f"waited {limit:g} s in vain")
+            if now >= self._next:
+                self._next = now + self.pause()
+                self._publish(now)
+            self._executor.spin_once(timeout_sec=max(0.0, min(self._next - now, 0.01)))
+
+    def _publish(self, now: float) -> None:
+        message = PoseStamped()
+        p = message.pose.position
+        p.x, p.y, p.z = (float(value) for value in self.place(now))
+        message.pose.orientation.w = 1.0
+        self.sent((p.x, p.y, p.z))
+        self._targets.publish(message)
+
+    def _hear(self, report: DiagnosticArray) -> None:
+        for status in report.status:
+            if status.name.endswith(": cloth"):
+                self.hear({entry.key: entry.value for entry in status.values})

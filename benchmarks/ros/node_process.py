@@ -1,0 +1,68 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A node in a process of its own, and its processor time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import rclpy
+
+from cloth_sim_ros.session.child_process import child_environment, module_command
+
+
+@contextlib.contextmanager
+def node_process(
+    arguments: Sequence[str], parameters: Sequence[str] = (), *, log: Path | None = None, patience: float = 10.0
+) -> Iterator[subprocess.Popen[str]]:
+    """Run a node, interrupted at the end, and killed if it has not ended after a time.
+
+    Args:
+        arguments: for ROS, e.g. ``-r __node:=name``.
+        parameters: ``name:=value``.
+        log: file for what it says; its standard error is a pipe if left out, and its standard output goes nowhere.
+        patience: longest wait for its end [s].
+    """
+    command = module_command("cloth_sim_ros.ros.main", "--ros-args", *arguments)
+    for parameter in parameters:
+        command += ["-p", parameter]
+    with contextlib.ExitStack() as stack:
+        stream = None if log is None else stack.enter_context(log.open("wb"))
+        process = subprocess.Popen(
+            command,
+            env=child_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=stream or subprocess.DEVNULL,
+            stderr=stream or subprocess.PIPE,
+            text=True,
+        )
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.communicate(timeout=patience)
+            process.kill()
+
+
+@contextlib.contextmanager
+def ros_context() -> Iterator[None]:
+    """ROS in a graph of its own: nobody else's targets, nobody else's clouds."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    rclpy.init(args=[])
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+def processor_time(pid: int) -> float:
+    """Processor time that a process has taken so far [s]."""
+    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
