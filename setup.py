@@ -134,7 +134,7 @@ setup(
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     # What lies beside the code and is not Python: the engine's sources.
-    package_data={"": engine.PATTERNS},
+    package_data={"": [*engine.PATTERNS]},
     ext_modules=extensions(),
     cmdclass={"build_ext": BuildEngine},
     data_files=[
