@@ -58,7 +58,7 @@ def fold(angle, *, height0=1.0, height1=1.0, foot0=0.5, foot1=0.5, edge=1.0):
     return np.array(points, dtype=float).T
 
 
-def test_near_flat_the_crossed_length_is_nearly_h1_h2_theta_over_their_sum():
+def test_crossed_length_near_flat_is_h1_h2_theta_over_h1_plus_h2():
     for h0, h1, f0, f1 in [(1.0, 1.0, 0.5, 0.5), (0.7, 1.3, 0.2, 0.9), (1.0, 1.0, 0.0, 1.0)]:
         angle = 1e-4
         length = signed_lengths(PAIR, fold(angle, height0=h0, height1=h1, foot0=f0, foot1=f1), kind="crossed")[0]
@@ -76,7 +76,7 @@ def test_positive_is_the_side_of_the_normal():
         assert signed_lengths(surface.hinges, fold(-0.3), kind=kind)[0] < 0
 
 
-def test_where_a_length_is_not_defined_it_is_no_number():
+def test_undefined_length_is_nan():
     # An edge without length has no direction; four points on a line have no height.
     for kind, x in (
         ("crossed", fold(0.3, edge=0.0)),
@@ -108,7 +108,7 @@ def test_degenerate_states_give_no_nan(hinges, x):
 
 
 @pytest.mark.parametrize("short", 10.0 ** -np.arange(1, 12, 2))
-def test_force_of_crossed_springs_stays_bounded_up_to_folded_shut(short):
+def test_crossed_force_stays_bounded_up_to_a_closed_fold(short):
     for f0, f1 in ((0.5, 0.5), (0.2, 0.8)):
         x = fold(np.pi - short, foot0=f0, foot1=f1)
         assert np.abs(signed_lengths(PAIR, x, kind="crossed")).max() < 1.0
@@ -118,7 +118,7 @@ def test_force_of_crossed_springs_stays_bounded_up_to_folded_shut(short):
 
 
 @pytest.mark.parametrize("thin", 10.0 ** -np.arange(1, 16, 2))
-def test_force_of_the_blend_stays_bounded_down_to_collinear(thin):
+def test_altitude_force_stays_bounded_down_to_collinear(thin):
     # weights of the lecture's S8 grow without limit as lines turn parallel; those of the blend do not
     x = np.random.default_rng(3).standard_normal((3, 4))
     x[1:] *= thin
@@ -141,13 +141,13 @@ def test_force_of_the_blend_stays_bounded_down_to_collinear(thin):
         ),
     ],
 )
-def test_hinges_that_are_none_are_refused(build, words):
+def test_degenerate_hinges_are_refused(build, words):
     with pytest.raises(ValueError, match=words):
         build()
 
 
 @pytest.mark.parametrize("kind", [CrossedSprings, AltitudeSprings])
-def test_stiffness_bound_holds_and_is_not_loose_for_hinges_of_any_shape(kind):
+def test_stiffness_bound_is_tight_for_hinges_of_any_shape(kind):
     # far from rest, so that the part from the length's curvature leads
     rng = np.random.default_rng(5)
     looseness = []

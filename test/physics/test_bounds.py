@@ -45,7 +45,7 @@ def true_rates(plan, x):
 
 @pytest.mark.parametrize("values", SHEETS)
 @pytest.mark.parametrize("crumpled", [0.0, 0.03])
-def test_a_sheets_bounds_are_those_of_its_springs_one_by_one(values, crumpled):
+def test_sheet_bounds_are_those_of_its_springs_one_by_one(values, crumpled):
     scene = Scene.from_parameters({"cloth.resolution": [9, 11], **values})
     plan = scene.plan()
     x = np.ascontiguousarray(scene.initial_positions().T)
@@ -66,7 +66,7 @@ def test_a_sheets_bounds_are_those_of_its_springs_one_by_one(values, crumpled):
 
 @pytest.mark.parametrize("values", SHEETS)
 @pytest.mark.parametrize("crumpled", [0.0, 0.01])
-def test_rates_are_above_the_true_ones_and_not_far(values, crumpled):
+def test_spectral_bounds_are_tight_upper_bounds(values, crumpled):
     scene = Scene.from_parameters({"cloth.resolution": [6, 5], **values})
     plan = scene.plan()
     x = np.ascontiguousarray(scene.initial_positions().T)
@@ -77,7 +77,7 @@ def test_rates_are_above_the_true_ones_and_not_far(values, crumpled):
         assert rate <= 4.0 * true + 1e-9
 
 
-def test_rates_of_a_held_sheet_are_those_of_its_springs_and_grips():
+def test_bounds_of_a_grasped_sheet_add_springs_and_grips():
     values = {"cloth.resolution": [9, 11], "grippers": ["a", "b"], "gripper.radius": 0.3, "gripper.stiffness": 1e4}
     simulation = Simulation(Scene.from_parameters(values))
     low = simulation.positions[-1]
@@ -114,7 +114,7 @@ def mesh_file(count=1500):
     ],
     ids=["damped", "undamped", "hinges"],
 )
-def test_rates_of_a_held_mesh_are_at_most_the_largest_of_its_blocks(values):
+def test_bounds_of_a_grasped_mesh_are_below_its_largest_block(values):
     common = {"cloth.mesh": "sheet.obj", "cloth.anchors": ["3"], "bending.model": "none", "grippers": ["a", "b"]}
     simulation = Simulation(Scene.from_parameters({**common, **values}, files={"sheet.obj": mesh_file()}))
     place = simulation.positions[-1]
@@ -133,7 +133,7 @@ def test_rates_of_a_held_mesh_are_at_most_the_largest_of_its_blocks(values):
 @pytest.mark.parametrize("bending", ["none", "crossed", "altitude"])
 @pytest.mark.parametrize("crumpled", [0.0, 0.01])
 @pytest.mark.parametrize("scale", [1e-6, 1e-3])
-def test_rates_of_an_irregular_mesh_are_above_the_true_ones_and_near(bending, crumpled, scale):
+def test_bounds_of_an_irregular_mesh_are_tight_upper_bounds(bending, crumpled, scale):
     values = {"cloth.mesh": "sheet.obj", "cloth.anchors": ["3"], "bending.model": bending}
     if bending != "none":
         values["material.bending_modulus"] = scale
@@ -148,7 +148,7 @@ def test_rates_of_an_irregular_mesh_are_above_the_true_ones_and_near(bending, cr
             assert rate <= 1.25 * true
 
 
-def test_a_light_particle_shares_its_springs_out_to_heavy_ones():
+def test_light_particle_distributes_its_bound_to_heavy_ones():
     # A star: a light particle on springs k to heavy ones all around moves as if they stood still, w^2 = 2 k / m.
     angles = np.pi / 2.0 * np.arange(4)
     x = np.concatenate([np.zeros((3, 1)), [np.cos(angles), np.sin(angles), 0.0 * angles]], axis=1)
@@ -179,7 +179,7 @@ class Tether(Force):
         bound[:3] += self.c
 
 
-def test_the_bounds_of_a_users_own_force_add_up_with_the_engines():
+def test_bounds_of_a_python_force_add_to_those_of_the_engine():
     scene = Scene.from_parameters({"cloth.resolution": [5, 4]})
     model = scene.model()
     x = np.ascontiguousarray(scene.initial_positions().T) + 0.02 * np.random.default_rng(3).standard_normal((3, 20))
@@ -216,7 +216,7 @@ def test_largest_eigenvalues_are_those_of_numpy():
     assert found[:7] == pytest.approx(exact[:7], rel=5e-8, abs=1e-14)
 
 
-def test_what_is_not_a_number_stays_none():
+def test_nan_blocks_give_nan_eigenvalues():
     bound = np.zeros((6, 2))
     bound[3, 1] = np.nan
     found = eigenvalues(bound)

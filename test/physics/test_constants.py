@@ -81,6 +81,6 @@ def test_numbers_outside_the_table_have_a_reason(path: Path) -> None:
     assert found == set(REASONS.get(path.name, {}))
 
 
-def test_a_number_is_found_wherever_it_stands() -> None:
+def test_numbers_in_any_expression_are_collected() -> None:
     source = "LEAST = 7.0\ndef f(x=3):\n    return x[5] + 0.9 * x if x > -4e2 else f'{x:.6f}'\n"
     assert numbers(ast.parse(source)) == {7.0, 3.0, 0.9, 400.0}

@@ -11,7 +11,7 @@ from cloth_sim_ros.physics.plan import compile
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("push", [0.0, 1.0])
-def test_an_obstacle_far_from_all_of_the_cloth_is_left_out_as_it_is_far_from_each_particle(shape, push):
+def test_distant_obstacle_is_skipped_as_for_each_particle(shape, push):
     """An anchored particle meets nothing; where it is far away, the ball about the cloth reaches every obstacle."""
     rng, seen = np.random.default_rng(7), set()
     model, places = flat_sheet(5, 6, contact(shape), size=0.4, gravity=push > 0.0, anchors=[0])
@@ -35,7 +35,7 @@ def test_an_obstacle_far_from_all_of_the_cloth_is_left_out_as_it_is_far_from_eac
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_place_that_is_no_number_is_far_from_nothing(shape):
+def test_nan_position_is_near_every_obstacle(shape):
     model, places = flat_sheet(5, 6, contact(shape), size=0.4, anchors=[0])
     plan, rng = compile(model), np.random.default_rng(3)
     for seed in range(100):

@@ -68,7 +68,7 @@ def test_a_sheet_that_falls_on_an_obstacle_keeps_its_tolerance(shape, tolerance)
 @every_shape
 @pytest.mark.parametrize("listed", [False, True])
 @pytest.mark.parametrize("tolerance", [1e-3, None])
-def test_an_impact_at_20_metres_per_second_goes_through_nothing(shape, listed, tolerance):
+def test_impact_at_20_m_per_s_penetrates_nothing(shape, listed, tolerance):
     model, places = flat_sheet(12, 12, contact(shape, paths=[BELOW[shape](0.1)]), size=0.3, listed=listed, drag=False)
     # No limit of work: so few particles are cheap by any step, and what is asked is what explicit steps do.
     plan, state, integrator = drop(model, places, (0.0, 0.0, -20.0), tolerance=tolerance, work=0.0)
@@ -86,7 +86,7 @@ def test_an_impact_at_20_metres_per_second_goes_through_nothing(shape, listed, t
     assert balance.lost > 0.05 * energy
 
 
-def test_a_single_particle_is_stopped_where_its_energy_is_used_up():
+def test_particle_stops_where_its_energy_is_used_up():
     # Undamped: b(s) = (w / U)^2; it leaves as fast as it came.
     model, _ = flat_sheet(2, 2, contact("plane", damping=0.0), gravity=False, drag=False)
     for speed in (0.5, 20.0):
@@ -103,7 +103,7 @@ def test_a_single_particle_is_stopped_where_its_energy_is_used_up():
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, None])
-def test_an_obstacle_that_is_driven_at_10_metres_per_second_goes_through_nothing(tolerance):
+def test_obstacle_at_10_m_per_s_penetrates_nothing(tolerance):
     ball = Obstacle(name="ball", shape="sphere", size=(0.3,))
     path = still((0.0, 0.0, -0.35))
     path[6] = 10.0
@@ -121,7 +121,7 @@ def test_an_obstacle_that_is_driven_at_10_metres_per_second_goes_through_nothing
     assert state.x[2].max() > 0.5
 
 
-def test_a_thin_obstacle_stops_what_flies_over_its_thickness_in_a_step():
+def test_thin_obstacle_stops_particles_that_cross_it_in_a_step():
     # A free sheet's steps of 0.5 ms would carry it 10 mm at 20 m/s, over a plate of 1 mm.
     plate = Obstacle(name="plate", shape="box", size=(3.0, 3.0, 1e-3))
     model, places = flat_sheet(8, 8, contact(plate, paths=[still((0.0, 0.0, -0.117))]), size=0.3)
@@ -132,7 +132,7 @@ def test_a_thin_obstacle_stops_what_flies_over_its_thickness_in_a_step():
             assert state.x[2].min() > -0.117
 
 
-def test_a_particle_that_speeds_up_on_its_way_is_seen_coming():
+def test_accelerating_particle_is_predicted():
     # It starts at rest out of reach, and springs throw it at 15 m/s within the frame.
     model, places = flat_sheet(10, 10, contact("plane", paths=[still((0.0, 0.0, -0.12))]), size=0.3)
     places[:, 2] = 0.3 * np.sin(20.0 * places[:, 0])
@@ -147,7 +147,7 @@ def test_a_particle_that_speeds_up_on_its_way_is_seen_coming():
 
 
 @pytest.mark.parametrize("integrator", ["leapfrog", "symplectic_euler"])
-def test_a_fixed_step_that_contact_would_not_bear_is_made_smaller_or_refused(integrator):
+def test_fixed_step_above_contact_limit_is_reduced_or_refused(integrator):
     model, places = flat_sheet(8, 8, contact("plane"), size=0.3)
     places[:, 2] = 0.02
     plan, state, steps = drop(model, places, (0.0, 0.0, -10.0), integrator=integrator, step=2e-4)
@@ -160,7 +160,7 @@ def test_a_fixed_step_that_contact_would_not_bear_is_made_smaller_or_refused(int
     assert 0.0 < state.x[2].min() < 0.02
 
 
-def test_implicit_steps_go_through_nothing():
+def test_implicit_steps_penetrate_nothing():
     model, places = flat_sheet(8, 8, contact("sphere", paths=[BELOW["sphere"](0.02)]), size=0.3)
     plan, state, integrator = drop(model, places, (0.0, 0.0, -3.0), integrator="implicit", tolerance=1e-3)
     energy = plan.energy(0.0, state.x, state.v)
@@ -170,7 +170,7 @@ def test_implicit_steps_go_through_nothing():
         assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
 
 
-def test_the_least_gap_and_the_steps_of_a_state_that_goes_on_are_the_same():
+def test_restored_state_has_the_same_min_gap_and_steps():
     model, places = flat_sheet(10, 10, contact("box", paths=[BELOW["box"](0.004)]), size=0.4)
     plan, state, integrator = drop(model, places, tolerance=1e-4)
     for k in range(4):

@@ -41,17 +41,17 @@ def added(**values: Any) -> float:
     return costs[0] / CONSTANTS.operation
 
 
-def test_what_is_out_of_reach_costs_nothing() -> None:
+def test_obstacles_out_of_reach_cost_nothing() -> None:
     assert added(it__position=[0.0, 0.0, -0.5], contact__self=True) == 0.0
     assert added(obstacles=[""]) == 0.0
 
 
-def test_particles_in_reach_cost_and_friction_on_top() -> None:
+def test_particles_in_reach_cost_more_with_friction() -> None:
     assert added(it__position=[0.0, 0.0, -0.003]) == pytest.approx(25 * NEAR)
     assert added(it__position=[0.0, 0.0, -0.003], it__friction=[0.5]) == pytest.approx(25 * (NEAR + RUBBED))
 
 
-def test_pairs_of_edges_and_faces_in_reach_cost() -> None:
+def test_edge_and_face_pairs_in_reach_cost() -> None:
     ball = {"it__shape": "sphere", "it__size": [0.01], "it__position": [0.02, 0.02, -0.0115]}
     found = added(**ball)
     # A point and the triangles about it.
@@ -59,14 +59,14 @@ def test_pairs_of_edges_and_faces_in_reach_cost() -> None:
     assert found == pytest.approx(PAIR * round(found / PAIR))
 
 
-def test_a_frame_may_take_fewer_evaluations_where_each_costs_more() -> None:
+def test_work_limit_allows_fewer_evaluations_if_each_costs_more() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare = plan.step_cost * plan.model.particle_count
     caps = [sum(work_cap(plan, whole_work(plan, 1000.0, 1 / 60, met), 1 / 60, 1e-3, 0.0, met)) for met in (0.0, bare)]
     assert caps[0] == pytest.approx(2.0 * caps[1], rel=1e-2)
 
 
-def test_where_the_cloth_touches_some_runs_of_longest_steps_always_fit() -> None:
+def test_work_limit_always_fits_some_runs_during_contact() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare, longest = plan.step_cost * plan.model.particle_count, 1e-4
     runs, little = CONSTANTS.work / 60.0 / longest, whole_work(plan, 1e-3, 1 / 60, bare)

@@ -26,7 +26,7 @@ def least_gap(obstacle, path, start, end):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_particle_meets_an_obstacle_where_its_way_leads_into_it(shape):
+def test_particle_hits_an_obstacle_on_its_path(shape):
     rng = np.random.default_rng(len(shape))
     met = 0
     for seed in range(16):
@@ -56,7 +56,7 @@ def meets(path, start, end, obstacle="sphere"):
     return plan.contact.crosses(START, DURATION, *(np.array([place]).T.copy() for place in (start, end)))
 
 
-def test_what_goes_along_with_a_fast_obstacle_does_not_meet_it():
+def test_particle_moving_with_a_fast_obstacle_does_not_hit_it():
     away = np.array([10.0, -3.0, 5.0])
     start = np.array([0.0, 0.0, 0.2 + 1e-2 * THICKNESS])
     assert not meets(ball(velocity=away), start, start + DURATION * away)
@@ -64,7 +64,7 @@ def test_what_goes_along_with_a_fast_obstacle_does_not_meet_it():
     assert meets(ball(velocity=[0.0, 0.0, 1.0]), start, start)
 
 
-def test_an_obstacle_that_turns_back_on_the_way_is_met():
+def test_obstacle_that_reverses_on_its_path_is_hit():
     start = np.array([0.0, 0.0, 0.21])
     # It comes nearer by v^2 / 2 a, halfway, and is back where it was in the end.
     for nearest, met in ((0.012, True), (0.008, False)):
@@ -73,7 +73,7 @@ def test_an_obstacle_that_turns_back_on_the_way_is_met():
         assert meets(turning, start, start) == met
 
 
-def test_an_edge_that_sweeps_over_a_particle_meets_it():
+def test_edge_that_sweeps_over_a_particle_hits_it():
     # A box of 0.5 m x 0.3 m x 0.2 m that turns about z: its corner, 0.292 m off, passes through the x axis.
     path = still()
     path[0], path[19] = START, -1.0 / DURATION

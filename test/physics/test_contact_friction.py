@@ -89,7 +89,7 @@ def test_forces_and_anchors_are_those_of_the_formulas(shape):
 
 
 @every_shape
-def test_the_derivative_product_has_friction_in_it(shape):
+def test_derivative_product_includes_friction(shape):
     _, plan, _, x, v, _ = about(shape, frequency=300.0)
     rng = np.random.default_rng(2)
     dx, dv, zero = rng.normal(size=x.shape), rng.normal(size=x.shape), np.zeros_like(x)
@@ -117,7 +117,7 @@ def on_a_slope(rough, degrees, frames, *, count=6, listed=False, tolerance=1e-4,
 
 @pytest.mark.parametrize("listed", [False, True])
 @pytest.mark.parametrize("mu", [0.1, 0.5, 1.0])
-def test_a_sheet_slips_within_a_tenth_of_a_degree_of_the_angle_of_friction(mu, listed):
+def test_sheet_slips_within_0_1_degree_of_the_friction_angle(mu, listed):
     steep = np.degrees(np.arctan(mu))
     below, _, state = on_a_slope((mu, mu), steep - 0.1, 60, listed=listed)
     # It settles first; then nothing moves by a nanometre, and no anchor by a bit.
@@ -129,7 +129,7 @@ def test_a_sheet_slips_within_a_tenth_of_a_degree_of_the_angle_of_friction(mu, l
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.5, 1.0])
-def test_a_sheet_that_slides_is_accelerated_by_what_kinetic_friction_leaves(mu):
+def test_sliding_sheet_accelerates_by_kinetic_friction(mu):
     steep = np.degrees(np.arctan(mu)) + 5.0
     means, _, _ = on_a_slope((mu, 0.8 * mu), steep, 45)
     angle = np.radians(steep)
@@ -138,7 +138,7 @@ def test_a_sheet_that_slides_is_accelerated_by_what_kinetic_friction_leaves(mu):
     assert found == pytest.approx(expected, rel=1e-2)
 
 
-def test_no_anchor_moves_by_a_bit_while_a_sheet_sticks():
+def test_anchors_keep_their_bits_while_a_sheet_sticks():
     # On its way to rest the push swings, and with it the cone: it is a state of rest that is asked about.
     _, plan, state = on_a_slope((0.5, 0.5), 20.0, 60)
     kept = state.memory[ANCHORS].copy()
@@ -159,7 +159,7 @@ def test_every_integrator_holds_a_sheet_on_a_slope(integrator):
 
 
 @pytest.mark.parametrize("shape", ["plane", "cylinder"])
-def test_sliding_is_of_second_order(shape):
+def test_sliding_converges_with_second_order(shape):
     """A particle on a turntable, its contact swinging under its weight: halved steps leave a quarter of the error."""
     obstacle = attrs.evolve(SHAPES[shape], friction=(0.5, 0.3))
     path = still((0.0, 0.0, 0.0 if shape == "plane" else -0.5 * obstacle.size[1]))
@@ -228,7 +228,7 @@ def test_no_bit_depends_on_threads(listed):
             assert np.array_equal(one, other)
 
 
-def test_a_state_that_goes_on_from_its_bytes_has_the_same_bits():
+def test_state_restored_from_bytes_continues_with_the_same_bits():
     ball = attrs.evolve(SHAPES["sphere"], friction=(0.5, 0.3))
     own = contact(ball, paths=[still((0.03, 0.02, -0.2 - 1.5 * THICKNESS))])
     model, places = flat_sheet(9, 9, own, size=0.4)
@@ -244,7 +244,7 @@ def test_a_state_that_goes_on_from_its_bytes_has_the_same_bits():
         assert state.digest() == again.digest()
 
 
-def test_coming_to_rest_makes_no_energy_that_steps_were_shortened_for():
+def test_coming_to_rest_does_not_shorten_steps():
     # Anchors are dragged along: the energy of their springs is that of the end's anchors.
     rough = attrs.evolve(SHAPES["plane"], friction=(0.5, 0.5))
     model, places = flat_sheet(6, 6, contact(rough), size=0.2, drag=False)

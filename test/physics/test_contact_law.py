@@ -43,7 +43,7 @@ def test_forces_energies_and_powers_are_those_of_the_formulas(shape, damping):
 
 
 @every_shape
-def test_without_motion_the_force_is_minus_the_gradient_of_the_energy(shape):
+def test_static_force_is_minus_the_energy_gradient(shape):
     _, plan, _, x, _ = about(shape, damping=0.0, path=still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7)), deepest=0.6)
     slopes = gradient(lambda places: plan.energies(0.3, places, None)[1], x, step=1e-7)
     assert force(plan, x, t=0.3) == pytest.approx(-slopes, abs=1e-5 * np.abs(slopes).max())
@@ -76,7 +76,7 @@ def test_the_derivative_product_is_that_of_the_force(shape):
 
 
 @every_shape
-def test_bounds_hold_where_nothing_moves(shape):
+def test_bounds_hold_at_rest(shape):
     path = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
     _, plan, _, x, v = about(shape, path=path)
     stiff, damped = blocks(plan, x)
@@ -95,7 +95,7 @@ def test_bounds_hold_where_nothing_moves(shape):
     assert np.linalg.eigvalsh(0.5 * (whole + whole.T))[-1] <= damped[:3].sum(axis=0).max() * (1.0 + 1e-9)
 
 
-def test_the_push_reaches_no_further_than_the_thickness_and_begins_smoothly():
+def test_force_starts_smoothly_at_the_thickness():
     plan = alone(contact("plane", damping=0.0), count=1)
     gaps = THICKNESS * np.array([1.0, 1.0 - 1e-3, 1.0 - 2e-3, 1.5, 100.0])
     push = [force(plan, np.array([[0.0], [0.0], [gap]]))[2, 0] for gap in gaps]
@@ -105,7 +105,7 @@ def test_the_push_reaches_no_further_than_the_thickness_and_begins_smoothly():
 
 
 @every_shape
-def test_no_energy_and_no_force_is_finite_where_there_is_no_gap(shape):
+def test_energy_and_force_are_not_finite_without_a_gap(shape):
     own, plan, *_ = about(shape)
     place, _, rotation, _ = laws.pose(own.paths[0], 0.3)
     inside = (place + 0.05 * rotation @ [0.1, 0.2, -1.0])[:, None]
@@ -115,7 +115,7 @@ def test_no_energy_and_no_force_is_finite_where_there_is_no_gap(shape):
     assert not np.isfinite(one.energies(0.3, inside, None)[1])
 
 
-def test_a_sheet_over_several_obstacles_feels_their_sum_and_anchored_particles_none():
+def test_forces_of_several_obstacles_add_up():
     rng = np.random.default_rng(3)
     paths = [moving(k) for k in range(5)]
     paths[0][1:4], paths[0][13:26] = [0.0, 0.0, -9.0], still()[13:26]
@@ -134,7 +134,7 @@ def test_a_sheet_over_several_obstacles_feels_their_sum_and_anchored_particles_n
     assert booked[:, :3].sum(axis=0) == pytest.approx(-expected.sum(axis=1), rel=1e-9)
 
 
-def test_rates_ahead_are_those_of_the_gap_at_which_the_speed_is_used_up():
+def test_predicted_bounds_are_those_of_the_stopping_gap():
     plan = alone(contact("plane", damping=0.0), count=1)
     for speed in (0.5, 3.0, 20.0):
         x, v = np.array([[0.0], [0.0], [0.01]]), np.array([[1.0], [0.0], [-speed]])
@@ -158,12 +158,12 @@ def test_rates_ahead_are_those_of_the_gap_at_which_the_speed_is_used_up():
         ({"thickness": 1e-3, "obstacles": [SHAPES["box"]] * 2}, "two obstacles are named 'box'"),
     ],
 )
-def test_what_is_no_contact_is_refused(values, message):
+def test_invalid_contact_is_refused(values, message):
     with pytest.raises(ValueError, match=message):
         Contact(values.pop("obstacles", ()), **values)
 
 
-def test_two_forces_with_obstacles_are_refused_and_wrong_paths_told():
+def test_two_contact_forces_and_wrong_paths_are_refused():
     one, two = contact("plane"), contact(Obstacle(name="other", shape="plane"))
     two.name = "more"
     with pytest.raises(ValueError, match="make them one"):

@@ -148,7 +148,7 @@ def test_contacts_grow_at_rates_of_their_own(kind: str) -> None:
         assert touching.recovering(TIME, x, np.zeros_like(x)) == 0.0
 
 
-def test_contacts_grow_up_to_the_most_push() -> None:
+def test_contacts_grow_up_to_the_max_push() -> None:
     plan, x = scene("plane", 0.0)
     touching = plan.contact
     assert touching is not None
@@ -194,7 +194,7 @@ def test_bounds_hold_with_a_reduced_thickness(kind: str) -> None:
         assert 0.0 < most <= bound[:3].sum(axis=0).max() * (1.0 + 1e-9)
 
 
-def test_rates_ahead_follow_the_growth() -> None:
+def test_predicted_bounds_follow_the_growth() -> None:
     plan, x = scene("plane", DAMPING)
     touching = plan.contact
     assert touching is not None

@@ -96,7 +96,7 @@ def test_obstacles_out_of_reach_change_no_bit_and_no_step(listed):
 
 @every_shape
 @pytest.mark.parametrize("listed", [False, True])
-def test_what_an_obstacle_bears_is_what_the_cloth_loses(shape, listed):
+def test_obstacle_impulse_equals_the_cloths_momentum_loss(shape, listed):
     own = contact(shape, paths=[turning(shape)])
     model, places = flat_sheet(7, 9, own, listed=listed, gravity=False, drag=False)
     plan = compile(model)
@@ -149,7 +149,7 @@ def test_a_table_bears_the_weight_of_a_sheet_that_lies_on_it(listed):
     assert (1.0 - s) ** 3 * (1.0 + 3.0 * s) / s**2 == pytest.approx(2.0 * THICKNESS * 9.81 / 35.0**2, rel=1e-3)
 
 
-def test_turning_everything_turns_the_motion():
+def test_rotated_scene_gives_the_rotated_motion():
     turn = Rotation.from_euler("xyz", [0.3, 1.1, -0.7])
     ends = []
     for rotation in (Rotation.identity(), turn):
@@ -164,7 +164,7 @@ def test_turning_everything_turns_the_motion():
     assert ends[1] == pytest.approx(ends[0], abs=1e-9)
 
 
-def test_random_paths_are_followed_as_grippers_are():
+def test_obstacles_follow_random_paths_as_grippers_do():
     # A particle carried by a box that turns about itself stays on its surface.
     path = moving(4) * 0.2
     path[13:17] = moving(4)[13:17]

@@ -42,7 +42,7 @@ def test_the_energy_is_that_of_every_pair(shape, seed):
 
 @every_shape
 @each_seed
-def test_without_damping_the_force_is_minus_the_gradient_of_the_energy(shape, seed):
+def test_undamped_force_is_minus_the_energy_gradient(shape, seed):
     plan, _, x, _, _ = facing(SMALL[shape], seed, damping=0.0)
     slopes = gradient(lambda places: plan.energies(TIME, places, None)[1], columns(x), step=1e-8)
     assert np.abs(slopes).max() > 1.0
@@ -51,7 +51,7 @@ def test_without_damping_the_force_is_minus_the_gradient_of_the_energy(shape, se
 
 @every_shape
 @each_seed
-def test_what_is_booked_is_what_the_cloth_feels(shape, seed):
+def test_recorded_wrench_is_the_force_on_the_cloth(shape, seed):
     plan, _, x, _, path = facing(SMALL[shape], seed)
     rng = np.random.default_rng(seed)
     v = rng.normal(size=x.shape)
@@ -87,7 +87,7 @@ def test_the_derivative_product_is_that_of_the_force(shape, seed):
 
 @every_shape
 @each_seed
-def test_bounds_hold_where_nothing_moves(shape, seed):
+def test_bounds_hold_at_rest(shape, seed):
     path = still((0.3, -0.2, 0.1), np.array([0.5, -0.5, 0.1, 0.7]))
     plan, _, x, _, _ = facing(SMALL[shape], seed, path=path)
     x = columns(x)
@@ -101,7 +101,7 @@ def test_bounds_hold_where_nothing_moves(shape, seed):
         assert 0.0 < most <= largest * (1.0 + 1e-9)
 
 
-def test_pushes_reach_no_further_than_half_the_thickness_and_nothing_pushes_what_is_anchored():
+def test_feature_force_ends_at_half_the_thickness():
     box = SMALL["box"]
     for gap, acts in ((0.499, True), (0.501, False)):
         plan, _, x, _, _ = facing(box, gap=gap, damping=0.0)
@@ -110,7 +110,7 @@ def test_pushes_reach_no_further_than_half_the_thickness_and_nothing_pushes_what
     assert plan.energies(TIME, columns(x), None)[1] == 0.0
 
 
-def test_a_point_feels_one_plane_wherever_a_flat_sheet_is_cut_into_triangles():
+def test_point_force_is_independent_of_the_triangulation():
     triangles, rest, x, masses = self_scenes.sheets(0.0, rows=5, columns=5)
     ball = Obstacle(name="ball", shape="sphere", size=(0.005,))
     faces = OwnSurface(triangles, rest, thickness=THICKNESS)
@@ -127,7 +127,7 @@ def test_a_point_feels_one_plane_wherever_a_flat_sheet_is_cut_into_triangles():
         assert found + particles.force.sum(axis=1) == pytest.approx([0.0, 0.0, -expected], abs=1e-9 * expected)
 
 
-def test_features_are_the_corners_edges_centres_and_axes_of_shapes():
+def test_features_are_corners_edges_centres_and_axes_of_shapes():
     box, marble, pin, coin = (features(SMALL[shape], THICKNESS) for shape in ("box", "sphere", "capsule", "cylinder"))
     assert len(box.points) == 8
     lengths = np.linalg.norm(box.points[box.edges[:, 0]] - box.points[box.edges[:, 1]], axis=1)
@@ -145,7 +145,7 @@ def test_features_are_the_corners_edges_centres_and_axes_of_shapes():
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.2, 2.0])
-def test_a_ball_is_left_to_particles_where_no_triangle_gets_deeper_into_it_than_a_tenth_of_its_radius(radius):
+def test_ball_penetration_below_tenth_radius_needs_no_features(radius):
     # Equilateral triangles about the ball, with corners at three quarters of the thickness, stretched by a tenth.
     near = radius + 0.75 * THICKNESS
     least = {}

@@ -75,19 +75,19 @@ def follow(obstacle, path, frames, velocity=(0.0, 0.0, 0.0), *, tolerance=1e-3, 
 
 @every
 @pytest.mark.parametrize("speed", [2.0, 10.0])
-def test_nothing_comes_through_between_particles(obstacle, speed):
+def test_features_do_not_pass_between_particles(obstacle, speed):
     path = below(obstacle, 0.01)
     _, _, through = follow(obstacle, path, 8, (0.0, 0.0, -speed))
     assert not through
 
 
-def test_without_faces_all_of_them_come_through():
+def test_features_pass_through_without_faces():
     for obstacle in (BLOCK, BALL, PIN, COIN):
         assert follow(obstacle, below(obstacle, 0.01), 8, (0.0, 0.0, -2.0), faces=False)[2]
 
 
 @every
-def test_a_sheet_that_hangs_on_its_corners_rests_on_what_is_under_a_cell(obstacle):
+def test_hanging_sheet_rests_on_an_obstacle_under_a_cell(obstacle):
     # They stand higher than the sheet would hang.
     path = below(obstacle, 0.003)
     plan, state, through = follow(obstacle, path, 40, anchors=[0, 4, 20, 24])
@@ -98,7 +98,7 @@ def test_a_sheet_that_hangs_on_its_corners_rests_on_what_is_under_a_cell(obstacl
 
 
 @every
-def test_an_obstacle_that_is_driven_up_at_10_metres_per_second_does_not_come_through(obstacle):
+def test_obstacle_driven_up_at_10_m_per_s_does_not_pass_through(obstacle):
     path = below(obstacle, 0.01)
     path[6] = 10.0
     _, state, through = follow(obstacle, path, 4)
@@ -106,7 +106,7 @@ def test_an_obstacle_that_is_driven_up_at_10_metres_per_second_does_not_come_thr
     assert state.x[2].max() > 0.2
 
 
-def test_edges_of_a_box_that_turns_under_a_sheet_do_not_come_through():
+def test_edges_of_a_turning_box_do_not_pass_through():
     path = still((0.03, 0.02, -0.13))
     path[17:20], path[6] = [3.0, 5.0, 1.0], 0.5
     _, _, through = follow(BLOCK, path, 16)
@@ -143,7 +143,7 @@ def test_features_out_of_reach_change_no_bit_and_no_step(listed):
     assert np.array_equal(ends[0][2], ends[1][2])
 
 
-def test_a_large_ball_under_a_fine_sheet_is_kept_out_by_particles_alone():
+def test_particles_alone_keep_out_a_large_ball():
     ball = Obstacle(name="ball", shape="sphere", size=(0.2,))
     for n, rests in ((5, False), (30, True)):
         model, places, _ = coarse(ball, paths=[still((0.0, 0.0, -0.2 - THICKNESS))], n=n, size=0.6)
@@ -153,7 +153,7 @@ def test_a_large_ball_under_a_fine_sheet_is_kept_out_by_particles_alone():
 
 
 @pytest.mark.parametrize("listed", [False, True])
-def test_no_bit_depends_on_threads_or_on_what_was_run_before(listed):
+def test_no_bit_depends_on_threads_or_earlier_runs(listed):
     path = below(BLOCK, 0.001)
     path[17:20], path[6] = [0.3, -0.4, 1.0], 0.5
     model, places, _ = coarse(BLOCK, paths=[path], n=9, listed=listed)
@@ -173,7 +173,7 @@ def test_no_bit_depends_on_threads_or_on_what_was_run_before(listed):
         assert np.array_equal(run.touches, runs[0].touches)
 
 
-def test_the_balance_of_energy_closes_with_a_corner_that_rises_and_turns():
+def test_energy_balance_closes_with_a_rising_turning_corner():
     path = below(BLOCK, 0.01)
     path[4:7], path[17:20] = [0.1, 0.0, 1.0], [0.0, 1.0, 2.0]
     model, places, _ = coarse(BLOCK, paths=[path])
@@ -188,7 +188,7 @@ def test_the_balance_of_energy_closes_with_a_corner_that_rises_and_turns():
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
 @pytest.mark.parametrize("obstacle", [BLOCK, BALL], ids=lambda one: one.name)
-def test_a_sheet_that_falls_on_what_is_under_a_cell_keeps_its_tolerance(obstacle, tolerance):
+def test_sheet_falling_on_a_small_obstacle_keeps_tolerance(obstacle, tolerance):
     frames = 5
     model, places, _ = coarse(obstacle, paths=[below(obstacle, 0.004)])
     plan, state, integrator = drop(model, places, (0.0, 0.0, -0.5), tolerance=tolerance)
@@ -202,7 +202,7 @@ def test_a_sheet_that_falls_on_what_is_under_a_cell_keeps_its_tolerance(obstacle
     assert furthest(state.x, end) <= tolerance * max(1.0, growth)
 
 
-def test_implicit_steps_go_through_nothing():
+def test_implicit_steps_penetrate_nothing():
     path = below(BLOCK, 0.02)
     model, places, triangles = coarse(BLOCK, paths=[path])
     plan, state, integrator = drop(model, places, (0.0, 0.0, -2.0), integrator="implicit", tolerance=1e-3)

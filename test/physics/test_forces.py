@@ -140,7 +140,7 @@ def test_forces_energies_and_powers_are_those_of_the_laws(forces, seed):
 
 @over({name: ALL[name] for name in ("grips", "everything on a list", "everything on a sheet")})
 @seeds
-def test_what_grippers_feel_is_what_the_law_says(forces, seed):
+def test_gripper_wrenches_are_those_of_the_law(forces, seed):
     x, v, _ = random_state(seed)
     held = next(force for force in forces if isinstance(force, Grips))
     expected = laws.grips(T, x, v, held)[1]
@@ -173,7 +173,7 @@ def test_single_precision_is_single(forces):
 
 @over(ALL)
 @seeds
-def test_power_is_what_moving_air_gives_less_what_is_lost(forces, seed):
+def test_power_is_wind_power_minus_dissipation(forces, seed):
     x, v, _ = random_state(seed)
     forces = [grips(stillness=True) if isinstance(each, Grips) else each for each in forces]
     plan = plan_of(forces)
@@ -189,7 +189,7 @@ def test_power_is_what_moving_air_gives_less_what_is_lost(forces, seed):
 
 
 @over(MOVING_AIR)
-def test_moving_air_gives(forces):
+def test_moving_air_does_work(forces):
     x, v, _ = random_state(0)
     assert plan_of(forces).supply(T, x, v) != 0.0
 
@@ -264,7 +264,7 @@ def test_stiffness_and_damping_at_rest_are_symmetric(forces):
 
 @over(ALL)
 @seeds
-def test_rates_are_at_most_the_largest_of_the_blocks_over_the_masses(forces, seed):
+def test_spectral_bounds_are_at_most_the_largest_block_over_mass(forces, seed):
     x, _, _ = random_state(seed)
     plan = plan_of(forces)
     expected = [
@@ -295,6 +295,6 @@ def test_coincident_ends_give_no_nan(rest):
         (([[0, -1]], 1.0, 1.0), "row 0 of pairs of 'springs' names particle -1"),
     ],
 )
-def test_pairs_that_are_no_springs_are_refused(arguments, words):
+def test_invalid_pairs_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         PairSprings(*arguments)

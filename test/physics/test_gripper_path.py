@@ -60,7 +60,7 @@ def test_velocity_and_spin_are_the_derivatives_of_the_pose(seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_path_is_continuous_in_pose_and_velocity_and_meets_its_targets(seed):
+def test_path_is_continuous_and_reaches_its_targets(seed):
     rng = np.random.default_rng(seed)
     targets = [random_pose(rng) for _ in range(6)]
     rows, _ = follow(targets[1:], targets[0])
@@ -82,7 +82,7 @@ def test_a_steady_stream_is_followed_without_ripple():
         assert spin == pytest.approx([0.0, 0.0, 0.03 / T], abs=1e-9)
 
 
-def test_a_jump_arrives_at_rest_without_overshoot():
+def test_jump_arrives_at_rest_without_overshoot():
     start, end = np.array([0.0, 0, 0, 0, 0, 0, 1]), np.array([0.3, 0, 0, 0, 0, 0, 1.0])
     rows, twist = follow([end, end], start)
     path = [at(rows[0], t)[0][0] for t in T * np.linspace(0, 1, 101)]
@@ -106,7 +106,7 @@ def test_a_quaternion_without_direction_is_refused(bad):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_grip_work_is_what_springs_store_and_damping_loses(seed):
+def test_grip_work_is_stored_energy_plus_dissipation(seed):
     """d(energy)/dt + dissipation = power of the gripper + power into the particle, the gripper moving and turning."""
     rng = np.random.default_rng(seed)
     held = Grips(1)
@@ -125,7 +125,7 @@ def test_grip_work_is_what_springs_store_and_damping_loses(seed):
     assert booked[0, 3:6] == pytest.approx(np.cross(points, -f[:, [1, 2]].T).sum(axis=0))
 
 
-def test_grips_of_one_particle_add_up_and_particles_need_no_order():
+def test_grips_of_one_particle_add_up_in_any_order():
     rng = np.random.default_rng(9)
     held = Grips(3)
     poses = [random_pose(rng) for _ in range(6)]
@@ -140,7 +140,7 @@ def test_grips_of_one_particle_add_up_and_particles_need_no_order():
     assert plan.grip_rates(0.3 * T, x, v, 0.5) == pytest.approx(0.5 * booked, rel=1e-10)
 
 
-def test_what_is_held_may_change_and_nothing_held_is_no_force():
+def test_grasped_particles_may_change_and_none_gives_no_force():
     held, x = Grips(1), np.random.default_rng(2).standard_normal((3, 3))
     plan = alone(held, count=3)
     assert not force(plan, x).any()

@@ -46,7 +46,7 @@ def friction(x, v, *, moved=0.0, anchored=True, seed=3):
 
 
 @pytest.mark.parametrize("moved", [2e-8, 1e-3])
-def test_it_keeps_momentum_and_angular_momentum(moved):
+def test_self_friction_keeps_linear_and_angular_momentum(moved):
     _, x, _ = stacked()
     v = 0.05 * np.random.default_rng(1).normal(size=x.shape)
     f, away = friction(x, v, moved=moved)
@@ -56,7 +56,7 @@ def test_it_keeps_momentum_and_angular_momentum(moved):
     assert np.abs(np.cross(away.T, f.T).sum(axis=0)).max() < 1e-12 * size
 
 
-def test_what_sticks_is_pulled_by_the_gradient_of_its_energy():
+def test_sticking_force_is_minus_the_energy_gradient():
     plan, x, masses = stacked(damping=0.0)
     laid(plan, x)
     x = x + 2e-8 * np.random.default_rng(2).normal(size=x.shape)
@@ -77,7 +77,7 @@ def test_what_sticks_is_pulled_by_the_gradient_of_its_energy():
         assert found == pytest.approx(f[c, i], abs=2e-7)
 
 
-def test_its_spring_counts_in_the_bounds():
+def test_bounds_include_the_friction_spring():
     plan, x, masses = stacked()
     without, _, _ = stacked((0.0, 0.0))
     laid(plan, x)
@@ -123,7 +123,7 @@ def test_friction_stays_within_the_cone_and_follows_both_sides():
     assert abs(rubbed[25:50].sum()) == pytest.approx(2 * MU[1] * push, rel=0.05)
 
 
-def test_the_derivative_is_that_of_the_forces():
+def test_derivative_product_is_the_difference_of_forces():
     plan, x, masses = stacked()
     laid(plan, x)
     rng = np.random.default_rng(8)
@@ -136,7 +136,7 @@ def test_the_derivative_is_that_of_the_forces():
     assert (both[0] - both[1]) / (2 * step) == pytest.approx(out, rel=1e-4, abs=1e-3 * np.abs(out).max())
 
 
-def test_coefficients_and_anchors_that_can_not_be_are_refused():
+def test_invalid_coefficients_and_anchors_are_refused():
     with pytest.raises(ValueError, match=r"friction 0\.2 at rest and 0\.4 in motion"):
         stacked((0.2, 0.4))
     plan, x, _ = stacked()

@@ -69,7 +69,7 @@ def test_simple_spring_between_two_free_masses(k_d0):
 
 
 @pytest.mark.parametrize("k_d0", [0.0, 0.3, 2.0, 3.0])
-def test_zero_length_spring_is_linear_in_space_and_passes_through_zero(k_d0):
+def test_zero_length_spring_is_linear_and_passes_through_zero(k_d0):
     stiffness, mass, duration = 50.0, 0.2, 1.1
     spring = joint((0, 1), stiffness=stiffness, k_d0=k_d0, mass=mass)
     start, speed = np.array([0.3, -0.1, 0.0]), np.array([0.0, 0.4, 1.0])
@@ -138,7 +138,7 @@ def test_chain_moves_as_the_matrix_exponential_says(anchored, k_d0):
         ("none", True, lambda j, n: j / (n - 1)),
     ],
 )
-def test_every_mode_of_a_chain_has_the_discrete_dispersion_and_damping(anchored, half_ends, wave):
+def test_chain_modes_have_the_discrete_dispersion_and_damping(anchored, half_ends, wave):
     """W = 2 lambda sin(q l0 / 2), damping ratio k_d0 sin(q l0 / 2), for the modes of the product's own Jacobian.
 
     `wave` gives q l0 / pi; a chain of n particles with both ends anchored has n - 2 free ones between.
@@ -175,7 +175,7 @@ def test_an_undamped_chain_is_stable_up_to_one_over_lambda():
     assert limit == pytest.approx(LAW.stable_step, rel=1e-12)
 
 
-def test_a_pulse_arrives_when_the_sound_speed_says():
+def test_pulse_travels_at_the_speed_of_sound():
     chain = Chain(law=SpringLaw(mass=0.001, rest_length=0.005, stiffness=20.0), particle_count=801, anchored="both")
     c, x0, width = chain.law.sound_speed, chain.positions()[:, 0], 0.15
     pulse = 1e-3 * np.exp(-(((x0 - 1.0) / width) ** 2))
@@ -230,7 +230,7 @@ def slow_mode(chain):
     return np.sqrt(k / mass), 0.5 * c / mass
 
 
-def test_under_refinement_slow_frequency_converges_and_constant_k_d0_loses_its_damping():
+def test_refinement_converges_frequency_but_loses_k_d0_damping():
     coarse = Chain(law=attrs.evolve(LAW, k_d0=0.4), particle_count=9, anchored="both")
     viscous = Chain(law=attrs.evolve(LAW, viscosity=LAW.rest_length * 0.5), particle_count=9, anchored="both")
     exact = np.pi * LAW.sound_speed / coarse.length
@@ -274,7 +274,7 @@ def test_a_hanging_chains_tip_is_exact_at_any_resolution(particle_count):
         ({"k_d0": 0.1, "viscosity": 0.1}, "give one of them"),
     ],
 )
-def test_values_that_make_no_spring_are_refused(change, words):
+def test_invalid_spring_values_are_refused(change, words):
     with pytest.raises(ValueError, match=words):
         attrs.evolve(LAW, **change)
 

@@ -60,7 +60,7 @@ def about(body, seed=0, damping=10.0, outside=True):
 
 @every_body
 @pytest.mark.parametrize("seed", range(4))
-def test_gaps_are_those_of_the_winding_number_also_within(body, seed):
+def test_gaps_agree_with_the_winding_number_also_inside(body, seed):
     own, _, _, x, _ = about(body, seed, outside=False)
     place, _, rotation, _ = laws.pose(own.paths[0], 0.3)
     expected = BODIES[body].distance((x.T - place) @ rotation)[0]
@@ -125,7 +125,7 @@ def test_a_box_of_triangles_behaves_as_the_box():
     assert other[1].x == pytest.approx(box[1].x, abs=1e-5)
 
 
-def test_a_ball_of_triangles_behaves_as_the_sphere_within_its_facets():
+def test_ball_of_triangles_behaves_as_the_sphere():
     # A sheet that hangs on its corners comes to rest on it.
     path, ends = still((0.05, 0.03, -0.103)), []
     made = trimesh.creation.icosphere(2, 0.1)

@@ -44,7 +44,7 @@ def moduli(sheet):
     return c
 
 
-def test_equilateral_triangles_are_isotropic_with_the_modulus_asked_for():
+def test_equilateral_triangles_are_isotropic_with_given_modulus():
     c = moduli(regular())
     compliance = np.linalg.inv(c)
     assert 1 / compliance[0, 0] == pytest.approx(Y, rel=1e-6)
@@ -60,7 +60,7 @@ def test_mass_is_density_times_area(sheet):
     assert (sheet.masses(0.3) > 0).all()
 
 
-def test_border_edges_carry_half_and_a_viscosity_goes_with_the_stiffness():
+def test_border_edges_carry_half_and_viscosity_follows_stiffness():
     sheet = regular()
     springs = sheet.springs(stretch_modulus=Y, k_d0=0.0, density=0.2, viscosity=3.0)
     border = sheet.surface.edge_triangles.min(axis=1) < 0

@@ -32,7 +32,7 @@ SOLIDS = {
 
 
 @pytest.mark.parametrize("shape", SOLIDS)
-def test_the_nearest_point_of_the_surface_lies_the_gap_away_along_the_normal(shape: str) -> None:
+def test_nearest_surface_point_lies_one_gap_along_the_normal(shape: str) -> None:
     obstacle = SOLIDS[shape]
     points = np.random.default_rng(1).uniform(-1.6, 1.6, (4000, 3))
     gap, normal = obstacle.distance(points)
@@ -68,7 +68,7 @@ def test_distances_known_by_hand(shape: str, point: tuple[float, ...], gap: floa
     assert direction[0] == pytest.approx(normal, abs=1e-14)
 
 
-def test_a_mesh_of_a_box_is_as_far_as_the_box() -> None:
+def test_mesh_of_a_box_has_the_distances_of_the_box() -> None:
     box = Obstacle(name="o", shape="box", size=(2.0, 2.0, 2.0))
     points = np.random.default_rng(3).uniform(-1.5, 1.5, (3000, 3))
     gap, normal = box.distance(points)
@@ -77,7 +77,7 @@ def test_a_mesh_of_a_box_is_as_far_as_the_box() -> None:
     assert np.abs(normal - other_normal).max() < 1e-12
 
 
-def test_reach_holds_the_whole_obstacle() -> None:
+def test_bounding_radius_encloses_the_obstacle() -> None:
     points = np.random.default_rng(4).uniform(-1.8, 1.8, (20000, 3))
     away = np.sqrt((points * points).sum(axis=1))
     for obstacle in SOLIDS.values():
@@ -119,6 +119,6 @@ def _mesh(vertices: Any = CORNERS, triangles: Any = FACES) -> dict[str, Any]:
         ),
     ],
 )
-def test_what_is_no_obstacle_is_refused(options: dict[str, Any], words: str) -> None:
+def test_invalid_obstacle_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Obstacle(name="o", **options)

@@ -29,7 +29,7 @@ def advance(plan, state, integrator, frames, first=0, book=None):
 
 
 @grids_and_lists
-def test_pads_close_at_their_speed_until_their_force(listed):
+def test_jaws_close_at_their_speed_until_their_force(listed):
     own = pads(0.7, speed=0.08)
     plan, state, integrator, force = hanging(own, listed=listed)
     close(force)
@@ -52,7 +52,7 @@ def test_pads_close_at_their_speed_until_their_force(listed):
     assert way == pytest.approx(0.5 * own.opening, abs=0.1 * THICKNESS)
 
 
-def test_pads_that_close_on_nothing_stop_at_each_other():
+def test_empty_jaws_stop_at_each_other():
     plan, state, integrator, force = hanging()
     far = still((0.0, 0.0, 1.0))
     force.move(np.array([far, far]))
@@ -64,7 +64,7 @@ def test_pads_that_close_on_nothing_stop_at_each_other():
     assert flagged == 0
 
 
-def test_what_moves_pads_is_what_the_formulas_say():
+def test_jaw_acceleration_is_that_of_the_formulas():
     """The force of each pad as of a box at its place, the drive's line, and stops out of reach."""
     own = pads(0.7, friction=(0.6, 0.4), speed=0.2)
     plan, state, _, force = hanging(own)
@@ -90,7 +90,7 @@ def test_what_moves_pads_is_what_the_formulas_say():
 
 
 @pytest.mark.parametrize("friction", [(0.0, 0.0), (0.5, 0.5)])
-def test_errors_are_within_the_tolerance_of_an_independent_integrator(friction):
+def test_errors_stay_within_tolerance_of_dop853(friction):
     own, start = pads(0.2, friction=friction), np.array([[1.3 * THICKNESS, -0.05]])
     reference = None
     for tolerance in (1e-3, 1e-4, 1e-5, 1e-6):
@@ -125,7 +125,7 @@ def test_no_bit_depends_on_threads(listed):
             assert np.array_equal(one, other)
 
 
-def test_grids_and_lists_move_pads_alike():
+def test_grids_and_lists_move_jaws_alike():
     ends = []
     for listed in (False, True):
         plan, state, integrator, force = hanging(listed=listed)
@@ -138,7 +138,7 @@ def test_grids_and_lists_move_pads_alike():
 
 @grids_and_lists
 @pytest.mark.parametrize("mu", [0.2, 1.0])
-def test_a_sheet_is_held_from_its_weight_over_twice_the_friction_on(mu, listed):
+def test_pinch_holds_from_weight_over_twice_the_friction(mu, listed):
     plan, state, integrator, _ = held(0.99, mu, listed=listed)
     before = state.x[2].mean()
     gravity(plan, 9.81)
@@ -154,7 +154,7 @@ def test_a_sheet_is_held_from_its_weight_over_twice_the_friction_on(mu, listed):
     assert np.array_equal(state.memory[ANCHORS], kept)
 
 
-def test_twice_that_force_holds_without_any_slip_and_without_creep():
+def test_twice_the_holding_force_prevents_slip_and_creep():
     plan, state, integrator, _ = held(2.0)
     gravity(plan, 9.81)
     advance(plan, state, integrator, 60, HELD)
@@ -167,7 +167,7 @@ def test_twice_that_force_holds_without_any_slip_and_without_creep():
 
 
 @pytest.mark.parametrize(("axis", "share"), [(0, 3.0), (1, 2.0), (2, 2.0)])
-def test_a_sheet_is_carried_at_a_metre_a_second_without_slip(axis, share):
+def test_sheet_carried_at_1_m_per_s_does_not_slip(axis, share):
     """Sideways, in the sheet's plane, its inertia turns it about the pads, which loads their ends alone."""
     plan, state, integrator, force = held(share)
     gravity(plan, 9.81)
@@ -191,7 +191,7 @@ def test_a_sheet_is_carried_at_a_metre_a_second_without_slip(axis, share):
     assert np.array_equal(state.memory[ANCHORS], kept)
 
 
-def test_the_balance_of_energy_has_the_work_of_pads_in_it():
+def test_energy_balance_includes_the_work_of_jaws():
     plan, state, integrator, force = hanging(pads(0.3), tolerance=1e-6)
     close(force)
     state.memory[PINCHED] = np.array([[1.3 * THICKNESS, -0.05]])
@@ -207,7 +207,7 @@ def test_the_balance_of_energy_has_the_work_of_pads_in_it():
     ("integrator", "tolerance"),
     [("leapfrog", 1e-4), ("leapfrog", None), ("extrapolated", None), ("implicit", 1e-4), ("symplectic_euler", None)],
 )
-def test_every_integrator_closes_pads_until_their_force(integrator, tolerance):
+def test_every_integrator_closes_jaws_until_their_force(integrator, tolerance):
     plan, state, steps, force = hanging(pads(0.2), integrator=integrator, tolerance=tolerance)
     close(force)
     state.memory[PINCHED] = np.array([[1.2 * THICKNESS, -0.05]])
@@ -216,7 +216,7 @@ def test_every_integrator_closes_pads_until_their_force(integrator, tolerance):
     assert loads[:, 1] == pytest.approx([0.2, -0.2], rel=1e-3)
 
 
-def test_a_state_that_goes_on_from_its_bytes_has_the_same_bits():
+def test_state_restored_from_bytes_continues_with_the_same_bits():
     plan, state, integrator, force = hanging()
     close(force)
     advance(plan, state, integrator, 11)
@@ -242,18 +242,18 @@ def test_a_state_that_goes_on_from_its_bytes_has_the_same_bits():
         ({"friction": (0.2, 0.5)}, "has friction 0.2 at rest and 0.5 in motion"),
     ],
 )
-def test_pads_that_can_not_be_are_refused(change, words):
+def test_invalid_jaws_are_refused(change, words):
     values = {"force": 1.0, "speed": 0.05, "opening": 0.02, "inertia": 0.1} | change
     with pytest.raises(ValueError, match=words.replace("(", r"\(")):
         pads(**values)
 
 
-def test_the_mass_of_the_sheet_is_what_the_tests_take_it_for():
+def test_sheet_mass_matches_the_tests_constant():
     assert hanging()[0].model.mass == pytest.approx(MASS)
 
 
 @pytest.mark.parametrize("share", [0.1, 1.0, 10.0])
-def test_the_step_limit_counts_pads_that_move_with_the_sheet(share):
+def test_step_limit_includes_jaws_that_move_with_the_sheet(share):
     """The bound is above the largest eigenvalue of sheet and pads together, for pads of any inertia."""
     between = 2 * COLUMNS
     masses = hanging()[0].model.masses[:between].sum()

@@ -72,7 +72,7 @@ def through(own, state, place=MIDDLE):
 
 
 @pytest.mark.parametrize("listed", [False, True])
-def test_pads_press_a_cell_with_their_force(listed):
+def test_jaws_press_a_cell_with_their_force(listed):
     plan, state, integrator, _ = between(listed=listed)
     assert advance(plan, state, integrator, 40) == 0
     way, rate = state.memory[PINCHED][0]
@@ -85,14 +85,14 @@ def test_pads_press_a_cell_with_their_force(listed):
     assert not through(pads(), state)
 
 
-def test_without_faces_pads_meet_nothing():
+def test_jaws_meet_nothing_without_faces():
     plan, state, integrator, _ = between(faces=False)
     advance(plan, state, integrator, 40)
     assert not plan.contact.rates(40 * FRAME, state.x, state.v)[:, :3].any()
 
 
 @pytest.mark.parametrize("speed", [0.5, 5.0])
-def test_a_closed_hand_that_is_driven_through_the_sheet_takes_it_along(speed):
+def test_closed_gripper_driven_through_the_sheet_carries_it(speed):
     plan, state, integrator, force = between(anchored=False)
     advance(plan, state, integrator, 30)
     for k in range(30, 36):
@@ -105,7 +105,7 @@ def test_a_closed_hand_that_is_driven_through_the_sheet_takes_it_along(speed):
     assert state.x[2].max() > 0.8 * 6 * FRAME * speed
 
 
-def test_the_force_on_pads_is_the_slope_of_the_energy():
+def test_force_on_jaws_is_the_energy_slope():
     """Of half the way between the faces and of the sheet's positions; pads stand askew."""
     plan, state, _, force = between(anchored=False)
     turn = (Rotation.from_quat(UP) * Rotation.from_euler("xyz", [4.0, 20.0, 3.0], degrees=True)).as_quat()
@@ -143,7 +143,7 @@ def test_the_force_on_pads_is_the_slope_of_the_energy():
 
 
 @pytest.mark.parametrize("inertia", [2e-3, 0.02, 0.2])
-def test_the_step_limit_counts_pads_that_move_with_a_cell(inertia):
+def test_step_limit_includes_jaws_that_move_with_a_cell(inertia):
     """The bound is above the largest eigenvalue of sheet and pads together, for pads of any inertia."""
     plan, state, _, _ = between(pads(inertia=inertia), anchored=False)
     x, at_rest, way = state.x, np.zeros_like(state.x), 0.3 * THICKNESS
@@ -171,7 +171,7 @@ def test_the_motion_is_that_of_dop853():
     assert np.abs(state.memory[PINCHED] - exact.pinched)[0, 0] < 6 * FRAME * 1e-6
 
 
-def test_the_balance_of_energy_has_the_work_of_pads_in_it():
+def test_energy_balance_includes_the_work_of_jaws():
     plan, state, integrator, _ = between(way=0.8 * THICKNESS, tolerance=1e-6)
     balance = EnergyBalance(plan, state)
     for k in range(12):
@@ -182,7 +182,7 @@ def test_the_balance_of_energy_has_the_work_of_pads_in_it():
 
 
 @pytest.mark.parametrize("integrator", ["leapfrog", "implicit"])
-def test_other_integrators_press_a_cell_with_that_force(integrator):
+def test_other_integrators_press_a_cell_with_the_same_force(integrator):
     plan, state, steps, _ = between(way=0.7 * THICKNESS, integrator=integrator)
     advance(plan, state, steps, 30)
     loads = plan.contact.rates(30 * FRAME, state.x, state.v)
@@ -190,7 +190,7 @@ def test_other_integrators_press_a_cell_with_that_force(integrator):
     assert not through(pads(), state)
 
 
-def test_implicit_steps_press_the_cells_of_two_hands_with_their_forces():
+def test_implicit_steps_press_cells_of_two_grippers():
     strong, weak = pads(size=(0.03, 0.01, 0.02)), pads(size=(0.03, 0.01, 0.02), force=0.5 * FORCE)
     places = [MIDDLE, (-0.06, -0.065, 0.0)]
     plan, state, steps, _ = between((strong, weak), place=places, way=0.7 * THICKNESS, integrator="implicit")
@@ -199,7 +199,7 @@ def test_implicit_steps_press_the_cells_of_two_hands_with_their_forces():
     assert loads[:, 2] == pytest.approx([FORCE, -FORCE, 0.5 * FORCE, -0.5 * FORCE], rel=1e-3)
 
 
-def test_a_frame_is_finished_from_where_it_began_not_from_where_pads_were_laid_on_the_way():
+def test_fallback_starts_from_the_jaws_at_frame_start():
     plan, state, *_ = between(way=0.7 * THICKNESS, place=(0.0, 0.0, 0.0))
     # As steps that were given up leave them: with the particle that they hold inside.
     plan.contact.lay_pads(np.array([[-0.004, 0.0]]))
@@ -217,7 +217,7 @@ def test_threads_change_no_bit(monkeypatch):
     assert ends[0] == ends[1]
 
 
-def test_pads_that_stand_in_a_cell_are_told():
+def test_jaws_inside_a_cell_are_refused():
     plan, state, _, force = between(way=-0.004)
     plan.contact.take(state)
     with pytest.raises(ValueError, match=r"'hand\.(left|right)_pad' comes through the cloth between particles"):
@@ -226,7 +226,7 @@ def test_pads_that_stand_in_a_cell_are_told():
     plan.contact.check_clear(0.0, state.x)
 
 
-def test_pads_that_are_nowhere_cost_nothing_whatever_was_near_them_before():
+def test_absent_jaws_cost_nothing():
     """What a frame is said to cost decides how it is stepped: it must not depend on what was asked for before."""
     plan, state, _, force = between(way=0.8 * THICKNESS)
     assert plan.contact.work(0.0, FRAME, state) > 0.0

@@ -63,7 +63,7 @@ def carry(simulation, corner, k):
 
 
 @every_grid
-def test_a_sheet_is_the_same_springs_listed_to_rounding(values):
+def test_grid_equals_listed_springs_to_rounding(values):
     swept, plain = pair(values)
     x, v = swept.state.x, swept.state.v
     one, two = np.empty_like(x), np.empty_like(x)
@@ -86,7 +86,7 @@ def test_a_sheet_is_the_same_springs_listed_to_rounding(values):
 
 
 @every_grid
-def test_a_sheet_that_is_carried_moves_as_the_same_springs_listed(values):
+def test_carried_grid_moves_as_listed_springs(values):
     # Bounds of listed springs are sharper, so steps of their own would differ.
     swept, plain = pair(values | {"step": 2e-5})
     corner, frames = swept.positions[-1], []
@@ -103,7 +103,7 @@ def test_a_sheet_that_is_carried_moves_as_the_same_springs_listed(values):
 
 
 @every_scene
-def test_runs_leave_their_start_and_are_the_same_alone_and_together(values):
+def test_runs_are_the_same_alone_and_together(values):
     simulation = made(values)
     stir(simulation)
     grip(simulation, simulation.positions[-1])
@@ -127,7 +127,7 @@ def test_runs_leave_their_start_and_are_the_same_alone_and_together(values):
 
 @every_scene
 @pytest.mark.parametrize("narrow", [False, True])
-def test_runs_made_at_once_are_those_made_in_turn(values, narrow):
+def test_concurrent_runs_equal_sequential_runs(values, narrow):
     simulation = made(values)
     stir(simulation)
     grip(simulation, simulation.positions[-1])
@@ -145,7 +145,7 @@ def test_runs_made_at_once_are_those_made_in_turn(values, narrow):
             assert np.array_equal(x, y) and np.array_equal(v, w) and told == tells
 
 
-def test_what_runs_beyond_a_combination_come_to_is_not_in_it():
+def test_runs_beyond_a_combination_do_not_change_it():
     plan, state = (simulation := made({})).plan, simulation.state
     stir(simulation)
     enough = int(np.sqrt(plan.rates(state.x)[0]) + plan.rates(state.x)[1])
@@ -166,7 +166,7 @@ def test_a_repeat_gives_the_same_bits(values):
 
 
 @every_scene
-def test_after_a_state_that_is_not_finite_nothing_is_left_behind(values):
+def test_non_finite_state_leaves_no_trace_in_the_plan(values):
     simulation = made(values)
     plan, x, v = simulation.plan, simulation.state.x, simulation.state.v
     (before,), _ = plan.runs(0.0, 1e-3, (x, v), [5])
@@ -176,7 +176,7 @@ def test_after_a_state_that_is_not_finite_nothing_is_left_behind(values):
 
 
 @every_scene
-def test_what_is_noted_along_a_run_is_the_integral_of_what_is_there(values):
+def test_run_integrals_equal_integrals_of_the_rates(values):
     """Wrenches, work, loss and what air gives, against a quadrature by itself along much finer steps."""
     simulation = made({**values, "integrator": "extrapolated", "tolerance": 1e-9})
     corner = simulation.positions[-1]
@@ -231,7 +231,7 @@ def test_without_springs_particles_fall_freely():
     assert run.x[2] == pytest.approx([-5.0, -5.0, 0.0, -5.0, -5.0])
 
 
-def test_a_model_that_makes_no_plan_is_refused_by_name():
+def test_invalid_model_is_refused_by_force_name():
     edges = [GridFamily(name="right", stiffness=1.0, rest_length=0.1)]
     grid = GridSprings(2, 3, edges, name="a")
     with pytest.raises(ValueError, match="two forces have springs 'right' of one sheet"):
@@ -247,7 +247,7 @@ def test_a_model_that_makes_no_plan_is_refused_by_name():
         compile(Model(np.ones(6), [one, two]))
 
 
-def test_what_a_plan_hands_out_keeps_the_engines_plan_until_it_goes_too():
+def test_bindings_keep_the_engine_plan_alive():
     force, places = contact("sphere", paths=[still()]), np.full((3, 4), 0.2)
     plan = compile(Model(np.ones(4), [force, Grips(1)]))
     owner, touching, gripping = weakref.ref(plan._owner), plan.contact, plan._gripping
@@ -280,7 +280,7 @@ def test_arrays_that_the_engine_would_misread_are_refused():
         plan.runs(0.0, 1.0, (np.zeros((3, 5)), good), [1])
 
 
-def test_a_book_that_does_not_fit_the_plan_is_refused():
+def test_mismatched_work_accumulator_is_refused():
     simulation = made(next(iter(SCENES.values())))
     with pytest.raises(ValueError, match="a book of 3 grippers for a run with 2"):
         Extrapolated(tolerance=1e-4).advance(simulation.plan, simulation.state, 0.0, 1.0 / 60.0, Book(3))

@@ -57,7 +57,7 @@ def test_an_array_that_is_not_aligned_is_refused():
         doubles("x", odd, (3, 2))
 
 
-def test_an_array_that_can_only_be_read_is_read_where_it_is():
+def test_read_only_array_is_read_in_place():
     fixed = np.zeros((3, 2))
     address = doubles("x", fixed, (3, 2))
     fixed.flags.writeable = False
@@ -69,7 +69,7 @@ def test_a_sheet_without_families_has_no_listed_springs():
 
 
 @pytest.mark.parametrize("columns", [1, 2, 7, 8, 9, 16, 33])
-def test_accelerations_of_a_sheet_are_those_of_its_springs_listed(columns):
+def test_grid_accelerations_equal_those_of_listed_springs(columns):
     random = np.random.default_rng(columns)
     names = {"right": 1.0, "down": 1.0, "diagonal": 1.4, "antidiagonal": 1.4, "right2": 2.0, "down2": 2.0}
     families = [GridFamily(name=name, stiffness=3.0, rest_length=rest, damping=0.2) for name, rest in names.items()]

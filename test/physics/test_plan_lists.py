@@ -27,7 +27,7 @@ from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
 
-def test_the_order_of_locality_is_seen_nowhere_outside():
+def test_local_order_is_invisible_outside():
     """A sheet and the same with its particles renumbered move alike, each in its own numbers."""
     vertices = [line for line in MESH.decode().splitlines() if line[0] == "v"]
     faces = [line.split()[1:] for line in MESH.decode().splitlines() if line[0] == "f"]
@@ -108,7 +108,7 @@ def test_coincident_particles_give_no_force_and_no_nan():
 
 @pytest.mark.parametrize("damping", [0.0, 0.02], ids=["undamped", "damped"])
 @pytest.mark.parametrize("kind", [CrossedSprings, AltitudeSprings])
-def test_many_hinges_give_the_sum_of_each_and_none_where_they_have_no_length(kind, damping):
+def test_many_hinges_give_the_sum_of_their_forces(kind, damping):
     rng = np.random.default_rng(0)
     quads = np.array([12 + rng.choice(288, 4, replace=False) for _ in range(900)])
     x, v = rng.uniform(-1, 1, (3, 300)), rng.uniform(-1, 1, (3, 300))
@@ -136,7 +136,7 @@ def test_many_hinges_give_the_sum_of_each_and_none_where_they_have_no_length(kin
 
 
 @pytest.mark.parametrize("count", [3, 700])
-def test_a_chain_with_a_joint_moves_as_by_its_formula(count):
+def test_chain_with_a_joint_moves_by_its_formula(count):
     chain = Chain(
         law=SpringLaw(mass=0.1, rest_length=0.1, stiffness=5.0, k_d0=0.1), particle_count=count, anchored="both"
     )
@@ -170,7 +170,7 @@ def test_a_chain_with_a_joint_moves_as_by_its_formula(count):
     assert run.v == pytest.approx(v, abs=1e-11)
 
 
-def test_local_order_brings_neighbours_together_and_keeps_what_is_local():
+def test_local_order_reduces_bandwidth_and_keeps_local_orders():
     rng = np.random.default_rng(2)
     index = np.arange(900).reshape(30, 30)
     pairs = np.concatenate(
@@ -187,7 +187,7 @@ def test_local_order_brings_neighbours_together_and_keeps_what_is_local():
     assert bandwidth(np.argsort(order)[shuffled]) < 60
 
 
-def test_a_grip_on_a_particle_that_there_is_not_is_refused():
+def test_grip_on_a_missing_particle_is_refused():
     simulation = Simulation(Scene.from_parameters({**SHEET, "grippers": ["one"]}, files=FILES))
     grips = simulation.plan.grips
     one = np.ones(1)

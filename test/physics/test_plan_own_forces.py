@@ -111,7 +111,7 @@ every_sheet = pytest.mark.parametrize(("name", "force"), SHEETS)
 
 
 @every_sheet
-def test_it_is_the_same_force(name, force):
+def test_numpy_force_equals_the_engine_force(name, force):
     engine, own = pair(name, force)
     x, v = engine.state.x, engine.state.v
     found = []
@@ -133,7 +133,7 @@ def test_it_is_the_same_force(name, force):
 
 
 @every_sheet
-def test_a_sheet_that_is_carried_moves_and_pulls_the_same(name, force):
+def test_carried_sheet_moves_and_pulls_the_same(name, force):
     # Bounds may differ, and steps that follow from them.
     engine, own = pair(name, force, step=2e-5)
     corner, frames = engine.positions[-1], []
@@ -150,7 +150,7 @@ def test_a_sheet_that_is_carried_moves_and_pulls_the_same(name, force):
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_every_integrator_takes_it_and_its_books_close(integrator):
+def test_every_integrator_closes_its_energy_balance(integrator):
     for plan in [simulation.plan for simulation in pair("default", "shear")]:
         # From flat: a motion as smooth as it begins.
         state = Simulation(Scene.from_parameters({"cloth.resolution": [7, 9]})).state
@@ -180,7 +180,7 @@ class Wind(Force):
         return 0.5 * float((v[0] ** 2).sum())
 
 
-def test_what_it_gives_and_takes_is_noted():
+def test_its_powers_are_accumulated():
     plan = compile(Model(np.ones(4), [Wind()]))
     (run,), _ = plan.runs(0.0, 1.0, (np.zeros((3, 4)), np.zeros((3, 4))), [1000], powers=True)
     # v' = 2 + t - v / 2 of four particles of 1 kg from rest: v = 2 t.
@@ -190,7 +190,7 @@ def test_what_it_gives_and_takes_is_noted():
     assert pytest.approx(run.powers[1] - run.powers[0], rel=1e-5) == 0.5 * 4.0 * 2.0**2
 
 
-def test_time_is_that_of_the_step():
+def test_force_receives_the_time_of_the_step():
     class Clock(Force):
         name = "clock"
 
@@ -224,7 +224,7 @@ class Trouble(Force):
 @pytest.mark.parametrize("error", [RuntimeError("no such wind"), KeyboardInterrupt(), UnstableError("torn")], ids=repr)
 @pytest.mark.parametrize("after", [0, 1, 7])
 @pytest.mark.parametrize("grid", [False, True], ids=["alone", "beside a sheet"])
-def test_its_exceptions_reach_the_caller_and_the_plan_goes_on(error, after, grid):
+def test_its_exceptions_reach_the_caller_and_the_plan_survives(error, after, grid):
     family = GridFamily(name="right", stiffness=1.0, rest_length=0.1)
     trouble = Trouble(error, after)
     plan = compile(Model(np.ones(60), [*([GridSprings(6, 10, [family])] if grid else []), trouble]))
@@ -242,7 +242,7 @@ def test_its_exceptions_reach_the_caller_and_the_plan_goes_on(error, after, grid
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_signal_before_the_first_line_that_could_catch_it_ends_the_run(monkeypatch):
+def test_signal_between_engine_and_force_ends_the_run(monkeypatch):
     class Still(Force):
         name = "still"
 
@@ -262,7 +262,7 @@ def test_a_signal_before_the_first_line_that_could_catch_it_ends_the_run(monkeyp
     assert np.isfinite(plan.runs(0.0, 1e-3, (at, at), [4])[0][0].x).all()
 
 
-def test_an_exception_in_a_frame_leaves_the_simulation_where_it_was():
+def test_exception_in_a_frame_leaves_the_simulation_unchanged():
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [7, 9]}))
     simulation.advance()
     model, trouble = simulation.model, Trouble(LookupError("out of air"), 5)
@@ -273,7 +273,7 @@ def test_an_exception_in_a_frame_leaves_the_simulation_where_it_was():
     assert simulation.state.digest() == before
 
 
-def test_a_force_that_says_nothing_of_itself_is_refused_when_it_is_asked():
+def test_force_without_parts_or_add_force_is_refused():
     class Nothing(Force):
         name = "nothing"
 
@@ -282,7 +282,7 @@ def test_a_force_that_says_nothing_of_itself_is_refused_when_it_is_asked():
         plan.accelerations(0.0, np.zeros((3, 2)), np.zeros((3, 2)), np.empty((3, 2)))
 
 
-def test_it_costs_its_own_time_and_no_more():
+def test_step_cost_adds_only_the_force_itself():
     model = pair("default")[0].model
     with_it = Model(model.masses, [*model.forces, Wind()], anchors=model.anchors)
     count = model.particle_count
@@ -292,7 +292,7 @@ def test_it_costs_its_own_time_and_no_more():
     assert one == pytest.approx(CONSTANTS.operation * MOVE + 2.0 * CONSTANTS.own)
 
 
-def test_a_book_changes_no_bit_of_it():
+def test_work_accumulator_changes_no_bit():
     ends = []
     for book in (None, Book(0, powers=True)):
         plan, state = compile(Model(np.ones(3), [Wind()])), State(np.zeros((3, 3)))

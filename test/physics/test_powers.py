@@ -56,7 +56,7 @@ def test_a_root_is_right_to_a_few_roundings(value: float, degree: int) -> None:
     assert abs(Fraction(found) ** degree / Fraction(value) - 1) < degree * 2 * Fraction(2) ** -52
 
 
-def test_roots_of_nothing_and_of_infinity() -> None:
+def test_roots_of_zero_and_infinity() -> None:
     assert [root(0.0, 3), root(math.inf, 4), root(8.0, 3), root(16.0, 4)] == [0.0, math.inf, 2.0, 2.0]
 
 
@@ -88,7 +88,7 @@ def test_scalar_products_are_added_from_the_left() -> None:
     sorted(path for room in ("engine", "physics", "scene", "simulation") for path in PACKAGE.glob(f"{room}/**/*.py")),
     ids=lambda p: str(p.relative_to(PACKAGE)),
 )
-def test_no_arithmetic_of_a_library_reaches_the_bits(path: Path) -> None:
+def test_no_library_arithmetic_reaches_the_bits(path: Path) -> None:
     used = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):

@@ -48,7 +48,7 @@ def test_the_force_is_minus_the_gradient_of_the_energy():
 
 
 @pytest.mark.parametrize("seed", [3, 4])
-def test_forces_make_neither_momentum_nor_angular_momentum(seed):
+def test_forces_keep_linear_and_angular_momentum(seed):
     _, plan, x, _ = layers(seed=seed)
     v = np.random.default_rng(seed).normal(size=x.shape)
     f = forces(plan, x, v)
@@ -75,7 +75,7 @@ def test_a_flat_layer_has_no_ripples():
         assert found == pytest.approx(expected, abs=1e-12 * push)
 
 
-def test_a_flat_sheet_that_is_squeezed_within_its_plane_has_no_contact_with_itself():
+def test_flat_sheet_squeezed_in_its_plane_has_no_self_contact():
     triangles, rest, x, masses = own.sheets(0.0)
     plan = compile(own.alone(triangles, rest, masses, THICKNESS))
     squeezed = x * [0.15, 1.0, 1.0]
@@ -85,7 +85,7 @@ def test_a_flat_sheet_that_is_squeezed_within_its_plane_has_no_contact_with_itse
     assert plan.energies(0.0, np.ascontiguousarray(squeezed.T), None)[1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_nothing_acts_from_the_thickness_on():
+def test_no_force_acts_beyond_the_thickness():
     for height, acts in ((1.0, False), (1.0 - 1e-4, True)):
         triangles, rest, x, masses = own.sheets(0.0, height * THICKNESS)
         plan = compile(own.alone(triangles, rest, masses, THICKNESS))
@@ -117,7 +117,7 @@ def test_derivative_products_are_those_of_differences(seed):
 
 
 @pytest.mark.parametrize("seed", [7, 8])
-def test_damping_takes_what_it_says_and_never_gives(seed):
+def test_damping_dissipates_what_it_reports(seed):
     _, plan, x, _ = layers(seed=seed)
     v = np.random.default_rng(seed).normal(size=x.shape)
     lost = plan.dissipation(0.0, x, v)
@@ -127,7 +127,7 @@ def test_damping_takes_what_it_says_and_never_gives(seed):
 
 
 @pytest.mark.parametrize("turning", [-1.0, 1.0])
-def test_damping_takes_what_it_says_where_edges_turn_parallel(turning):
+def test_damping_of_nearly_parallel_edges_matches_its_report(turning):
     # Two edges 10 mm apart, a hundredth of a radian from parallel: their energy fades with the angle.
     rods = np.array([[0, 1, 2], [3, 4, 5]])
     x = np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -9], [-1, -0.01, 0.01], [1, 0.01, 0.01], [0, 0, 9]], dtype=float)

@@ -54,7 +54,7 @@ def test_a_run_is_that_of_the_forces(listed):
 
 
 @both_loops
-def test_no_bit_depends_on_when_pairs_were_looked_for_or_on_threads(listed):
+def test_no_bit_depends_on_pair_searches_or_threads(listed):
     model, places, velocities = folded(12, listed=listed, **TABLE)
     plan, state, integrator = start(model, places, velocities, tolerance=1e-3)
     while not plan.contact.own_gaps(state.x)[0]:
@@ -75,7 +75,7 @@ def test_no_bit_depends_on_when_pairs_were_looked_for_or_on_threads(listed):
 
 
 @both_loops
-def test_a_run_of_which_steps_are_too_long_to_see_what_passes_has_no_result(listed):
+def test_run_with_steps_too_long_for_contact_has_no_result(listed):
     # A layer of 4 mm, twice, at 20 m/s: in 0.4 ms it is 8 mm further.
     model, places, velocities = folded(10, radius=0.035, speed=20.0, listed=listed, gravity=False, drag=False)
     places[velocities[:, 2] < 0.0, 2] = 5e-3
@@ -89,7 +89,7 @@ def test_a_run_of_which_steps_are_too_long_to_see_what_passes_has_no_result(list
 
 
 @pytest.mark.parametrize("rise", [5e-3, 9e-3])
-def test_what_is_on_the_other_side_after_a_step_was_not_run(rise):
+def test_particle_on_the_other_side_after_a_step_fails_the_run(rise):
     # A layer that is 5 or 9 mm above another one and 16 mm lower a step later, beyond the reach of any force.
     triangles, rest, x, masses = own.sheets(0.0, rise, shift=(0.003, 0.004))
     plan = compile(own.alone(triangles, rest, masses, THICKNESS))
@@ -121,7 +121,7 @@ def test_a_sheet_that_falls_on_itself_keeps_its_tolerance(tolerance):
 
 @both_loops
 @pytest.mark.parametrize("tolerance", [1e-3, None])
-def test_layers_that_meet_at_20_metres_per_second_pass_through_nothing(listed, tolerance):
+def test_layers_meeting_at_20_m_per_s_do_not_intersect(listed, tolerance):
     model, places, velocities = folded(12, radius=0.03, speed=20.0, listed=listed, drag=False)
     plan, state, integrator = start(model, places, velocities, tolerance=tolerance, work=0.0)
     energy, least = plan.energy(0.0, state.x, state.v), np.inf
@@ -139,7 +139,7 @@ def test_layers_that_meet_at_20_metres_per_second_pass_through_nothing(listed, t
     assert least < THICKNESS
 
 
-def test_the_balance_of_energy_holds_what_contact_loses():
+def test_energy_balance_includes_contact_dissipation():
     model, places, velocities = folded(12, drag=False)
     plan, state, integrator = start(model, places, velocities, tolerance=1e-5)
     balance = EnergyBalance(plan, state)
@@ -151,7 +151,7 @@ def test_the_balance_of_energy_holds_what_contact_loses():
     assert balance.lost > 0.0
 
 
-def test_implicit_steps_go_through_nothing():
+def test_implicit_steps_penetrate_nothing():
     model, places, velocities = folded(10, radius=0.035, speed=2.0)
     plan, state, integrator = start(model, places, velocities, integrator="implicit", tolerance=1e-3)
     energy, met = plan.energy(0.0, state.x, state.v), 0
@@ -165,7 +165,7 @@ def test_implicit_steps_go_through_nothing():
     assert met > 0
 
 
-def test_straight_ways_through_the_cloth_are_found():
+def test_straight_paths_through_the_cloth_are_detected():
     triangles, rest, x, masses = own.sheets(0.0, 3e-3, shift=(0.003, 0.004))
     plan = compile(own.alone(triangles, rest, masses, THICKNESS))
     ends = {}
@@ -184,7 +184,7 @@ def test_straight_ways_through_the_cloth_are_found():
 
 
 @pytest.mark.parametrize(("speed", "ahead"), [(1.0, False), (6.0, False), (6.3, True)])
-def test_edges_are_looked_at_ahead_where_particles_may_not_stop_layers_before_them(speed, ahead):
+def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, ahead):
     # Two edges that cross far from any particle, 0.1 m apart; they keep 25 mm.
     rods = np.array([[0, 1, 2], [3, 4, 5]])
     places = np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -9], [0, -1, 0.1], [0, 1, 0.1], [0, 0, 9]], dtype=float)
@@ -203,7 +203,7 @@ def test_edges_are_looked_at_ahead_where_particles_may_not_stop_layers_before_th
 
 @both_loops
 @pytest.mark.parametrize("speed", [0.02, 3.0])
-def test_a_frame_in_which_nothing_gets_near_leaves_it_out_and_changes_no_bit(listed, speed):
+def test_frame_without_near_pairs_skips_contact_with_same_bits(listed, speed):
     # At 0.02 m/s it is certain beforehand that nothing can get near, and runs leave contact out. At 3 m/s it is not.
     model, places, _ = folded(8, radius=0.06, thickness=3e-3, listed=listed, gravity=False)
     velocities = np.zeros_like(places)
@@ -235,7 +235,7 @@ class Push(Force):
         f[2] -= self._weights
 
 
-def test_a_frame_that_turns_out_faster_is_run_again_with_contact():
+def test_frame_faster_than_assumed_is_repeated_with_contact():
     # At rest, 60 mm apart; the upper half is thrown down within the frame.
     model, places, velocities = folded(10, radius=0.03, size=0.25, gravity=False, drag=False)
     push = Push(velocities[:, 2] < 0.0, model.masses, 4000.0)

@@ -36,17 +36,17 @@ def apart() -> State:
         (10**400, {}, "until is 1000"),
     ],
 )
-def test_arguments_that_make_no_sense_are_told(until: Any, options: dict[str, Any], words: str) -> None:
+def test_invalid_arguments_are_refused(until: Any, options: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words.replace("[", r"\[").replace("]", r"\]")):
         simulate(pair(), apart(), until, **options)
 
 
-def test_a_state_stands_at_a_frame_from_0_on() -> None:
+def test_state_refuses_a_negative_frame() -> None:
     with pytest.raises(ValueError, match="frame is -5"):
         State([[0.0, 0.0, 0.0]], frame=-5)
 
 
-def test_what_no_step_can_follow_is_told_by_its_bounds() -> None:
+def test_unstable_motion_reports_its_bounds() -> None:
     with pytest.raises(UnstableError, match="no step is short enough: the highest frequency"):
         simulate(pair(1e160), apart(), 0.1)
     with pytest.raises(UnstableError, match="take less stiffness, damping or drag"):
@@ -54,13 +54,13 @@ def test_what_no_step_can_follow_is_told_by_its_bounds() -> None:
 
 
 @pytest.mark.parametrize(("forces", "fallen"), [([], 0.0), ([Gravity()], 0.5 * 9.81 * 0.05**2)])
-def test_a_particle_alone_moves_though_nothing_bounds_its_step(forces: list[Force], fallen: float) -> None:
+def test_single_particle_moves_without_a_step_limit(forces: list[Force], fallen: float) -> None:
     # Within the default tolerance in so many frames, and far below it.
     motion = simulate(Model([1.0], forces), State([[0.0, 0.0, 0.0]]), 0.05)
     np.testing.assert_allclose(motion.positions[-1], [[0.0, 0.0, -fallen]], rtol=0, atol=1e-6)
 
 
-def test_a_cloth_that_can_move_nowhere_stays_there() -> None:
+def test_fully_anchored_cloth_stays() -> None:
     held = ["top", "bottom", *map(str, range(4, 12))]
     values = {"cloth.size": [0.3, 0.3], "cloth.resolution": [4, 4], "cloth.anchors": held}
     simulation = Simulation(Scene.from_parameters(values))
@@ -70,7 +70,7 @@ def test_a_cloth_that_can_move_nowhere_stays_there() -> None:
     assert np.array_equal(simulation.positions, before)
 
 
-def test_the_library_and_the_node_hold_the_same_tolerance() -> None:
+def test_library_and_node_have_the_same_tolerance() -> None:
     motions = []
     for options in ({}, {"tolerance": NodeScene().tolerance}):
         motion = simulate(pair(), apart(), 0.5, **options)

@@ -78,7 +78,7 @@ def obstacle(data: bytes, name: str) -> Obstacle:
 @pytest.mark.parametrize("filled", [True, False])
 @pytest.mark.parametrize("corners", [1, 2, 7])
 @pytest.mark.parametrize("kind", ["box", "cylinder", "ring"])
-def test_solid_with_junctions_is_that_without(kind: str, corners: int, filled: bool) -> None:
+def test_solid_with_junctions_equals_the_one_without(kind: str, corners: int, filled: bool) -> None:
     points, triangles = solid(kind)
     clean = Obstacle(name="o", shape="mesh", vertices=points, triangles=triangles)
     around = np.random.default_rng(1).uniform(-0.4, 0.4, (60, 3))

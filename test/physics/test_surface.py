@@ -52,7 +52,7 @@ def test_grid_is_a_disc_with_every_hinge_from_its_triangles(rows: int, columns: 
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_grid_triangles_are_counter_clockwise_and_cut_along_the_diagonals(layout: str) -> None:
+def test_grid_triangles_are_counter_clockwise_along_diagonals(layout: str) -> None:
     rows, columns = 4, 5
     row, column = np.divmod(np.arange(rows * columns), columns)
     triangles = grid_triangles(rows, columns, layout)

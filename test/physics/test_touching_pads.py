@@ -37,19 +37,19 @@ def follow(rate, cloth, *, passes=False):
     return float(moved[0, 0])
 
 
-def test_nothing_about_lets_them_keep_their_rate():
+def test_jaws_without_load_keep_their_speed():
     assert follow(0.3, (1.0, 2.0)) == pytest.approx(STOOD + 0.3 * STEP)
 
 
 @pytest.mark.parametrize(("rate", "cloth", "stops"), [(0.6, (0.008, 0.009), 0.008), (-0.6, (-0.01, 0.003), 0.003)])
-def test_they_stop_before_cloth_on_either_side(rate, cloth, stops):
+def test_jaws_stop_before_cloth_on_either_side(rate, cloth, stops):
     assert follow(rate, cloth) == pytest.approx(stops, abs=1e-9)
 
 
 @pytest.mark.parametrize(("rate", "cloth", "stops"), [(0.6, (0.008, 0.009), 0.0085), (-0.6, (0.002, 0.003), 0.0025)])
-def test_they_do_not_jump_over_thin_cloth(rate, cloth, stops):
+def test_jaws_do_not_jump_over_thin_cloth(rate, cloth, stops):
     assert follow(rate, cloth, passes=True) == pytest.approx(stops, abs=1e-9)
 
 
-def test_out_of_cloth_they_are_let_outward():
+def test_jaws_inside_cloth_may_move_outward():
     assert follow(0.0, (0.004, 0.006)) == pytest.approx(0.006, abs=1e-9)

@@ -27,7 +27,7 @@ BARE = {
 }
 
 
-def test_the_push_on_a_flat_panel_is_coefficient_area_speed():
+def test_force_on_a_flat_panel_is_coefficient_area_speed():
     square = np.array([[0.0, 2.0, 0.0, 2.0], [0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
 
     def pushes(panels):
@@ -90,7 +90,7 @@ def test_a_free_sheet_is_carried_along_by_the_wind():
     assert cloth.velocities == pytest.approx(np.tile(expected, (42, 1)), abs=2e-5)
 
 
-def test_a_sheet_that_falls_flat_reaches_the_speed_at_which_the_air_carries_it():
+def test_flat_falling_sheet_reaches_its_terminal_speed():
     values = BARE | {"gravity": (0.0, 0.0, -9.81), "wind.normal_drag": 4.0, "wind.velocity": (0.0, 0.0, 1.0)}
     cloth = Simulation(Scene.from_parameters(values))
     for _ in range(60):
@@ -127,7 +127,7 @@ def test_energy_balance_with_wind(values, integrator):
     assert abs(report.residual) < 1e-3 * report.turned_over
 
 
-def test_what_the_wind_does_is_no_work_of_grippers_nor_energy_from_nowhere():
+def test_wind_work_is_not_gripper_work_or_numerical_energy():
     cloth = Simulation(Scene.from_parameters({"cloth.resolution": (8, 8), "diagnostics.energy": True}))
     for _ in range(10):
         cloth.advance()

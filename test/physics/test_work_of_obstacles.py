@@ -36,7 +36,7 @@ def driven(shape, place, speed, turn=(0.0, 0.0, 0.0)):
         ("capsule", (0.0, 0.02, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 20.0), (0.0, 0.0, 5.0)),
     ],
 )
-def test_steps_that_finish_a_frame_book_what_an_obstacle_gave(shape, place, speed, turn):
+def test_fallback_steps_record_the_work_of_an_obstacle(shape, place, speed, turn):
     """It goes further in one of eight steps than contact reaches; the law's force has no limit in between."""
     plan, state = driven(shape, place, speed, turn)
     book = Book(plan.gripper_count, obstacle_count=1)
@@ -54,7 +54,7 @@ def test_steps_that_finish_a_frame_book_what_an_obstacle_gave(shape, place, spee
     assert book.work <= 2.0 * booked * max(np.abs(speed))
 
 
-def test_what_comes_into_contact_in_the_last_half_step_is_booked():
+def test_contact_in_the_last_half_step_is_recorded():
     """No middle of a step sees the plate in reach: all that it gave is there in the end, as energy of contact."""
     steps, speed = 64, 5.0
     h = FRAME / steps
@@ -68,7 +68,7 @@ def test_what_comes_into_contact_in_the_last_half_step_is_booked():
     assert columns.work(1) == pytest.approx(gained, rel=0.5)
 
 
-def test_a_step_that_is_given_up_leaves_obstacles_where_they_are(monkeypatch):
+def test_abandoned_step_leaves_obstacles_in_place(monkeypatch):
     """While velocities are sought they are ahead; what goes wrong then must not leave them there."""
     plan, state = driven("box", (0.0, 0.0, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 10.0))
     before = plan.contact.gaps(FRAME, state.x)

@@ -65,7 +65,7 @@ def test_the_fold_angle_is_signed(angle):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RESTS)
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.1, -0.7])
-def test_a_fold_from_rest_costs_half_the_hinge_constant_times_its_square(kind, name, angle):
+def test_fold_energy_is_half_hinge_constant_times_angle_squared(kind, name, angle):
     rest = rest_shape(name, angle)
     forces = bending_terms(kind, PAIR, rest, hinge_constants=[3.0])
     step = 1e-4
@@ -90,7 +90,7 @@ def test_the_hinges_of_a_grid_are_a_plate_without_poissons_ratio():
 
 @pytest.mark.parametrize("layout", ["left", "right", "alternating", "both"])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 1.0)])
-def test_one_triangulation_of_a_grid_has_the_modulus_in_free_strips(layout, spacing):
+def test_single_triangulation_has_the_modulus_in_free_strips(layout, spacing):
     plate = plate_of(grid_patch(layout, spacing=spacing))
     assert (plate.along_x, plate.along_y) == pytest.approx((1.0, 1.0), rel=1e-9)
     if spacing == (1.0, 1.0):
@@ -100,7 +100,7 @@ def test_one_triangulation_of_a_grid_has_the_modulus_in_free_strips(layout, spac
         assert plate.poisson == pytest.approx(0.0 if twist else -1 / 3, abs=1e-9)
 
 
-def test_regular_triangles_are_exact_and_irregular_ones_as_far_off_as_documented():
+def test_triangle_bending_moduli_deviate_as_documented():
     plate = plate_of(triangle_patch(0.0))
     moduli = (plate.along_x, plate.along_y, plate.cylindrical, plate.poisson, plate.isotropy)
     assert moduli == pytest.approx((1.0, 1.0, 1.125, -1 / 3, 1.0), rel=1e-9)
@@ -115,7 +115,7 @@ def test_hinge_constants_do_not_change_under_refinement():
     assert set(np.round(coarse, 12)) == set(np.round(fine, 12)) == {0.0005}
 
 
-def test_opposite_springs_have_the_quartic_energy_and_the_cubic_moment_of_the_lectures_limit():
+def test_opposite_springs_have_quartic_energy_and_cubic_moment():
     # equal heights, feet together: E = k L θ⁴/128 and moment k L θ³/32, k the force per strain
     k_s, distance = 2.0, 2.0 * RESTS["checkerboard edge"][1]
     springs = OppositeSprings(PAIR[:, 2:], distance, k_s)
@@ -137,7 +137,7 @@ def force(forces, x):
     return force_of(alone(*forces, count=x.shape[1]), x)
 
 
-def test_opposite_springs_have_no_restoring_direction_when_coplanar_and_pull_to_the_mirror_image():
+def test_opposite_springs_have_no_preferred_side_when_coplanar():
     rest = rest_shape("equilateral", math.radians(60))
     (opposite,) = bending_terms("opposite", PAIR, rest, spring_stiffness=1.0)
     # coplanar: all the force lies in the plane, although the rest is folded
@@ -149,7 +149,7 @@ def test_opposite_springs_have_no_restoring_direction_when_coplanar_and_pull_to_
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_second_spring_lifts_the_wings_of_a_coplanar_pair_and_turns_the_mirror_image(kind):
+def test_second_spring_lifts_a_coplanar_pair_to_the_right_side(kind):
     forces = bending_terms(kind, PAIR, rest_shape("equilateral", math.radians(60)), hinge_constants=[1.0])
     for x in (flattened(), np.ascontiguousarray(rest_shape("equilateral", math.radians(-60)).T)):
         lift = force(forces, x)[2]
@@ -161,7 +161,7 @@ def test_the_second_spring_lifts_the_wings_of_a_coplanar_pair_and_turns_the_mirr
     assert two / one == pytest.approx(4.0, rel=1e-4)
 
 
-def test_opposite_springs_leave_out_pairs_that_are_springs_already():
+def test_opposite_springs_skip_existing_pairs():
     rows, columns = 4, 5
     row, column = np.divmod(np.arange(rows * columns), columns)
     rest = np.stack((column, row, 0 * row), axis=1).astype(float)
@@ -181,7 +181,7 @@ def test_rest_angles_come_from_the_mesh_or_from_the_scene():
     assert given.stiffness == pytest.approx(from_mesh.stiffness, rel=1e-12)
 
 
-def test_springs_of_one_pair_are_one_with_the_stiffness_of_all():
+def test_springs_of_one_pair_merge_and_add_their_stiffness():
     hinges = grid_hinges(3, 3)
     row, column = np.divmod(np.arange(9), 3)
     rest = np.stack((column, row, 0 * row), axis=1).astype(float)
@@ -192,7 +192,7 @@ def test_springs_of_one_pair_are_one_with_the_stiffness_of_all():
     assert opposite.rigidity.sum() == pytest.approx(k7.sum())
 
 
-def test_the_stiffness_that_opposite_springs_add_in_the_plane_is_what_their_energy_says():
+def test_added_membrane_stiffness_follows_from_the_energy():
     hinges = grid_hinges(4, 5)
     row, column = np.divmod(np.arange(20), 5)
     rest = np.stack((column * 0.1, row * 0.2, 0 * row), axis=1)
@@ -239,7 +239,7 @@ def test_critical_damping_of_two_equal_free_ends_is_root_two(kind):
         (("altitude", {"hinge_constants": [1.0], "damping": 0.1}), "damping is 0.1 without masses"),
     ],
 )
-def test_parameters_that_do_not_fit_are_refused(arguments, words):
+def test_mismatched_parameters_are_refused(arguments, words):
     model, options = arguments
     with pytest.raises(ValueError, match=words):
         bending_terms(model, PAIR, rest_shape("equilateral", 0.0), **options)

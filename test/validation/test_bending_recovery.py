@@ -38,7 +38,7 @@ def test_altitude_springs_recover_at_other_rest_angles(degrees):
             assert recover(starts(kind, rest, 20, np.random.default_rng(1)), rest).missed == 0, (name, kind)
 
 
-def test_exactly_planar_starts_of_a_flat_rest_need_a_push_and_come_back_with_one():
+def test_planar_starts_recover_from_a_small_perturbation():
     rest = rest_shape("equilateral", 0.0)
     swapped = rest[[0, 1, 3, 3]] + np.array([[0, 0, 0], [0, 0, 0], [0.05, 0.1, 0], [0, 0, 0]])  # both wings on one side
     stuck = recover(swapped[None].copy(), rest)
@@ -48,7 +48,7 @@ def test_exactly_planar_starts_of_a_flat_rest_need_a_push_and_come_back_with_one
     assert recover(pushed[None], rest).missed == 0
 
 
-def test_the_experiment_can_fail():
+def test_recovery_fails_at_a_wrong_stiffness_ratio():
     # S8's length falls to zero where a pair of unequal triangles is folded shut, and holds it there
     rest = rest_shape("scalene", 0.0)
     begin = starts("folded", rest, 50, np.random.default_rng(0))
