@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of arrays of particles and reaches decisions: calculated by the engine, in one order."""
+"""Reproducible reductions of particle arrays, calculated by the engine.
+
+Decisions depend on their results. Therefore the engine adds in one fixed order, which gives the same bits everywhere.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from cloth_sim_ros.physics.forces.force import Array
 
 
 def largest_distance(x: Array, y: Array) -> float:
-    """Return the largest distance between particles of two arrays (3, n) [m]; infinite if any entry is not finite."""
+    """Return the largest distance [m] between particles of two arrays (3, n); infinite if any entry is not finite."""
     out, shape = ctypes.c_double(), (3, *x.shape[1:2])
     addresses = doubles("x", x, shape), doubles("y", y, shape)
     check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
@@ -22,7 +25,15 @@ def largest_distance(x: Array, y: Array) -> float:
 
 
 def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
-    """Return the weighted sum of arrays of one shape."""
+    """Return the weighted sum of arrays of one shape.
+
+    Args:
+        arrays: the summands, at least one, all of one shape.
+        weights: one dimensionless factor for each array.
+
+    Raises:
+        ValueError: if there are no arrays, or more or fewer weights than arrays.
+    """
     if not arrays or len(arrays) != len(weights):
         raise ValueError(f"{len(weights)} weights for {len(arrays)} arrays; give one an array, at least one")
     out = np.empty_like(arrays[0])
@@ -33,7 +44,13 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
 
 
 def weighted_dot(masses: Array, a: Array, b: Array) -> float:
-    """Return the sum over particles of m a . b, shapes (n,) and (3, n), in the order of the particles."""
+    """Return the sum over particles of m a . b, added in the order of the particles.
+
+    Args:
+        masses: m [kg], shape (n,).
+        a: vectors, shape (3, n).
+        b: vectors, shape (3, n).
+    """
     out, shape = ctypes.c_double(), (3, len(masses))
     addresses = doubles("masses", masses, (len(masses),)), doubles("a", a, shape), doubles("b", b, shape)
     check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))

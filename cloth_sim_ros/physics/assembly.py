@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model put together for the engine: its parts, what each is, and what a step of them is estimated to take."""
+"""Assembly of a model's forces into parts for the engine.
+
+It also estimates the cost of one step of these parts.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +25,20 @@ from cloth_sim_ros.physics.parts import Gridded, Listed, Surrounded, least_decay
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.contact import Contact
 
-#: Operations of a step: to move a particle, of a spring of a grid, of a panel of air on a grid's cell, of an element of
-#: a list, gathering included. What is chosen by them is the same on any machine.
+#: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel on a grid's cell. They
+#: include gathering. Choices that depend on them are the same on every machine.
 MOVE, GRID_SPRING, GRID_PANEL = 40, 26, 45
-#: Kinds of elements that may be asked for less often than the rest.
+#: Element kinds whose forces multirate runs evaluate less often.
 HINGES = ("crossed", "altitude")
 ELEMENT = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 
 
 @attrs.define(eq=False)
 class Assembly:
-    """What a model's forces consist of."""
+    """The forces of a model, sorted by kind."""
 
     model: Model
-    #: Forces in numpy.
+    #: Forces in Python (numpy).
     own: list[Force] = attrs.field(factory=list)
     grips: Grips | None = None
     contact: Contact | None = None
@@ -48,10 +51,10 @@ class Assembly:
 
     @classmethod
     def of(cls, model: Model) -> Assembly:
-        """Look at a model's forces.
+        """Sort a model's forces.
 
         Raises:
-            ValueError: if a force does not fit the model, or two of them are to be one.
+            ValueError: if a force does not fit the model, or if two forces must be merged into one.
         """
         found = cls(model)
         sheets: list[Gridded] = []
@@ -84,7 +87,7 @@ class Assembly:
         return found
 
     def hand_over(self, handle: int) -> None:
-        """Tell the engine's plan of it."""
+        """Upload all parts to the engine's plan, given by its pointer."""
         self.uniform_to(handle)
         if self.gridded is not None:
             table = _table(self.gridded)
@@ -95,15 +98,15 @@ class Assembly:
             self._order(handle)
 
     def uniform_to(self, handle: int) -> None:
-        """Tell the engine's plan of what acts on all particles alike."""
+        """Upload gravity, wind and drag, which act on all particles alike."""
         check(library().cloth_plan_uniform(handle, self.gravity.ctypes.data, self.wind.ctypes.data, self.drag))
 
     def pair_counts(self) -> list[int]:
-        """Elements of each list; 0 where it is none of springs or joints."""
+        """Return the number of elements of each list; 0 if the list is neither of springs nor of joints."""
         return [len(part.particles) if part.kind in ("spring", "joint") else 0 for part in self.listed]
 
     def decay(self) -> float:
-        """Return the least c / k [s] of springs and joints, see `least_decay`."""
+        """Return the least c / k [s] of springs and joints, see `min_damping_time`."""
         pairs = [part.numbers for part in self.listed if part.kind in ("spring", "joint")]
         found = [least_decay(numbers[:, -2], numbers[:, -1]) for numbers in pairs]
         families = () if self.gridded is None else self.gridded.families
@@ -111,27 +114,27 @@ class Assembly:
         return min(found, default=math.inf)
 
     def step_cost(self) -> float:
-        """Estimated time of a step for one particle [ns]."""
+        """Return the estimated time of a step for one particle [ns]."""
         count = self.model.particle_count
         total = MOVE * count
         if self.gridded is not None:
             total += GRID_SPRING * count * len(self.gridded.families)
         total += sum(self._operations(part) for part in self.listed)
-        # A call of Python takes the time of a hundred particles.
+        # A call of Python takes as long as a hundred particles.
         return CONSTANTS.operation * total / count + CONSTANTS.own * (count + 100) / count * len(self.own)
 
     def hinge_cost(self) -> float:
-        """What hinges take of it [ns]."""
+        """Return the part of `step_cost` that hinges take [ns]."""
         total = sum(ELEMENT[part.kind] * len(part.particles) for part in self.listed if part.kind in HINGES)
         return CONSTANTS.operation * total / self.model.particle_count
 
     def _operations(self, part: Listed) -> int:
-        """Operations of a step of all elements of a list."""
+        """Return the operations of a step of all elements of a list."""
         by_rows = part.kind == "quad" and self.gridded is not None
         return (GRID_PANEL if by_rows else ELEMENT[part.kind]) * len(part.particles)
 
     def _order(self, handle: int) -> None:
-        """Let neighbours lie close together inside runs; nobody outside sees that order."""
+        """Upload an order of particles in which neighbours lie close together; it is invisible outside."""
         from cloth_sim_ros.physics.ordering import local_order
 
         count = self.model.particle_count
@@ -143,7 +146,7 @@ class Assembly:
 
 
 def _one_sheet(parts: Sequence[Gridded]) -> Gridded | None:
-    """All families of a sheet together: they are taken in one sweep."""
+    """Merge all spring families of a sheet: the engine sweeps over them together."""
     if not parts:
         return None
     rows, columns = parts[0].rows, parts[0].columns
@@ -162,7 +165,7 @@ def _one_sheet(parts: Sequence[Gridded]) -> Gridded | None:
 
 
 def _table(sheet: Gridded) -> Array:
-    """The engine's row of numbers for each family."""
+    """Return the engine's coefficient table: one row for each family, shape (families, 6)."""
     table = np.zeros((len(FAMILIES), 6))
     table[:, 2], table[:, 5] = 1.0, -1.0
     for family in sheet.families:
@@ -187,6 +190,6 @@ def _add_list(handle: int, part: Listed) -> None:
 
 
 def _pairs(groups: NDArray[np.int64]) -> NDArray[np.int64]:
-    """All pairs of particles within each row."""
+    """Return all pairs of particles within each row, shape (m, 2)."""
     width = groups.shape[1]
     return np.concatenate([groups[:, [i, j]] for i in range(width) for j in range(i + 1, width)])

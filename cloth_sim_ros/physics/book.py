@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time integrals along a motion: wrenches on grippers, work, what damping takes and wind gives."""
+"""Accumulator of wrench, work and dissipation integrals along a motion."""
 
 from __future__ import annotations
 
@@ -16,44 +16,57 @@ from cloth_sim_ros.physics.runs import Run, booked_size
 
 
 class Book:
-    """What integrators note along an advance, without changing a bit of it, to the order of the motion itself.
+    """Accumulates integrals of wrenches and powers during an advance.
+
+    The integrals have the order of accuracy of the motion itself. Accumulation changes no bit of the motion.
 
     Args:
         gripper_count: number of grippers.
-        powers: whether to note what damping takes and wind gives; it costs about as much as the forces.
+        powers: true to record dissipated power and wind power; it costs about as much as the forces.
         obstacle_count: number of obstacles.
     """
 
     def __init__(self, gripper_count: int, *, powers: bool = False, obstacle_count: int = 0) -> None:
         self.gripper_count, self.powers, self.obstacle_count = gripper_count, powers, obstacle_count
-        # For each gripper, of damping and moving air, for each obstacle: as a run notes them, see `Run.notes`. They are
+        # One array: sums of each gripper, of damping and wind, of each obstacle, as in `Run.integrals`. The array is
         # replaced, never written into.
         self._nothing = self._sums = np.zeros(booked_size(gripper_count, obstacle_count))
-        # Of friction between layers.
+        # Work of friction between layers of the cloth [J].
         self._rubbed = 0.0
-        # Of contacts that regain their thickness.
+        # Work of contacts that regain their thickness [J].
         self._recovered = 0.0
         self._no_loads = np.zeros((0, 6))
         self._duration = 0.0
 
     def restart(self) -> None:
-        """Forget what was noted since the advance began: it is attempted anew."""
+        """Set all sums to zero for a new attempt of the advance."""
         self._sums, self._rubbed, self._recovered, self._duration = self._nothing, 0.0, 0.0, 0.0
 
     def noted(self) -> tuple[Array, float, float, float]:
-        """Return what was noted so far, for `go_back`."""
+        """Return the present sums for `restore`."""
         return self._sums, self._rubbed, self._recovered, self._duration
 
     def go_back(self, noted: tuple[Array, float, float, float]) -> None:
-        """Forget what was noted since then: that stretch is attempted anew."""
+        """Return to sums that `save` returned, for a new attempt of an interval."""
         self._sums, self._rubbed, self._recovered, self._duration = noted
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
-        """Note a combination of runs over the same stretch [s]: the weighted sum of what each run noted."""
+        """Add a weighted combination of runs over the same interval.
+
+        Args:
+            weights: dimensionless weight of each run.
+            runs: runs from the same start.
+            duration: length of the interval [s].
+
+        Raises:
+            ValueError: if a run has another number of grippers.
+        """
         size = len(self._sums)
         for weight, run in zip(weights, runs, strict=True):
             if run.grippers != self.gripper_count:
-                raise ValueError(f"a book of {self.gripper_count} grippers for a run with {run.grippers}")
+                raise ValueError(
+                    f"the work accumulator is for {self.gripper_count} grippers, the run has {run.grippers}"
+                )
             noted = run.notes[:size]
             self._sums = self._sums + (noted if weight == 1.0 else weight * noted)
             if len(run.notes) > size:
@@ -62,12 +75,12 @@ class Book:
         self._duration += duration
 
     def add_touches(self, touches: Array) -> None:
-        """Note more of what obstacles did: shape (obstacles, BOOKED_NUMBERS)."""
+        """Add integrals of obstacles, shape (obstacles, BOOKED_NUMBERS)."""
         self._sums = self._sums.copy()
         self._touches[:] += touches
 
     def add_recovered(self, recovered: float) -> None:
-        """Note what contacts that regain their thickness put in [J]."""
+        """Add work [J] of contacts that regain their thickness."""
         self._recovered += recovered
 
     def add(
@@ -79,7 +92,16 @@ class Book:
         rubbed: float = 0.0,
         recovered: float = 0.0,
     ) -> None:
-        """Note one point of a quadrature, already multiplied by its weight [s]."""
+        """Add one quadrature point, already multiplied by its weight [s].
+
+        Args:
+            grips: rates of each gripper, shape (grippers, BOOKED_NUMBERS).
+            touches: rates of each obstacle, shape (obstacles, BOOKED_NUMBERS).
+            powers: dissipation and wind work [J].
+            duration: weight of the point [s].
+            rubbed: work of friction between layers [J].
+            recovered: work of contacts that regain their thickness [J].
+        """
         self._sums = self._sums + np.concatenate([grips.ravel(), powers, touches.ravel()])
         self._rubbed += rubbed
         self._recovered += recovered
@@ -105,7 +127,7 @@ class Book:
 
     @property
     def loads(self) -> Array:
-        """Mean force [N] and torque [N m] of the cloth on each obstacle about its place, shape (obstacles, 6)."""
+        """Mean force [N] and torque [N m] of the cloth on each obstacle about its position, shape (obstacles, 6)."""
         return self._mean(self._touches) if self.obstacle_count else self._no_loads
 
     def _mean(self, booked: Array) -> Array:
@@ -121,28 +143,36 @@ class Book:
 
     @property
     def lost(self) -> float:
-        """Energy that springs, drag, grips and contact dissipated [J]; of springs and drag only with `powers`."""
+        """Energy that springs, drag, grips and contact dissipated [J]; springs and drag require `record_power`."""
         return in_order(self._touches[:, 7].tolist(), float(self._powers[0]) + in_order(self._grips[:, 7].tolist()))
 
     @property
     def rubbed(self) -> float:
-        """What of `lost` friction between layers of the cloth took [J]; only with `powers`."""
+        """Part of `dissipation` by friction between layers of the cloth [J]; requires `record_power`."""
         return self._rubbed
 
     @property
     def recovered(self) -> float:
-        """Energy that contacts put in that regained their thickness [J]; only with `powers`."""
+        """Work on the cloth by contacts that regain their thickness [J]; requires `record_power`."""
         return self._recovered
 
     @property
     def given(self) -> float:
-        """Energy that moving air put into the motion [J]; only with `powers`."""
+        """Work of moving air on the cloth [J]; requires `record_power`."""
         return float(self._powers[1])
 
 
 def note(book: Book, plan: Plan, t: float, x: Array, v: Array, weight: float, *, touches: bool = True) -> None:
-    """Note one point of a quadrature: time [s], positions and velocities (3, n), weight [s]; obstacles and growing
-    contacts by `touches`.
+    """Accumulate one quadrature point.
+
+    Args:
+        book: the accumulator.
+        plan: equations of motion.
+        t: time [s].
+        x: positions [m], shape (3, n).
+        v: velocities [m/s], shape (3, n).
+        weight: quadrature weight [s].
+        touches: true to include obstacles and contacts that regain their thickness.
     """
     lost, given = plan.powers(t, x, v) if book.powers else (0.0, 0.0)
     none = np.zeros((0, BOOKED_NUMBERS))

@@ -1,11 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noting runs, and what their sums lack of the work of obstacles that move.
+"""End-point correction for the work of moving obstacles.
 
-A run notes powers at the middles of its steps, h times each. Of a smooth power p from a to b that misses
-h^2/24 (p'(b) - p'(a)), by the formula of Euler and Maclaurin. The slopes are those of the last half step and of the
-first one, whose inner ends are places that the run has been at. What comes into contact within the last half step,
-which no middle sees, is counted by this, too.
+A run sums powers at the middles of its steps, times h. For a smooth power p from a to b this sum misses h^2/24 (p'(b) -
+p'(a)) (Euler and Maclaurin). The slopes are those of the last half step and of the first one. Their inner ends are
+positions that the run has visited. The correction also covers contact that begins within the last half step, after the
+last middle.
 """
 
 from __future__ import annotations
@@ -32,7 +32,18 @@ def note_runs(
     counts: Sequence[int],
     weights: Sequence[float],
 ) -> None:
-    """Note a combination of runs by weights, each of so many steps, over a duration [s] from a state at time t [s]."""
+    """Accumulate a weighted combination of runs, with end-point corrections for moving obstacles.
+
+    Args:
+        book: the accumulator.
+        plan: equations of motion.
+        start: state at the start.
+        t: time at the start [s].
+        duration: length of the interval [s].
+        runs: the runs of the combination.
+        counts: number of steps of each run.
+        weights: dimensionless weight of each run.
+    """
     book.add_runs(weights, runs, duration)
     if not book.obstacle_count or plan.contact is None or plan.contact.force.steady():
         return
@@ -41,14 +52,15 @@ def note_runs(
 
 
 def lacking(plan: Plan, start: State, run: Run, t: float, duration: float, steps: int) -> Array:
-    """Return what a run's sums lack of work and loss [J], in the columns that `Touching.rates` has for them.
+    """Return the end-point correction of work and dissipation [J] of one run.
 
-    Wrenches lack nothing: they are means of the impulses that the steps gave.
+    The columns are those of `ContactBinding.wrench_rates`. Wrenches need no correction, because they are means of the
+    impulses of the steps.
 
     Args:
         plan: equations of motion, with contact.
         start: state at the start.
-        run: what was run from it.
+        run: a run from that state.
         t: time at the start [s].
         duration: length of the run [s].
         steps: number of its steps.
@@ -66,7 +78,7 @@ def lacking(plan: Plan, start: State, run: Run, t: float, duration: float, steps
 
 
 def _slope(plan: Plan, t: float, x: Array, v: Array, pads: Array | None, away: float) -> Array:
-    """Return by how much rates change over a time [s] from a state at time t [s] on, without forces."""
+    """Return the change of the rates if the state moves on uniformly by a time `away` [s] from time t [s]."""
     contact = plan.contact
     assert contact is not None
     contact.lay_pads(pads)

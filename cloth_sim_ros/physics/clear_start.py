@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a cloth would start that has to be refused: within an obstacle, through itself, or too near to itself."""
+"""Initial penetration check: refuses starts inside obstacles or through the cloth."""
 
 from __future__ import annotations
 
@@ -18,18 +18,23 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.owner import Owner
 from cloth_sim_ros.physics.powers import in_rows
 
-#: A cloth may start as near to itself as this share of the thickness.
+#: Least gap of a starting cloth to itself, as a fraction of the thickness.
 NEAREST = MIN_GAP
-#: Particles, the stiffest of contact, of which the one nearest to a triangle is told.
+#: Number of particles with the stiffest contact that are searched for the nearest one.
 _LOOKED_AT = 16
 _REMEDY = "start from another state, or set contact.self to false"
 
 
 def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]) -> None:
-    """Refuse a cloth that is within an obstacle at time t [s], by the least gap to each [m].
+    """Refuse a cloth that is inside an obstacle at time t [s].
+
+    Args:
+        t: time [s].
+        obstacles: the obstacles.
+        gaps: least gap to each obstacle [m]; negative inside.
 
     Raises:
-        ValueError: for such a cloth, naming the obstacle.
+        ValueError: for a gap that is not positive, naming the obstacle.
     """
     for obstacle, gap in zip(obstacles, gaps, strict=True):
         if gap <= 0.0:
@@ -40,12 +45,16 @@ def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]
 
 
 def pierced(owner: Owner, x: Array) -> list[int] | None:
-    """Return the first edge of a cloth that goes through a triangle of it, as their two and three particles; None where
-    none does. What has a corner in common with a triangle does not count.
+    """Return the first edge of the cloth that intersects one of its triangles; None if there is none.
+
+    An edge that shares a corner with the triangle does not count.
 
     Args:
-        owner: of the engine's plan, which knows the surface.
-        x: its particles [m], shape (3, n).
+        owner: handle of the engine's plan, which has the surface.
+        x: particle positions [m], shape (3, n).
+
+    Returns:
+        The edge's two particles, then the triangle's three.
     """
     out = np.empty(5, dtype=np.int64)
     check(library().cloth_self_pierced(owner.handle, doubles("x", x, x.shape), address(out)))
@@ -54,16 +63,17 @@ def pierced(owner: Owner, x: Array) -> list[int] | None:
 
 
 def check_clear(owner: Owner, surface: OwnSurface, thickness: float, x: Array) -> None:
-    """Refuse a cloth that passes through itself, or is too near to itself for any thickness.
+    """Refuse a cloth that intersects itself, or is closer to itself than the least gap.
 
     Args:
-        owner: of the engine's plan, which knows the surface.
-        surface: the cloth's.
-        thickness: distance that it keeps from itself [m].
-        x: its particles [m], shape (3, n).
+        owner: handle of the engine's plan, which has the surface.
+        surface: surface of the cloth.
+        thickness: contact thickness [m].
+        x: particle positions [m], shape (3, n).
 
     Raises:
-        ValueError: naming the first edge and triangle that do, or the particle and the triangle that are, and where.
+        ValueError: naming the first intersecting edge and triangle, or the nearest particle and triangle, with the
+            position.
     """
     through = pierced(owner, x)
     if through is not None:
@@ -85,11 +95,11 @@ def check_clear(owner: Owner, surface: OwnSurface, thickness: float, x: Array) -
 
 
 def _nearest(owner: Owner, surface: OwnSurface, x: Array) -> str:
-    """Where the cloth is nearest to itself; the middle of a sentence."""
+    """Describe the position of the least gap of the cloth to itself, as part of a sentence."""
     stiff, damped = np.zeros((6, x.shape[1])), np.zeros((6, x.shape[1]))
     addresses = doubles("x", x, x.shape), address(stiff), address(damped)
     check(library().cloth_self_bounds(owner.handle, 0.0, *addresses))
-    # Contact is stiffest where it is nearest, and no number where there is no gap.
+    # Contact is stiffest at the least gap. Its stiffness is NaN without a gap.
     order = np.argsort(-np.nan_to_num(stiff[0] + stiff[1] + stiff[2], nan=np.inf), kind="stable")
     triangles, points = surface.triangles, np.ascontiguousarray(x.T)
     best = (math.inf, int(order[0]), 0)

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every tuned number of step control, choice of integrator, cost model and sleep.
+"""Tuned constants of step control, integrator choice, cost model and sleep.
 
-`make validate ARGS=constants` measures the effect of half and double of each on error and work. Coefficients of
-methods, those of Newton's iteration among them, are not tuned and stand with their method; so do roundings, which the
-arithmetic sets, and halving and doubling.
+`make validate ARGS=constants` measures how half and double of each change error and work. Three kinds of numbers stay
+beside their code because they are not tuned: coefficients of methods, including Newton's iteration; rounding errors;
+halving and doubling.
 """
 
 from __future__ import annotations
@@ -19,51 +19,55 @@ def _number(value: float, meaning: str) -> float:
 
 @attrs.define(slots=False)
 class Constants:
-    """The table; a bench may set its numbers, nobody else does."""
+    """The table of tuned constants; only validation changes it."""
 
     # Stability.
-    safety: float = _number(0.96, "part of the step limit that explicit steps take, so that stretching has room")
-    damped: float = _number(2.0, "decay of the fastest waves over a frame from which they count as damped")
-    part: float = _number(0.04, "longest part of a frame that is extrapolated at once [s]")
+    safety: float = _number(
+        0.96, "fraction of the step limit that explicit steps take; the rest is a margin for stretching"
+    )
+    damped: float = _number(2.0, "decay of the fastest waves over a frame above which they count as damped")
+    part: float = _number(0.04, "longest interval that is extrapolated at once [s]")
 
     # Error.
-    share: float = _number(0.6, "part of the tolerance that the frames of a second may lose")
-    aim: float = _number(0.5, "part of what it may take that a frame aims at: of its budget, of real time explicitly")
-    wait: float = _number(16.0, "most frames between two judgements; four times as many where the error is far below")
-    far: float = _number(0.05, "part of the budget below which an error is far below")
-    trust: float = _number(2.0, "factor by which an estimate may be off before it is made anew or acted upon")
-    finer: float = _number(4.0, "most by which one rejection makes steps finer")
+    share: float = _number(0.6, "fraction of the tolerance that the errors of one second may use")
+    aim: float = _number(0.5, "fraction of its error budget, or of real time by explicit steps, that a frame aims at")
+    wait: float = _number(16.0, "most frames between two error estimates; four times as many if the error is low")
+    far: float = _number(0.05, "fraction of the budget below which an error is low")
+    trust: float = _number(2.0, "factor by which an estimate may be wrong before it is renewed or acted upon")
+    finer: float = _number(4.0, "largest refinement by one rejection")
     work: float = _number(
-        8.0, "least cap of a large sheet's frame, or one with contact, in runs by longest stable steps"
+        8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"
     )
 
     # Contact.
-    brief: float = _number(200.0, "least steps of a stretch that is halved because contact makes them short")
+    brief: float = _number(200.0, "least number of steps of an interval that contact may halve")
 
     # Single precision.
-    rounding: float = _number(0.02, "part of the budget that single precision may change")
-    sample: float = _number(8.0, "part of a stretch's steps, as its inverse, by which single precision is judged")
-    motion: float = _number(1e3, "least way of the fastest particle in a frame, in changes by single precision")
+    rounding: float = _number(0.02, "fraction of the error budget that single precision may use")
+    sample: float = _number(8.0, "steps of an interval over the steps of the sample run that measures single precision")
+    motion: float = _number(
+        1e3, "least displacement of the fastest particle in a frame, in changes by single precision"
+    )
 
     # Energy.
-    gain: float = _number(2e-3, "part of the moved energy that steps may make, or single precision in a second")
-    swing: float = _number(5e-3, "part of the moved energy that a first frame may end above where it began")
-    stiffened: float = _number(1.02, "stiffening from which energy is looked at")
+    gain: float = _number(2e-3, "fraction of the moved energy that steps, or single precision in a second, may add")
+    swing: float = _number(5e-3, "fraction of the moved energy by which a first frame's energy may rise")
+    stiffened: float = _number(1.02, "relative stiffening above which energy is checked")
 
     # Implicit steps and the choice of integrator.
-    last_steps: float = _number(8.0, "steps of a frame that is finished by implicit steps")
-    implicit: float = _number(5e4, "most particles of a sheet that implicit steps are tried for")
+    last_steps: float = _number(8.0, "implicit steps of a frame that they finish")
+    implicit: float = _number(5e4, "largest number of particles for which implicit steps are tried")
 
-    # Estimated cost, so that no clock is read.
+    # Estimated cost; no clock is read.
     operation: float = _number(0.05, "time of an arithmetic operation in the engine's loops [ns]")
-    own: float = _number(100.0, "time of a force in numpy [ns a particle]")
+    own: float = _number(100.0, "time of a force in Python [ns a particle]")
     factor: float = _number(0.35, "time of a multiply-add in the implicit method's factorisation [ns]")
-    call: float = _number(25.0, "time of a call of the engine [us]; a second thread takes part in steps from there on")
+    call: float = _number(25.0, "time of a call of the engine [us]; longer steps use a second thread")
 
     # Sleep.
-    drift: float = _number(0.25, "part of the tolerance within which a cloth at rest may still get")
-    calm: float = _number(1.0, "time for which it must have been calm [s]")
+    drift: float = _number(0.25, "fraction of the tolerance by which a cloth at rest may still move")
+    calm: float = _number(1.0, "time at rest before a cloth falls asleep [s]")
 
 
-#: The numbers in force.
+#: The constants in use.
 CONSTANTS = Constants()

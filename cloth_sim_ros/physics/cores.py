@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How many threads the frames of one cloth may take: whoever steps many cloths at once has given each core its own."""
+"""Thread limit for the frames of one cloth.
+
+A pool that steps many cloths at once uses one thread a cloth.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import os
 import threading
 from collections.abc import Iterator
 
-#: Most that a frame takes: more of them meet too often.
+#: Most threads of a frame; more threads synchronise too often.
 MOST = 2
 
 
@@ -21,13 +24,13 @@ _LIMIT = _Limit()
 
 
 def available() -> int:
-    """Threads that a frame which is called from this thread may take; no bit depends on it."""
+    """Return the number of threads of a frame that the calling thread starts; no bit depends on it."""
     return 1 if _LIMIT.alone else min(MOST, len(os.sched_getaffinity(0)))
 
 
 @contextlib.contextmanager
 def alone() -> Iterator[None]:
-    """Let frames that are called from this thread take no further one."""
+    """Restrict frames that the calling thread starts to one thread."""
     before, _LIMIT.alone = _LIMIT.alone, True
     try:
         yield

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The smooth path of a gripper over one frame, from its present pose and velocity to its newest target."""
+"""Smooth paths of grippers over one frame, and quaternion arithmetic.
+
+A path leads from the present pose and velocity to the newest target.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from cloth_sim_ros.physics.forces.force import Array
 
 
 def normalised(orientation: ArrayLike) -> Array:
-    """Return the unit quaternion (x, y, z, w).
+    """Return the unit quaternion (x, y, z, w) of an orientation, shape (4,).
 
     Raises:
         ValueError: if it is not finite or has no length.
@@ -29,7 +32,11 @@ def normalised(orientation: ArrayLike) -> Array:
 
 
 def unit(orientation: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return the same of numbers, as numbers: without an array in between it takes a fifth of the time."""
+    """Return the unit quaternion of four numbers as numbers, in a fifth of the time that an array takes.
+
+    Raises:
+        ValueError: if it is not finite or has no length.
+    """
     length = 0.0
     if len(orientation) == 4:
         x, y, z, w = orientation
@@ -59,7 +66,7 @@ def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float
 
 
 def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]:
-    """Return the rotation vector [rad], 3 numbers, of the shortest turn from one unit quaternion to another."""
+    """Return the rotation vector [rad], 3 numbers, of the shortest rotation from one unit quaternion to another."""
     out = np.empty(3)
     given = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
     check(library().cloth_turn(*(doubles("orientation", array, (4,)) for array in given), address(out)))
@@ -68,11 +75,11 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]
 
 
 def turned_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
-    """Return a unit quaternion (x, y, z, w) turned by a rotation vector of at most pi [rad]."""
+    """Return a unit quaternion (x, y, z, w) rotated by a rotation vector of at most pi [rad]."""
     x, y, z = rotation
     angle = math.sqrt(x * x + y * y + z * z)
     sine, cosine = sine_and_cosine(0.5 * angle)
-    # sin(angle / 2) / angle -> 1/2 as the turn vanishes.
+    # sin(angle / 2) / angle -> 1/2 as the angle vanishes.
     scale = sine / angle if angle > 1e-12 else 0.5
     found: list[float] = normalised(product((scale * x, scale * y, scale * z, cosine), orientation)).tolist()
     return found
@@ -91,7 +98,11 @@ def rotation_matrix(orientation: Array) -> Array:
 
 
 def _poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
-    """Return positions [m] and unit quaternions x, y, z, w of a path at the start t and the end t + h of a step [s]."""
+    """Return the poses of a path at the start t and the end t + h of a step [s].
+
+    Returns:
+        Two positions [m] and two unit quaternions (x, y, z, w).
+    """
     places, turns = [], []
     for moment in (t - float(row[0]), t + h - float(row[0])):
         way, spin = (
@@ -103,60 +114,62 @@ def _poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float
 
 
 def way_over(row: Array, t: float, h: float) -> list[float]:
-    """Return by how much a body moves [m] and turns [rad] over a step: 6 numbers, the last three a rotation vector.
+    """Return the displacement [m] and rotation vector [rad] of a body over a step, 6 numbers.
 
     Args:
         row: the body's path, PATH_NUMBERS.
         t: time at the start of the step [s].
-        h: its length [s].
+        h: length of the step [s].
     """
     (start, end), turns = _poses(row, t, h)
     return [*(end - start).tolist(), *rotation_vector(*turns)]
 
 
 def carried(row: Array, t: float, h: float, x: Array) -> Array:
-    """Return the velocities [m/s] of particles at x, (3, n), that a body takes along as if they were part of it.
+    """Return the velocities [m/s] of particles that move rigidly with a body, shape (3, n).
 
     Args:
         row: the body's path, PATH_NUMBERS.
-        t: time at the start of a step [s].
-        h: its length [s].
-        x: positions then [m].
+        t: time at the start of the step [s].
+        h: length of the step [s].
+        x: positions at the start [m], shape (3, n).
     """
     places, turns = _poses(row, t, h)
     (begin, end), away = (rotation_matrix(np.array(turn)) for turn in turns), x - places[0][:, None]
-    # By component, so that no library of matrices chooses the order of sums.
+    # Sums by component: a matrix library would choose the order of summation.
     own = [sum(begin[i, k] * away[i] for i in range(3)) for k in range(3)]
     then = np.stack([places[1][i] + sum(end[i, k] * own[k] for k in range(3)) for i in range(3)])
     return np.ascontiguousarray((then - x) / h)
 
 
 class Planner:
-    """Plans the paths of bodies frame by frame."""
+    """Plans the paths of bodies, frame by frame."""
 
     def __init__(self) -> None:
-        # What the newest frame left, which mostly comes next, and where it lies.
+        # Arrays that the last frame returned, and their addresses: the next call mostly takes them.
         self._left: tuple[Array | None, ...] = (None, None, None)
         self._places = (0, 0, 0)
 
     def plan(
         self, t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
     ) -> tuple[Array, Array, Array, list[float]]:
-        """Return paths over one frame, shape (count, PATH_NUMBERS), twists at its end and displacements and turns over
-        it, shape (count, 6) each, and by how much each displacement differs from that of the frame before [m], at most,
-        along an axis.
+        """Plan cubic paths from pose and twist to the targets over one frame.
 
-        A cubic from pose and twist to the target. Its end velocity is the part of this frame's mean velocity that the
-        last frame had too: a steady stream of targets is followed without ripple, a jump arrives at rest without
-        overshoot. See docs/design.md.
+        The end velocity is the part of this frame's mean velocity that agrees with that of the last frame. A steady
+        stream of targets is followed without ripple. A jump arrives at rest without overshoot (docs/design.md).
 
         Args:
-            t: time of the frame's start [s].
+            t: time at the start of the frame [s].
             duration: length of the frame [s].
-            poses: positions [m] and unit quaternions x, y, z, w, shape (count, 7).
+            poses: positions [m] and unit quaternions (x, y, z, w), shape (count, 7).
             twists: velocities [m/s] and angular velocities [rad/s], shape (count, 6).
-            before: displacements [m] and rotation vectors [rad] over the frame before, shape (count, 6).
-            targets: poses at the frame's end, shape (count, 7).
+            before: displacements [m] and rotation vectors [rad] over the last frame, shape (count, 6).
+            targets: poses at the end of the frame, shape (count, 7).
+
+        Returns:
+            Paths, shape (count, PATH_NUMBERS); twists at the end, shape (count, 6); displacements [m] and rotation
+            vectors [rad] over the frame, shape (count, 6); largest change of each displacement along an axis since the
+            last frame [m].
         """
         count = len(poses)
         at, rates = (count, 7), (count, 6)
@@ -176,5 +189,5 @@ class Planner:
 def planned_paths(
     t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:
-    """Return what `Planner.plan` does for a single frame."""
+    """Return the result of `PathPlanner.plan` for a single frame."""
     return Planner().plan(t, duration, poses, twists, before, targets)

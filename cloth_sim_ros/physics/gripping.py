@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What grippers hold, as a plan sees it: how they move is told to the engine, and what they do is asked of it."""
+"""Engine binding of grips: uploads grasped particles and paths, returns wrenches."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 
 class Gripping(Uncopyable):
-    """The grips of one plan.
+    """Engine binding of the grips of one plan.
 
     Args:
-        owner: of the engine's plan.
+        owner: handle of the engine's plan.
         grips: the force.
-        particle_count: of the model.
+        particle_count: number of particles of the model.
     """
 
     def __init__(self, owner: Owner, grips: Grips, particle_count: int) -> None:
@@ -41,14 +41,14 @@ class Gripping(Uncopyable):
         self._library, self._handle = library(), owner.handle
         self._shape = (3, particle_count)
         self._seen = self._moved = -1
-        #: What the engine was told that is held.
+        #: Arrays of the grasped particles that the engine has.
         self._told: tuple[NDArray[Any], ...] | None = None
         #: Number of grippers.
         self.count = grips.gripper_count
         self._paths_shape = (self.count, PATH_NUMBERS)
 
     def sync(self) -> None:
-        """Tell the engine what grippers hold and how they move, where that changed."""
+        """Upload grasped particles and paths if they changed."""
         grips = self.force
         if grips.changes == self._seen and grips.moves == self._moved:
             return
@@ -69,30 +69,40 @@ class Gripping(Uncopyable):
             told = self.force.told = self._checked()
         elif told is self._told:
             return
-        # A snapshot that came from another process may bring arrays that can't be written.
+        # A snapshot from another process may contain read-only arrays.
         places = (address(array) if array.size and array.flags.writeable else array.ctypes.data for array in told)
         check(self._library.cloth_plan_held(self._handle, self.count, len(told[0]), *places))
         self._told = told
 
     def _checked(self) -> tuple[NDArray[Any], ...]:
-        """Return what is held as the engine takes it: particles, their grippers, offsets, stiffness, damping."""
+        """Return validated copies for the engine: particles, gripper indices, offsets, stiffness, damping."""
         grips = self.force
         particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self._shape[1])
         count = len(particles)
         owners = np.ascontiguousarray(grips.owners(), dtype=np.int64)
         if len(owners) != count:
-            raise ValueError(f"starts {grips.starts.tolist()} say that {len(owners)} particles are held, not {count}")
+            raise ValueError(
+                f"starts {grips.starts.tolist()} are of {len(owners)} grasped particles; there are {count}"
+            )
         numbers = (
             finite("offsets of grips", grips.offsets, (count, 3)),
             finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
             finite("damping of grips", grips.damping, (count,), least=0.0),
         )
-        # Copies: what is held stays as it was told, whoever writes into what it came of.
+        # Copies: later writes into the caller's arrays must not change them.
         return tuple(array.copy() for array in (particles, owners, *numbers))
 
     def rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
-        """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
-        (grippers, BOOKED_NUMBERS).
+        """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            v: velocities [m/s], shape (3, n).
+            weight: factor on the result.
+
+        Returns:
+            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, BOOKED_NUMBERS).
         """
         self.sync()
         out = np.zeros((self.count, BOOKED_NUMBERS))
@@ -101,13 +111,13 @@ class Gripping(Uncopyable):
         return out
 
     def decay(self) -> float:
-        """Return the least c / k [s] of what is held; infinity where nothing is."""
+        """Return the least c / k [s] of the grips; infinity if there are none."""
         return least_decay(self.force.stiffness, self.force.damping)
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
-        """Add stiffness [N/m] and damping [N s/m] to blocks (6, n)."""
+        """Add stiffness [N/m] and damping [N s/m] of grips to blocks (6, n)."""
         grips = self.force
-        # Several grippers may hold one particle: plain indexing would not add up.
+        # Several grippers may grasp one particle: plain indexing would not add up.
         for axis in range(3):
             np.add.at(stiff[axis], grips.particles, grips.stiffness)
             np.add.at(damped[axis], grips.particles, grips.damping)

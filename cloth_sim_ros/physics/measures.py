@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is asked of a plan beside runs: bounds of its rates, energies, powers, derivatives."""
+"""Queries of a plan: spectral bounds, energies, powers and derivatives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Measures:
-    """A plan's answers about given positions [m] and velocities [m/s], (3, particle_count) float64, C-contiguous."""
+    """Queries of a plan at positions [m] and velocities [m/s], shape (3, particle_count), float64, C-contiguous."""
 
     model: Model
     contact: Touching | None
@@ -34,22 +34,32 @@ class Measures:
     _decay: float
 
     def _sync(self) -> None:
-        """Tell the engine what grippers hold, what obstacles there are and how both move, where that changed."""
+        """Upload grips, obstacles and the paths of both if they changed."""
         if self.contact is not None:
             self.contact.sync()
         if self._gripping is not None:
             self._gripping.sync()
 
     def rates(self, x: Array) -> tuple[float, float]:
-        """Return bounds of the squared highest frequency [1/s^2] and of the highest damping rate c/m [1/s] at x.
+        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
+        x.
 
-        Contact is left out: what it comes to depends on how the cloth moves, see `ahead`.
+        Contact is not included: its bounds depend on the motion, see `predict_contact`.
         """
         omega2, damping, *_ = self.bounds(x)
         return omega2, damping
 
     def bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
-        """Return the same, and if wanted those of hinges as `Told` has them; else zeros."""
+        """Return the spectral bounds of the whole model and of hinges alone, five numbers.
+
+        Args:
+            x: positions [m], shape (3, n).
+            hinges: true to calculate the bounds of hinges, as in `RunSummary.hinge_bounds`; they are zeros otherwise.
+
+        Returns:
+            Squared frequency [1/s^2] and damping rate [1/s] of the whole; squared frequency and damping rate of hinges;
+            squared frequency across springs.
+        """
         self._sync()
         place, stiff, damped = doubles("x", x, self._shape), None, None
         if self._own:
@@ -64,11 +74,11 @@ class Measures:
         return found
 
     def decay(self) -> float:
-        """Return the least c / k [s] of springs, joints and grips; 0 where one is undamped."""
+        """Return the least c / k [s] of springs, joints and grips; 0 if one is undamped."""
         return self._decay if self._gripping is None else min(self._decay, self._gripping.decay())
 
     def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
-        """Return kinetic and potential energy [J] at time t; without velocities the kinetic one is 0."""
+        """Return kinetic and potential energy [J] at time t [s]; the kinetic energy is 0 without velocities."""
         self._sync()
         out = np.empty(2)
         speed = None if v is None else doubles("v", v, self._shape)
@@ -76,12 +86,12 @@ class Measures:
         return float(out[0]), in_order((force.energy(t, x) for force in self._own), float(out[1]))
 
     def energy(self, t: float, x: Array, v: Array) -> float:
-        """Return kinetic plus potential energy [J]."""
+        """Return kinetic plus potential energy [J] at time t [s]."""
         kinetic, potential = self.energies(t, x, v)
         return kinetic + potential
 
     def powers(self, t: float, x: Array, v: Array) -> tuple[float, float]:
-        """Return the powers that damping takes and that moving air gives [W]; the joints of grippers aside."""
+        """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""
         self._sync()
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
@@ -90,24 +100,34 @@ class Measures:
         return lost, in_order((force.supply(t, x, v) for force in self._own), float(out[1]))
 
     def grip_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
-        """Return for each gripper force, torque, power on the cloth and power lost in its joints, times a weight, shape
-        (grippers, BOOKED_NUMBERS).
+        """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            v: velocities [m/s], shape (3, n).
+            weight: factor on the result.
+
+        Returns:
+            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, BOOKED_NUMBERS).
         """
         if self._gripping is None:
             return np.zeros((0, BOOKED_NUMBERS))
         return self._gripping.rates(t, x, v, weight)
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that damping takes out of the motion [W], that of grips and of contact included."""
+        """Return the power that all damping dissipates [W], grips and contact included."""
         lost = in_order(self.grip_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
         return lost if self.contact is None else in_order(self.contact.rates(t, x, v)[:, 7].tolist(), lost)
 
     def supply(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that moving air puts into the motion [W]."""
+        """Return the power of moving air on the cloth [W]."""
         return self.powers(t, x, v)[1]
 
     def add_bounds(self, x: Array, stiff: Array, damped: Array, t: float = 0.0) -> None:
-        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m] at time t: u'Ku <= sum of u_i' B_i u_i."""
+        """Add blocks that bound stiffness [N/m] and damping [N s/m] at time t [s], each (6, n): u'Ku <= sum of u_i' B_i
+        u_i.
+        """
         self._sync()
         shape = (6, self.model.particle_count)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
@@ -122,7 +142,7 @@ class Measures:
             force.add_damping(x, damped)
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
-        """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
+        """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out`` (3, n)."""
         self._sync()
         given = {"x": x, "v": v, "dx": dx, "dv": dv}
         addresses = [doubles(name, array, self._shape) for name, array in given.items()]
@@ -132,7 +152,18 @@ class Measures:
             force.add_jacobian_product(t, x, v, dx, dv, out)
 
     def pair_blocks(self, number: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
-        """Return blocks B (count, 6) of the plan's list of springs or joints of a number, see `StageMatrix`."""
+        """Return the blocks B (count, 6) of one of the plan's lists of springs or joints, see `StageMatrix`.
+
+        Args:
+            number: index of the list.
+            count: number of its elements.
+            x: positions [m], shape (3, n).
+            stiffness: factor on the stiffness.
+            damping: factor on the damping.
+
+        Raises:
+            ValueError: if the plan has no such list.
+        """
         if not 0 <= number < len(self._pair_counts) or self._pair_counts[number] != count:
             raise ValueError(f"list {number} of {count} springs or joints; the plan has lists of {self._pair_counts}")
         out = np.empty((count, 6))

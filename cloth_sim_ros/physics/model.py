@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What does not change while a cloth moves: its masses, its anchored particles and its forces."""
+"""The constant part of a cloth: masses, anchored particles and forces."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Model:
 
     Args:
         masses: particle masses [kg], shape (particle_count,), positive.
-        forces: the forces; names must differ.
-        anchors: indices of particles that hold their place.
+        forces: the forces, with different names.
+        anchors: indices of particles that keep their position.
 
     Raises:
         ValueError: for a mass that is not positive and finite, an anchor out of range, or two forces of one name.
@@ -64,7 +64,7 @@ class Model:
         return fixed_sum(self.masses)
 
     def force(self, name: str) -> Force:
-        """Return the force of that name.
+        """Return the force with a name.
 
         Raises:
             KeyError: if the model has no such force.

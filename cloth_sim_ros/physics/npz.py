@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Archives of arrays (.npz) from bytes that may be anything."""
+"""Reader of array archives (.npz) from untrusted bytes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ import numpy as np
 
 from cloth_sim_ros.physics.powers import whole_sum
 
-#: Most bytes of all arrays together, whatever they are compressed to.
+#: Largest size of all arrays together after decompression [bytes].
 MAX_BYTES = 128 << 20
 _MAX_ARRAYS = 1000
-#: Begins the entry of each array in the archive's directory.
+#: Signature of an array's entry in the archive's directory.
 _ENTRY = b"PK\x01\x02"
-#: What numpy's and Python's readers raise for damaged archives: numpy parses an array's header as Python text.
+#: Exceptions of numpy's and Python's readers for damaged archives; numpy parses an array's header as Python text.
 _DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -35,16 +35,16 @@ _DAMAGE = (
     OSError,
     OverflowError,
     MemoryError,
-    # Also NotImplementedError, for a compression that is not known, and RecursionError, for a header.
+    # Includes NotImplementedError, for an unknown compression, and RecursionError, for a header.
     RuntimeError,
 )
 
 
 def read(data: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz file by name; objects are refused.
+    """Return the arrays of an .npz file by name.
 
     Raises:
-        ValueError: if the bytes are no .npz file of arrays.
+        ValueError: if the bytes are no .npz file, or if it contains objects.
     """
     if data[:2] != b"PK":
         raise ValueError("it is no .npz file: it does not start as one")
@@ -65,7 +65,7 @@ def read(data: bytes) -> dict[str, np.ndarray]:
 
 
 def _check_sizes(data: bytes) -> None:
-    """Refuse arrays that would take too much memory, before any is read."""
+    """Refuse arrays that need too much memory, before any array is read."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
     size = whole_sum(entry.file_size for entry in entries)

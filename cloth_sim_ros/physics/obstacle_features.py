@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What of an obstacle may come through a cloth between its particles: points and edges, and a radius about them."""
+"""Points and edges of obstacles that could pass between a cloth's particles."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacles import Obstacle
 
-#: The polygons that stand for a cylinder's rims lie within it by this part of the thickness, at most.
+#: Largest distance of a cylinder's polygonal rim from the circle, as a fraction of the thickness.
 _WITHIN = 0.05
-#: A cloth's edges may grow so much, and its particles come so near over the thickness, before a triangle gets deeper
-#: into a ball that is left to particles alone than this share of its radius.
+#: A sphere or capsule may be left to particles alone. Assumptions: largest growth of an edge, least gap of a particle
+#: over the thickness. Limit: penetration depth of a triangle as a fraction of the radius.
 _STRETCH, _NEAR, _DEPTH = 1.1, 0.75, 0.1
-#: Sine of the angle between two triangles of a mesh up to which they count as one flat face.
+#: Sine of the angle between two triangles of a mesh below which they count as one flat face.
 _FLAT = 1e-6
 
 
 @attrs.frozen(eq=False)
 class Features:
-    """Points and edges of one obstacle in its own frame."""
+    """Points and edges of one obstacle in its own frame, and a radius around them."""
 
-    #: [m], shape (points, 3).
+    #: Positions [m], shape (points, 3).
     points: Array
-    #: Two points each, shape (edges, 2).
+    #: Indices of the two end points, shape (edges, 2).
     edges: NDArray[np.int64]
-    #: About points and edges [m].
+    #: Radius around points and edges [m].
     radius: float = 0.0
 
 
 def features(obstacle: Obstacle, thickness: float) -> Features:
-    """Return what of an obstacle may come through a cloth; nothing of a plane.
+    """Return the features of an obstacle that could pass through a cloth; a plane has none.
 
-    A sphere is its centre with the sphere's radius, a capsule its axis; a box its corners and edges. A cylinder is a
-    prism within it, by a twentieth of the thickness at most. Of a mesh edges that bulge outward count, and their ends:
-    what comes nearest to a straight edge or a flat triangle is never in a hollow.
+    A sphere is its centre with the sphere's radius, a capsule its axis, a box its corners and edges. A cylinder is an
+    inscribed prism, at most a twentieth of the thickness inside it. A mesh has its convex edges and their ends. The
+    point nearest to a straight edge or a flat triangle is never in a hollow.
 
     Args:
         obstacle: the obstacle.
-        thickness: of contact [m].
+        thickness: contact thickness [m].
     """
     match obstacle.shape:
         case "box":
@@ -67,17 +67,17 @@ def features(obstacle: Obstacle, thickness: float) -> Features:
 
 
 def round_enough(radius: float, longest: float, thickness: float) -> bool:
-    """Whether particles alone, which have friction, keep a cloth off a ball or a capsule.
+    """Return whether particles alone, which have friction, keep a cloth off a sphere or capsule.
 
-    So it is where no triangle gets deeper into it than a tenth of the radius.
+    The condition is that no triangle penetrates deeper than a tenth of the radius.
 
-    For a point q = sum w x of a triangle and any c, |c - q|^2 = sum w |c - x|^2 - sum w w |x - y|^2: with corners at a
-    distance R of c and edges of at most l it is no nearer than sqrt(R^2 - l^2 / 3).
+    Let q = sum w x be a point of a triangle, and c any point. Then ``|c-q|^2 = sum w |c-x|^2 - sum w w |x-y|^2``. Take
+    corners at a distance R from c and edges of at most l. The triangle is no nearer than sqrt(R^2 - l^2 / 3).
 
     Args:
-        radius: of the ball or capsule [m].
-        longest: the cloth's longest edge at rest [m].
-        thickness: of contact [m].
+        radius: radius of the sphere or capsule [m].
+        longest: longest edge of the cloth at rest [m].
+        thickness: contact thickness [m].
     """
     near, edge, least = radius + _NEAR * thickness, _STRETCH * longest, (1.0 - _DEPTH) * radius
     return near * near - edge * edge / 3.0 >= least * least
@@ -104,7 +104,7 @@ def _cylinder(radius: float, length: float, thickness: float) -> Features:
 def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> Features:
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normal = _unit(_cross(b - a, c - a))
-    # Each edge twice, once in either direction: sorted by its ends both are next to each other.
+    # Each edge occurs twice, once in either direction. Sorted by its ends, the two are neighbours.
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     across, face = triangles[:, [2, 0, 1]].ravel(), np.arange(len(ends)) // 3
     order = np.lexsort((ends.max(axis=1), ends.min(axis=1)))

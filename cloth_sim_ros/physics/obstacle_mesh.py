@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Closed triangle meshes: what makes one an obstacle, and the distance to it."""
+"""Closed triangle meshes as obstacles: validity checks and signed distance."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from cloth_sim_ros.physics.powers import in_order, scalar_products
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.sheets.seams import open_seam
 
-#: Points times triangles that are looked at in one go.
+#: Largest number of point-triangle pairs that are calculated at once.
 _AT_ONCE = 1 << 18
 
 
 def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> None:
-    """Refuse a mesh that encloses no volume, or encloses it from the wrong side.
+    """Refuse a mesh that is open, degenerate or inside out.
 
     Args:
-        vertices: [m], shape (m, 3).
-        triangles: shape (t, 3).
+        vertices: positions [m], shape (m, 3).
+        triangles: vertex indices, shape (t, 3).
         most: largest coordinate [m].
 
     Raises:
@@ -40,7 +40,7 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
             f"its height is at most {FLATNESS:g} of its longest side. To leave it out opens the mesh: merge its "
             "vertices, or give the mesh as a file, where such triangles are joined to their neighbours"
         )
-    # Every side of a triangle runs once one way and once the other.
+    # Every edge of a closed mesh occurs once in each direction.
     ways = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     count = len(vertices)
     there, times = np.unique(ways[:, 0] * count + ways[:, 1], return_counts=True)
@@ -75,7 +75,7 @@ def _point(vertex: Array) -> str:
 
 
 def _gap(vertices: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> str:
-    """A clause on the narrowest gap of an open mesh; empty if its border lies far apart everywhere."""
+    """Describe the narrowest gap of an open mesh; empty if its border lies far apart everywhere."""
     seam = open_seam(vertices, triangles, border)
     if seam is None:
         return ""
@@ -106,7 +106,7 @@ def _check_arrays(vertices: Array, triangles: NDArray[np.int64], most: float) ->
 
 
 def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Triangles of each piece that hangs together."""
+    """Return the triangles of each connected piece."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -118,7 +118,16 @@ def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]
 
 
 def mesh_distance(points: Array, vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return gaps [m], (m,), negative inside, and unit normals, (m, 3), of points (m, 3) [m] to a closed mesh."""
+    """Return signed gaps and normals of points to a closed mesh.
+
+    Args:
+        points: positions [m], shape (m, 3).
+        vertices: mesh vertices [m], shape (n, 3).
+        triangles: vertex indices, shape (t, 3).
+
+    Returns:
+        Gaps [m], shape (m,), negative inside, and unit normals, shape (m, 3).
+    """
     gaps, normals = np.empty(len(points)), np.empty((len(points), 3))
     corners = vertices[triangles]
     step = max(1, _AT_ONCE // len(triangles))
@@ -137,7 +146,7 @@ def _distance(p: Array, corners: Array) -> tuple[Array, Array]:
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face /= np.sqrt((face * face).sum(axis=1))[:, None]
     sign = np.where(_winding(p, corners) > 0.5, -1.0, 1.0)
-    # On the surface itself the way out is the triangle's own normal.
+    # On the surface the outward direction is the triangle's normal.
     scale = np.abs(corners).max()
     away_from_it = distance > 1e-12 * scale
     divisor = np.where(away_from_it, distance, 1.0)
@@ -146,9 +155,9 @@ def _distance(p: Array, corners: Array) -> tuple[Array, Array]:
 
 
 def nearest_points(p: Array, corners: Array) -> Array:
-    """Return the nearest points, (m, t, 3), of triangles (t, 3, 3) to points (m, 3).
+    """Return the nearest points of triangles (t, 3, 3) to points (m, 3), shape (m, t, 3).
 
-    The foot on a triangle's plane where it lies inside the triangle, else the nearest of the feet on its three sides.
+    This is the foot on the triangle's plane if it lies inside the triangle, else the nearest foot on a side.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
@@ -172,10 +181,10 @@ def nearest_points(p: Array, corners: Array) -> Array:
 
 
 def _winding(p: Array, corners: Array) -> Array:
-    """How often a closed mesh goes round each point, (m,): 1 inside, 0 outside.
+    """Return the winding number of a closed mesh about each point, (m,): 1 inside, 0 outside.
 
-    The sum of the triangles' solid angles (A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE
-    Transactions on Biomedical Engineering 30, 1983), over that of a sphere.
+    It is the sum of the triangles' solid angles over that of a sphere (A. van Oosterom and J. Strackee, "The solid
+    angle of a plane triangle", IEEE Transactions on Biomedical Engineering 30, 1983).
     """
     a, b, c = (corners[None, :, k] - p[:, None, :] for k in range(3))
     la, lb, lc = (np.sqrt((side * side).sum(axis=2)) for side in (a, b, c))

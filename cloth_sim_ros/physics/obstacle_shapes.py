@@ -1,10 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The shapes of obstacles by name; on a page of its own, for who declares parameters and needs no obstacle."""
+"""Names of obstacle shapes and of their sizes.
+
+The module has no imports: parameter declarations need it without the obstacles.
+"""
 
 from __future__ import annotations
 
-#: Shapes, and what their sizes are called, in order.
+#: Shapes and the names of their sizes, in order.
 SHAPES: dict[str, tuple[str, ...]] = {
     "plane": (),
     "box": ("x", "y", "z"),
@@ -13,5 +16,5 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "cylinder": ("radius", "length"),
     "mesh": (),
 }
-#: Most that a size, or a coordinate of a mesh, may be [m].
+#: Largest size, or coordinate of a mesh [m].
 MOST_SIZE = 1e4

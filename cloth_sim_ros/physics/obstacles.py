@@ -1,9 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles: rigid shapes that keep cloth out, described in their own frame, and exact distances to them in numpy.
+"""Rigid obstacles in their own frame, with exact numpy distances.
 
-The engine has its own distances, which are fast; those here are its independent reference, and what tells where a cloth
-would start inside an obstacle.
+The engine has its own, fast distances. Those here are an independent reference; the check of a start uses them.
 """
 
 from __future__ import annotations
@@ -41,35 +40,31 @@ def _faces(values: Any) -> NDArray[np.int64] | None:
 class Obstacle:
     """A rigid shape, centred on its own frame.
 
-    ===========  ====================  ==========================================================================
-    shape        size [m]              where
-    ===========  ====================  ==========================================================================
-    plane        none                  the half space z <= 0 is solid; its normal is z
-    box          x, y, z               edge lengths along the axes
-    sphere       radius
-    capsule      radius, length        axis z; length is that of the cylinder between the two half spheres
-    cylinder     radius, length        axis z, flat ends
-    mesh         none                  closed; seen from outside, each triangle runs counterclockwise
-    ===========  ====================  ==========================================================================
+    - plane: the half space z <= 0 is solid and z is its normal; no size.
+    - box: edge lengths x, y, z [m] along the axes.
+    - sphere: radius [m].
+    - capsule: radius and length [m] along z; the length is that of the cylinder between the two half spheres.
+    - cylinder: radius and length [m] along z, with flat ends.
+    - mesh: closed, no size; seen from outside, each triangle runs counterclockwise.
 
     Raises:
-        ValueError: for a shape that is not known, sizes that don't fit it, friction that is no friction, or a mesh that
-            is not closed, inside out, or has triangles without area.
+        ValueError: for an unknown shape, sizes that do not fit it, invalid friction, or a mesh that is open, inside out
+            or has triangles without area.
     """
 
     name: str
     shape: str
-    #: Sizes [m], as the table says.
+    #: Sizes [m] in the order of the list above.
     size: tuple[float, ...] = attrs.field(default=(), converter=_numbers)
     #: Coefficients of static and kinetic friction.
     friction: tuple[float, ...] = attrs.field(default=(0.0, 0.0), converter=_numbers)
-    #: Of a mesh: vertices [m], shape (m, 3).
+    #: Vertices of a mesh [m], shape (m, 3).
     vertices: Array | None = attrs.field(default=None, converter=_points, repr=False)
-    #: Of a mesh: three vertices each, shape (t, 3).
+    #: Vertex indices of a mesh's triangles, shape (t, 3).
     triangles: NDArray[np.int64] | None = attrs.field(default=None, converter=_faces, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Refuse what is no obstacle."""
+        """Refuse invalid obstacles."""
         if self.shape not in SHAPES:
             raise ValueError(f"{self._who} is a '{self.shape}'; it must be one of {', '.join(SHAPES)}")
         self._check_size()
@@ -106,7 +101,7 @@ class Obstacle:
 
     @cached_property
     def reach(self) -> float:
-        """Radius of a sphere about the frame's origin that holds the whole obstacle [m]; infinite for a plane."""
+        """Radius of a sphere about the frame's origin that contains the whole obstacle [m]; infinite for a plane."""
         match self.shape:
             case "plane":
                 return math.inf
@@ -124,14 +119,14 @@ class Obstacle:
         return math.sqrt(float(_squares(self.vertices).max()))
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Return how far points are outside, negative inside, and the direction in which that grows fastest.
+        """Return signed distances of points and the direction of their steepest growth.
 
         Args:
-            points: in the obstacle's frame [m], shape (m, 3).
+            points: positions in the obstacle's frame [m], shape (m, 3).
 
         Returns:
-            gaps [m], shape (m,), and unit normals, shape (m, 3), away from the obstacle. Where several directions are
-            as good, as at the centre of a sphere, one of them.
+            Gaps [m], shape (m,), negative inside, and outward unit normals, shape (m, 3). If several directions are
+            equally good, as at the centre of a sphere, the normal is one of them.
         """
         p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         if self.shape == "mesh":
@@ -142,7 +137,7 @@ class Obstacle:
 
 
 def _squares(vectors: Array) -> Array:
-    """Squared lengths of vectors (m, k), summed from the first component on."""
+    """Return squared lengths of vectors (m, k), summed from the first component on."""
     total = vectors[:, 0] * vectors[:, 0]
     for k in range(1, vectors.shape[1]):
         total = total + vectors[:, k] * vectors[:, k]
@@ -150,7 +145,10 @@ def _squares(vectors: Array) -> Array:
 
 
 def _away_from(points: Array, nearest: Array, otherwise: Array) -> tuple[Array, Array]:
-    """Distances of points (m, k) from others, and unit vectors away from those; `otherwise` where they coincide."""
+    """Return distances of points (m, k) from others, and unit vectors away from those.
+
+    Points that coincide get the vector `fallback`.
+    """
     away = points - nearest
     distance = np.sqrt(_squares(away))
     apart = distance > 0.0
@@ -175,7 +173,7 @@ def _capsule(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def _block(q: Array, half: Array) -> tuple[Array, Array]:
-    """Gaps and normals of a box of any number of axes: points (m, k), half lengths (k,)."""
+    """Return gaps and normals of a box with any number of axes: points (m, k), half lengths (k,)."""
     over = np.abs(q) - half
     outside, away = _away_from(q, np.clip(q, -half, half), np.zeros(q.shape[1]))
     side = np.argmax(over, axis=1)
@@ -191,7 +189,7 @@ def _box(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def _cylinder(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
-    # A box in the half plane of distance from the axis and height.
+    # In the half plane of axial distance and height the cylinder is a box.
     across, outward = _away_from(p[:, :2], np.zeros(2), np.array([1.0, 0.0]))
     gap, flat = _block(np.stack([across, p[:, 2]], axis=1), np.array([size[0], 0.5 * size[1]]))
     return gap, np.concatenate([outward * flat[:, :1], flat[:, 1:]], axis=1)

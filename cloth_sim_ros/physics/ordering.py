@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An order of particles in which neighbours lie close together."""
+"""Order of particles in which neighbours lie close together."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.band import cuthill_mckee
 
-#: An order whose bandwidth is at most so many times the root of the particle count is kept: a sheet has little less.
+#: An order is kept if its bandwidth is at most this factor times the root of the particle count; a sheet has little
+#: less.
 _NARROW = 3.0
 
 
 def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Return the particles in an order in which those that interact lie close together, shape (particle_count,).
+    """Return an order of particles in which those that interact lie close together, shape (particle_count,).
 
-    None where they do already, as in a chain or a grid. The order is that of Cuthill and McKee, reversed, and
-    depends on the pairs alone.
+    It is the reversed order of Cuthill and McKee and depends on the pairs alone. The result is None if the present
+    order is local already, as in a chain or a grid.
 
     Args:
         particle_count: number of particles.
-        pairs: particles that interact, shape (m, 2); any order, repeated ones too.
+        pairs: particles that interact, shape (m, 2), in any order; repeated pairs are allowed.
     """
     if bandwidth(pairs) <= _NARROW * np.sqrt(particle_count):
         return None
@@ -29,5 +30,5 @@ def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int
 
 
 def bandwidth(pairs: NDArray[np.int64]) -> int:
-    """Return the largest difference of the numbers of two particles that interact."""
+    """Return the largest difference of the indices of two particles that interact; pairs have shape (m, 2)."""
     return int(np.abs(pairs[:, 1] - pairs[:, 0]).max(initial=0))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces in numpy, as the engine calls for them amid a run."""
+"""Python forces that the engine calls back during a run."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from cloth_sim_ros.physics.forces.force import Force
 
 
 class OwnForces:
-    """Forces whose formulas are Python's.
+    """Forces with formulas in Python.
 
     Args:
-        forces: of the model.
-        shape: of positions and velocities, (3, particle_count).
+        forces: the Python forces of the model.
+        shape: shape of positions and velocities, (3, particle_count).
     """
 
     def __init__(self, forces: Sequence[Force], shape: tuple[int, int]) -> None:
         self._forces, self._shape = forces, shape
         self._trouble: BaseException | None = None
-        #: What the engine calls; kept here, because ctypes does not.
+        #: The engine's callback; kept here because ctypes does not keep it.
         self.callback = CALLBACK(_caller(weakref.ref(self)))
 
     def raise_trouble(self) -> None:
-        """Raise what ended a run.
+        """Raise the exception that ended a run.
 
         Raises:
-            Exception: what a force raised.
-            KeyboardInterrupt: where a signal's exception came before the first line that could have caught it; ctypes
-                prints that one, and forgets it.
+            Exception: the exception of a force.
+            KeyboardInterrupt: if a signal's exception came before the first line that could catch it. ctypes prints
+                that exception and loses it.
         """
         trouble, self._trouble = self._trouble, None
         raise trouble or KeyboardInterrupt("a signal came between the engine and a force in numpy")
 
     def call(self, t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
-        """Evaluate the forces; `CALLED_WELL` if all went well."""
+        """Evaluate the forces and return `CALLED_WELL`; return 0 after an exception."""
         try:
             places, speeds, forces = (np.ctypeslib.as_array(array, self._shape) for array in (x, v, f))
             for force in self._forces:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan is made of: lists of elements, a grid's springs, what acts on every particle alike."""
+"""Parts of a plan: element lists, spring grids, uniform forces, contact."""
 
 from __future__ import annotations
 
@@ -21,20 +21,23 @@ class Listed:
     kind: str
     #: Particles of each element, shape (m, particles of the kind).
     particles: NDArray[np.int64]
-    #: Numbers of each element, shape (m, numbers of the kind).
+    #: Coefficients of each element, shape (m, coefficients of the kind).
     numbers: Array
-    #: For panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,).
+    #: Of panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,).
     common: Array | None = None
 
 
 @attrs.frozen(kw_only=True)
 class GridFamily:
-    """All springs of a grid that point the same way.
+    """All springs of a grid in one direction.
 
-    `name`: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.
-    `stiffness` k_s [N], force per strain; `rest_length` [m]; `damping` k_d [N s/m]. `border`: factor on k_s and k_d of
-    the threads that run along the sheet's border. `parity`: 0 or 1 keeps only springs in cells of which row + column is
-    even or odd, None keeps all.
+    Attributes:
+        name: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.
+        stiffness: k_s [N], force per strain.
+        rest_length: rest length [m].
+        damping: k_d [N s/m].
+        border: factor on k_s and k_d of the threads along the sheet's border.
+        parity: 0 or 1 keeps only springs in cells with even or odd row + column; None keeps all.
     """
 
     name: str
@@ -47,7 +50,7 @@ class GridFamily:
 
 @attrs.frozen(kw_only=True)
 class Gridded:
-    """Springs of a sheet of rows x columns particles, numbered row * columns + column."""
+    """Springs of a sheet of rows x columns particles; particle indices are row * columns + column."""
 
     rows: int
     columns: int
@@ -56,7 +59,7 @@ class Gridded:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Uniform:
-    """What acts on every particle alike: accelerations [m/s^2] by gravity and by wind, and a drag rate [1/s]."""
+    """Forces that act on every particle alike: accelerations [m/s^2] of gravity and wind, and a drag rate [1/s]."""
 
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -65,9 +68,9 @@ class Uniform:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Surrounded:
-    """Obstacles about all particles: which, and where they are, changes while a cloth moves, so the plan asks."""
+    """Contact of all particles with obstacles and the cloth; the plan reads obstacles and paths in every frame."""
 
-    #: A `forces.contact.Contact`, which itself is made of parts.
+    #: A `forces.contact.Contact`, whose module imports this one.
     contact: Any
 
 
@@ -75,7 +78,9 @@ Part: TypeAlias = Listed | Gridded | Uniform | Surrounded
 
 
 def least_decay(stiffness: Any, damping: Any) -> float:
-    """Return the least c / k [s] of what has any stiffness; infinity where nothing has."""
+    """Return the least c / k [s] of the elements with stiffness k [N/m] and damping c [N s/m]; infinity if none is
+    stiff.
+    """
     k, c = np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float)
     some = k > 0.0
     return float((c[some] / k[some]).min()) if some.any() else np.inf

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pinching: two pads that a gripper's drive closes on the cloth (docs/contact.md)."""
+"""Parallel grippers: two jaws that a drive closes on the cloth (docs/contact.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.obstacles import Obstacle
 
-#: Time in which a drive without load gets to its speed [s].
+#: Time in which a drive without load reaches its speed [s].
 LAG = 1e-3
 
 
@@ -22,19 +22,19 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 @attrs.frozen(kw_only=True)
 class Pads:
-    """The two pads of a gripper, boxes that move apart and together along its axis y, and what drives them.
+    """The two jaws of a gripper, boxes that move symmetrically along its axis y, and their drive.
 
-    With q half the way between their faces, M the inertia, F the force of each pad at rest, u the speed of each without
-    load and R the force of the cloth that opens them, ``M q'' = R - 2 F (1 + q'/u)`` while they close, ``R + 2 F (1 -
-    q'/u)`` while they open. They stop at each other, and at their opening.
+    Let q be half the opening between the faces and M the inertia. F is the force of each jaw at rest, u its speed
+    without load and R the opening force of the cloth. Closing jaws move by ``M q'' = R - 2 F (1 + q'/u)``. Opening jaws
+    move by ``M q'' = R + 2 F (1 - q'/u)``. The jaws stop at each other, and at their full opening.
 
     Raises:
-        ValueError: for a number out of range.
+        ValueError: for a quantity out of range.
     """
 
     #: Name of the gripper.
     gripper: str
-    #: Edge lengths of a pad along the gripper's axes [m].
+    #: Edge lengths of a jaw along the gripper's axes [m].
     size: tuple[float, ...] = attrs.field(converter=_numbers)
     #: Coefficients of static and kinetic friction.
     friction: tuple[float, ...] = attrs.field(converter=_numbers)
@@ -42,13 +42,13 @@ class Pads:
     force: float
     #: u [m/s], above 0.
     speed: float
-    #: Way between the faces of open pads [m], above 0.
+    #: Distance between the faces of open jaws [m], above 0.
     opening: float
     #: M [kg], above 0.
     inertia: float
 
     def __attrs_post_init__(self) -> None:
-        """Refuse what can't be driven."""
+        """Refuse quantities that are not above 0, and invalid boxes."""
         for what, value, unit in (
             ("force", self.force, "N"),
             ("speed", self.speed, "m/s"),
@@ -60,31 +60,43 @@ class Pads:
         self.boxes()
 
     def boxes(self) -> tuple[Obstacle, Obstacle]:
-        """The pads: the left one, on the positive side, first. No obstacle of a scene has such a name."""
+        """The jaws as obstacles: the left one, on the positive side, first. No obstacle of a scene has such a name."""
         both = (f"{self.gripper}.left_pad", f"{self.gripper}.right_pad")
         first, second = (Obstacle(name=name, shape="box", size=self.size, friction=self.friction) for name in both)
         return first, second
 
     @property
     def start(self) -> tuple[float, float]:
-        """Half the way between the faces of open pads at rest [m], and its rate."""
+        """Half opening of open jaws [m] and jaw speed [m/s] at rest."""
         return 0.5 * self.opening, 0.0
 
     @property
     def reach(self) -> float:
-        """Radius of a sphere about the gripper's place that holds both pads [m]."""
+        """Radius of a sphere about the gripper's position that contains both jaws [m]."""
         x, y, z = self.size
         out = self.opening + y
         return math.sqrt(0.25 * (x * x + z * z) + out * out)
 
     def numbers(self, present: bool, closed: bool) -> tuple[float, ...]:
-        """What the engine is told, see `binding.DRIVE_NUMBERS`."""
+        """Return the engine's row of a drive, see `binding.DRIVE_NUMBERS`.
+
+        Args:
+            present: true if the gripper has a pose.
+            closed: true if the jaws close.
+        """
         state = float(present), float(closed)
         return (*state, self.inertia, self.force, self.speed, 0.5 * self.opening, 0.5 * self.size[1])
 
 
 def inertia(cloth: float, force: float, speed: float) -> float:
-    """Return the inertia [kg] of a drive: what it gets to its speed [m/s] within `LAG` by twice its force [N], and the
-    mass [kg] of the cloth, so that pads are never light against what they touch.
+    """Return the inertia [kg] of a drive.
+
+    It is the mass that twice the force accelerates to the speed within `DRIVE_LAG`, plus the mass of the cloth.
+    Therefore jaws are never light against the cloth.
+
+    Args:
+        cloth: mass of the cloth [kg].
+        force: force of each jaw [N].
+        speed: speed without load [m/s].
     """
     return cloth + 2.0 * force * LAG / speed

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a model to numbers: `compile(model)` gives the plan that integrators, the node and the tests all use.
+"""Compiled model: forces, runs, energies and bounds.
 
-A plan is a list of parts (a grid's springs, listed springs and hinges, panels, held particles, what acts on every
-particle alike, and forces in numpy), whose forces, bounds, energies and costs add up. Which parts there are follows
-from the model alone.
+A plan consists of parts: a grid's springs, listed springs and hinges, panels, grips, contact, uniform forces and Python
+forces. Forces, bounds, energies and costs are sums over the parts. The parts follow from the model alone. `compile`
+makes a plan; integrators, the node and tests all use it.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.state import State
     from cloth_sim_ros.physics.touching import Touching
 
-#: What runs without contact end with.
+#: End buffers of runs without contact.
 _NO_ENDS: tuple[Array | None, Array | None] = (None, None)
 _NOWHERE: Sequence[int] = (0, 0)
-#: Runs that take as long as so many calls of the engine are worth waking a thread.
+#: Runs that take longer than this number of engine calls are worth waking a thread.
 _WAKING = 2.0
-#: Steps of one run at most.
+#: Largest number of steps of one run.
 MOST_STEPS = 2**31 - 1
 
 
 def compile(model: Model) -> Plan:
-    """Return the plan of a model: the only way from a model to numbers.
+    """Compile a model to a plan.
 
     Raises:
         ValueError: if a force does not fit the model.
@@ -68,10 +68,10 @@ def compile(model: Model) -> Plan:
 
 
 class Plan(Measures, Uncopyable):
-    """Accelerations, runs, energies and bounds of a model, as the sums over its parts.
+    """Accelerations, runs, energies and bounds of a model, as sums over its parts.
 
-    Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. Not safe for two calls
-    at once.
+    Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. A plan is not
+    re-entrant: it allows one call at a time.
     """
 
     copy_refusal = "a plan owns memory of the engine, and can't be copied or pickled; compile its model once more"
@@ -82,22 +82,22 @@ class Plan(Measures, Uncopyable):
         self._shape = (3, model.particle_count)
         parts = Assembly.of(model)
         self._own, self._drag, self._decay = parts.own, parts.drag, parts.decay()
-        #: Whether there are hinges, which may be asked for less often than the rest.
+        #: True if the model has hinges, which multirate runs evaluate less often.
         self.bends = any(part.kind in HINGES for part in parts.listed)
-        #: Estimated time of a step for one particle [ns], and what hinges take of it.
+        #: Estimated time of a step for one particle, and the part of it for hinges [ns].
         self.step_cost, self._hinge_cost = parts.step_cost(), parts.hinge_cost()
-        #: Whether there is enough for two threads: rows, if it has any.
+        #: True if the parts can be shared by two threads: a grid needs enough rows.
         self._wide = parts.gridded is None or parts.gridded.rows >= 16
         self._pair_counts = parts.pair_counts()
         self.turn = threading.Lock()
-        # The engine's request, made once: what a frame asks for is written into it.
+        # The engine's request is allocated once; each frame writes into it.
         self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
         self._told = (ctypes.c_double * TOLD_NUMBERS)()
         self._steps_at, self._weights_at = addressof(self._steps), addressof(self._weights)
         self._frame = Frame()
-        #: Steps that are written down in the request.
+        #: Numbers of steps in the request.
         self._asked: tuple[int, ...] | None = None
-        #: The newest combination of runs, which is held so that its address stays true.
+        #: The newest combination of runs; the reference keeps its address valid.
         self._newest: tuple[Array | None, Array | None] = (None, None)
         self._newest_at = 0
         self._frame_at = ctypes.byref(self._frame)
@@ -106,7 +106,7 @@ class Plan(Measures, Uncopyable):
         self._handle = self._owner.handle
         parts.hand_over(self._handle)
         self._gripping = None if parts.grips is None else Gripping(self._owner, parts.grips, count)
-        #: The force by which grippers hold particles, where the model has one.
+        #: The force of grips, if the model has one.
         self.grips: Grips | None = parts.grips
         #: Number of grippers of the model.
         self.gripper_count = 0 if self._gripping is None else self._gripping.count
@@ -120,23 +120,23 @@ class Plan(Measures, Uncopyable):
             check(self._library.cloth_plan_callback(self._handle, self._called.callback))
 
     def change_uniform(self, forces: Sequence[Force], uniform: Sequence[Force], *, air: Array | None = None) -> None:
-        """Take over forces that differ from the model's in gravity, drag and wind alone.
+        """Replace forces by others that differ only in gravity, drag and wind.
 
         Args:
-            forces: all of them.
+            forces: all forces of the model.
             uniform: those of them that act on all particles alike.
-            air: what panels have in common, `AirPanels.common`; None where there are none.
+            air: new `AirPanels.coefficients`; None if there are no panels.
         """
         found = Assembly.of(Model([1.0], uniform))
         if air is not None or found.drag != self._drag:
-            # What others keep of a model, such as the matrix of implicit steps, holds its damping.
+            # A new model tells caches, such as the matrix of implicit steps, that the damping changed.
             self.model = Model(self.model.masses, forces, anchors=self.model.anchors)
         self.model.forces, self._drag = tuple(forces), found.drag
         found.uniform_to(self._handle)
         if air is not None:
             check(self._library.cloth_plan_air(self._handle, air.ctypes.data))
 
-    # What follows is called in every frame.
+    # The methods below are called in every frame.
 
     @property
     def obstacle_count(self) -> int:
@@ -164,26 +164,29 @@ class Plan(Measures, Uncopyable):
         abreast: int = 1,
         every: int = 1,
     ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
-        """Run a stretch of time several times, each from the start with its own number of equal steps.
+        """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
         Args:
             t: time at the start [s].
-            duration: length of the stretch [s].
-            start: positions and velocities; they stay as they are.
-            steps: of each run, at least 1.
-            weights: of the first runs in a combination that is wanted too; None where it is not.
-            narrow: whether they calculate in single precision.
-            powers: whether powers are noted.
-            touches: whether what obstacles do is noted.
-            threads: of a run; None chooses. No bit depends on it.
-            abreast: runs to make at once, each by one thread, where that is possible. No bit depends on it either.
-            every: steps for which hinges are asked for once, in the middle one; odd, and a divisor of all ``steps``.
+            duration: length of the interval [s].
+            start: positions [m] and velocities [m/s], each (3, n); they are not changed.
+            steps: number of steps of each run, at least 1.
+            weights: weights of the first runs in a combination; None for no combination.
+            narrow: true to calculate in single precision.
+            powers: true to integrate powers.
+            touches: true to integrate wrenches and powers of obstacles.
+            threads: threads of a run; None chooses. No bit depends on it.
+            abreast: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
+            every: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is odd and
+                divides all ``steps``.
 
         Returns:
-            The runs, and positions, velocities and what is told of their combination.
+            The runs; and positions, velocities and the summary of their combination, None without weights.
 
         Raises:
-            Exception: what a force in numpy raised.
+            ValueError: for steps, weights or a ratio out of range.
+            RuntimeError: if another call is running.
+            Exception: an exception of a Python force.
         """
         self._sync()
         count, grippers, obstacles = len(steps), self.gripper_count, 0
@@ -257,13 +260,13 @@ class Plan(Measures, Uncopyable):
         return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped), hinges))
 
     def _places(self, x: Array, v: Array) -> tuple[int, int]:
-        """Addresses of positions and velocities; of the newest combination, which mostly comes next, they are known."""
+        """Return the addresses of positions and velocities; those of the newest combination are known."""
         if x is self._newest[0] and v is self._newest[1]:
             return self._newest_at, self._newest_at + x.nbytes
         return doubles("x", x, self._shape), doubles("v", v, self._shape)
 
     def _ask(self, steps: Sequence[int]) -> None:
-        """Ask for runs of other numbers of steps."""
+        """Write new numbers of steps into the request."""
         self._asked = None
         count = len(steps)
         if not (1 <= count <= MOST_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS):
@@ -277,22 +280,31 @@ class Plan(Measures, Uncopyable):
         self._asked = tuple(steps)
 
     def contact_cost(self, t: float, duration: float, state: State) -> float:
-        """Return the estimated time [ns] that what may meet within a duration [s] from t on adds to an evaluation."""
+        """Return the estimated time [ns] that contact adds to a force evaluation within a duration [s] from time t [s]
+        on.
+        """
         return 0.0 if self.contact is None else CONSTANTS.operation * self.contact.work(t, duration, state)
 
     def cost(self, every: int) -> float:
-        """Return the estimated time of a step for one particle [ns], of so many in which hinges are asked for once."""
+        """Return the estimated time of a step for one particle [ns] at a multirate ratio."""
         return self.step_cost - (every - 1) / every * self._hinge_cost
 
     def threads(self, every: int) -> int:
-        """Return how many threads share each step of a run."""
-        # A step has to be long enough for a second thread to be worth meeting it.
+        """Return the number of threads that share each step of a run."""
+        # A second thread pays only if a step is long enough.
         long = self.cost(every) * self._shape[1] >= 1e3 * CONSTANTS.call
         return available() if long and self._wide else 1
 
     def abreast(self, runs: int, steps: int, every: int) -> int:
-        """Return how many runs to make at once, of so many that take so many steps in all: where nothing but the engine
-        takes part, they are long enough to wake a thread for, and threads don't share each of them better.
+        """Return the number of runs to calculate at once.
+
+        It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
+        between threads must not be better.
+
+        Args:
+            runs: number of runs.
+            steps: number of steps of all runs together.
+            every: multirate ratio.
         """
         if self.contact is not None or self._own or (runs % 2 and self.threads(every) > 1):
             return 1
@@ -300,7 +312,7 @@ class Plan(Measures, Uncopyable):
         return available() if time >= _WAKING * 1e3 * CONSTANTS.call else 1
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
-        """Set ``out`` (3, n) to the accelerations [m/s^2]; zero for anchored particles."""
+        """Set ``out`` (3, n) to the accelerations [m/s^2] at time t [s]; they are zero for anchored particles."""
         self._sync()
         shape = self._shape
         places = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)
@@ -314,19 +326,23 @@ class Plan(Measures, Uncopyable):
         check(status)
 
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
-        """Return what contact may add to `rates` from time t on, within a duration [s]."""
+        """Return what contact may add to `spectral_bounds` within a duration [s] from time t [s] on.
+
+        Returns:
+            Squared angular frequency [1/s^2] and damping rate [1/s].
+        """
         return (0.0, 0.0) if self.contact is None else self.contact.ahead(t, duration, x, v)[:2]
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
-        """Add the forces [N] on free particles to ``f`` (3, n)."""
+        """Add the forces [N] on free particles at time t [s] to ``f`` (3, n)."""
         out = np.empty(self._shape)
         self.accelerations(t, x, v, out)
         f += out * self.model.masses
 
     def steady(self) -> bool:
-        """Whether all forces at given positions and velocities stay what they are until the next event."""
+        """Return true if all forces at given positions and velocities are constant until the next event."""
         return all(force.steady() for force in self.model.forces)
 
     def narrows(self, duration: float, x: Array, v: Array) -> bool:
-        """Whether single precision would make a difference to runs over a duration [s] from a state."""
+        """Return true if runs over a duration [s] from a state may calculate in single precision."""
         return not self._own and (self.contact is None or self.contact.narrows(duration, x, v))

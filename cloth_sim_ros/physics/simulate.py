@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model's motion from now until later, in one call."""
+"""Motion of a model over a time span in one call."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.state import State
 
-#: Longest stretch that is advanced at once [s]: a frame of a node at 60 Hz.
+#: Longest interval of one advance [s]: a frame of a node at 60 Hz.
 STRETCH = 1.0 / 60.0
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Motion:
-    """What `simulate` returns."""
+    """Result of `simulate`."""
 
-    #: Times that were asked for [s], shape (k,).
+    #: Requested times [s], shape (k,).
     times: Array
-    #: Positions [m] and velocities [m/s] then, shape (k, particle_count, 3).
+    #: Positions [m] and velocities [m/s] at these times, shape (k, particle_count, 3).
     positions: Array
     velocities: Array
-    #: What the integrator did over each stretch.
+    #: Report of the integrator on each advance.
     advances: Sequence[Advance]
 
 
@@ -44,20 +44,19 @@ def simulate(
     tolerance: float | None = TOLERANCE,
     integrator: Integrator | None = None,
 ) -> Motion:
-    """Let a model move from time 0 until a later one; the state moves with it.
+    """Advance a model and its state from time 0 to a later time.
 
     Args:
-        model: masses, forces and anchors; or a plan that was compiled of them before.
-        state: where it starts; it stands at the end when this returns.
-        until: time to end at [s].
-        save_at: times to keep positions and velocities of [s], ascending, from 0 to `until`; the end alone where left
-        out.
-        tolerance: over every second positions stay within it [m], times the growth of a small kick in that second (at
-        least 1), of the exact motion; docs/time_stepping.md. None takes steps by stability alone.
-        integrator: how to step; chosen by stiffness and tolerance where left out.
+        model: masses, forces and anchors; or a compiled plan of them.
+        state: the start; it is at the end when this returns.
+        until: end time [s], above 0.
+        save_at: times of saved positions and velocities [s], ascending from 0 to `until`; the default is the end alone.
+        tolerance: bound of the position error [m] that each second adds, times the amplification of a small
+            perturbation in that second (at least 1); see docs/time_stepping.md. None limits steps by stability alone.
+        integrator: the integrator; by default `auto` chooses by stiffness and tolerance.
 
     Raises:
-        ValueError: for times that do not ascend or lie outside, or a state of another number of particles.
+        ValueError: for times that do not ascend or are out of range, or a state with another number of particles.
         UnstableError: if the motion does not stay finite.
     """
     from cloth_sim_ros.physics.control.automatic import make_integrator

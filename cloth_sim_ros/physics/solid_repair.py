@@ -1,16 +1,16 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Repair of triangle meshes that enclose a volume but for their rounding and their flat triangles.
+"""Repair of triangle meshes that are closed except for rounding and flat triangles.
 
-CAD programs cut each face of a solid on its own. At a T-junction one face has a
-vertex in the middle of another's edge. The edge stays whole on one side, or a triangle without area fills the gap.
-Four steps close such a mesh. They move its surface by no more than the flatness of the triangles that they remove:
+CAD programs triangulate each face of a solid separately. At a T-junction one face has a vertex in the middle of
+another's edge. The edge stays whole on one side, or a triangle without area fills the gap. Four steps close such a
+mesh. They move its surface by no more than the flatness of the triangles that they remove:
 
-1. Vertices that are copies of one, up to rounding, are merged. So are the ends of a side that is short beside the
-   longest side of a flat triangle.
-2. Two triangles that lie back to back, or one given twice, are left out.
-3. Flat triangles are left out: each leaves a T-junction at its middle corner.
-4. An open edge is split at the vertices of the border that lie on it.
+1. Merge vertices that are copies of one, up to rounding. Merge the ends of a side that is short beside the longest side
+   of a flat triangle.
+2. Remove two triangles that lie back to back, and copies of a triangle.
+3. Remove flat triangles: each leaves a T-junction at its middle corner.
+4. Split an open edge at the vertices of the border that lie on it.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from cloth_sim_ros.physics.sheets.merging import clusters
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.sheets.seams import near_edges
 
-#: How far from an edge a vertex lies on it, as a share of its length: flat triangles may lie on one another.
+#: Largest distance of a vertex that lies on an edge, as a fraction of the edge's length: flat triangles may overlap.
 _ON_EDGE = 4.0 * FLATNESS
-#: Coordinates beyond this have no volume in double precision: such a mesh is left to the checks of an obstacle.
+#: Coordinates beyond this have no volume in double precision; the checks of an obstacle refuse such a mesh.
 _MAX_COORDINATE = 1e100
-#: Rounds of the steps: one splits each triangle along one side.
+#: Rounds of the steps: each splits every triangle along one side.
 _MAX_ROUNDS = 12
 
 
 def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
-    """Tell whether a mesh of vertices (m, 3) and triangles (t, 3) encloses a volume as it is."""
+    """Return true if a mesh of vertices (m, 3) [m] and triangles (t, 3) is closed without repair."""
     try:
         check_closed(vertices, triangles, _MAX_COORDINATE)
     except ValueError:
@@ -46,7 +46,7 @@ def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 
 def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Leave out the vertices (m, 3) that no triangle (t, 3) has."""
+    """Remove vertices (m, 3) [m] that no triangle (t, 3) uses."""
     used = np.unique(triangles)
     new_index = np.zeros(len(vertices), dtype=np.int64)
     new_index[used] = np.arange(len(used))
@@ -56,15 +56,15 @@ def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array,
 def closed_solid(
     vertices: Array, triangles: NDArray[np.int64], limit: float
 ) -> tuple[Array, NDArray[np.int64], tuple[str, ...]]:
-    """Close a mesh as far as the steps of this module do; what else keeps it open stays.
+    """Close a mesh by the steps of this module; other openings stay.
 
     Args:
-        vertices: [m], shape (m, 3).
-        triangles: shape (t, 3).
+        vertices: positions [m], shape (m, 3).
+        triangles: vertex indices, shape (t, 3).
         limit: distance below which two vertices are copies of one [m].
 
     Returns:
-        Vertices and triangles that are left, and a sentence on each step that changed something.
+        The remaining vertices and triangles, and a sentence on each step that changed the mesh.
     """
     if not np.all(np.abs(vertices) <= _MAX_COORDINATE):
         return vertices, triangles, ()
@@ -86,7 +86,7 @@ def closed_solid(
 def _joined(
     vertices: Array, triangles: NDArray[np.int64], limit: float, *, height: float
 ) -> tuple[NDArray[np.int64], list[str]]:
-    """Join flat triangles, and those of at most a height [m], to their neighbours; return a sentence on each step."""
+    """Join flat triangles, and those of at most a height [m], to their neighbours; return a sentence on each change."""
     flat = split = 0
     for _ in range(_MAX_ROUNDS):
         if not len(triangles):
@@ -108,7 +108,7 @@ def _joined(
 
 
 def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
-    """Lengths of the sides from each corner to the next [m], (t, 3)."""
+    """Return the lengths of the sides from each corner to the next [m], (t, 3)."""
     corners = vertices[triangles]
     away = np.roll(corners, -1, axis=1) - corners
     lengths: Array = np.sqrt(scalar_products(away, away))
@@ -116,7 +116,7 @@ def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
 
 
 def _flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArray[np.bool_]:
-    """Tell which triangles have no area, as `check_closed` does, or at most a height [m], (t,)."""
+    """Return a mask of the triangles without area, as in `check_closed`, or of at most a height [m], (t,)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     longest = _sides(vertices, triangles).max(axis=1)
@@ -126,19 +126,19 @@ def _flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArr
 
 
 def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Leave out triangles with a repeated corner, pairs that lie back to back, and second copies."""
+    """Remove triangles with a repeated corner, pairs that lie back to back, and copies."""
     first_corner, second_corner, third_corner = triangles.T
     triangles = triangles[
         (first_corner != second_corner) & (second_corner != third_corner) & (third_corner != first_corner)
     ]
-    # The lowest corner first, as they run.
+    # Rotated so that the lowest corner comes first.
     first = np.argmin(triangles, axis=1)
     turned = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
     back = turned[:, 1] > turned[:, 2]
     _, which = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True)
     which = which.reshape(-1)
     fronts, backs = (np.bincount(which[mask], minlength=len(triangles)) for mask in (~back, back))
-    # Of each way, one is left where the other way has none.
+    # One triangle stays if no triangle of the opposite orientation exists.
     keep = (fronts[which] == 0) | (backs[which] == 0)
     _, original = np.unique(which, return_index=True)
     keep &= np.isin(np.arange(len(triangles)), original)
@@ -146,7 +146,7 @@ def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _without_needles(vertices: Array, triangles: NDArray[np.int64], height: float) -> tuple[NDArray[np.int64], int]:
-    """Merge the ends of the short side of flat triangles that have one; return the number of such triangles."""
+    """Merge the ends of the short side of flat triangles that have one; return their number, too."""
     sides = _sides(vertices, triangles)
     needle = _flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
     count = int(np.count_nonzero(needle))
@@ -162,7 +162,7 @@ def _without_needles(vertices: Array, triangles: NDArray[np.int64], height: floa
 
 
 def _connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """A number for each of `count` vertices, the same for those that edges (e, 2) connect, (count,)."""
+    """Return a component label of each of `count` vertices, (count,), for edges (e, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -172,7 +172,9 @@ def _connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
-    """Split open edges at vertices of the border that lie on them, one side of a triangle; return how many were."""
+    """Split open edges at border vertices that lie on them, one side of each triangle; return the number of split
+    edges.
+    """
     if not len(triangles):
         return triangles, 0
     count = len(vertices)
@@ -196,7 +198,7 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
     tolerance = np.maximum(4.0 * limit, _ON_EDGE * lengths[edges])
     lies_on = (scalar_products(foot, foot) <= tolerance * tolerance) & (share > 0.0) & (share < 1.0)
     lies_on &= (middle != tails[edges]) & (middle != heads[edges]) & (middle != thirds[edges])
-    # Of the same gap: one border runs from the edge to the vertex.
+    # Edge and vertex must be on one border.
     gap = _connected(np.stack((tails, heads), axis=1), len(vertices))
     lies_on &= gap[middle] == gap[tails[edges]]
     cuts: dict[int, list[tuple[float, int]]] = defaultdict(list)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What changes: everything that a later step reads, in one place, with one digest."""
+"""Full dynamic state of a cloth and its digest."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _FRAME = "frame"
 _POSITION = "position"
 _VELOCITY = "velocity"
 _MEMORY = "memory."
-#: In a state file, not in the digest: it never changes while a cloth lives.
+#: In state files, but not in the digest: constant while a cloth exists.
 _CLOTH = "cloth"
-#: The same: the thickness of contact in force.
+#: In state files, but not in the digest: the contact thickness in use.
 _THICKNESS = "contact_thickness"
 
 
 class State:
-    """Positions, velocities, the frame number and the memory of controllers and grips.
+    """Positions, velocities, frame number, and the memory of controllers and grips.
 
     Args:
         positions: particle positions [m], shape (particle_count, 3).
-        velocities: particle velocities [m/s], shape (particle_count, 3); at rest where left out.
+        velocities: particle velocities [m/s], shape (particle_count, 3); the default is rest.
         memory: further arrays by name, float64, int64 or bool; each is part of the state and of its digest.
-        frame: number of the frame that the state stands at.
-        cloth: of what cloth it is a state: rows, columns (1 and the particle count where it is no grid) and a
-            fingerprint of what connects its particles (0 for a grid); None where that is not known.
+        frame: frame number of the state.
+        cloth: identity of the cloth: rows, columns (1 and the particle count if it is no grid) and a fingerprint of its
+            connections (0 for a grid); None if unknown.
 
     Raises:
-        ValueError: for shapes that do not fit or values that are not finite.
+        ValueError: for shapes that do not fit or entries that are not finite.
     """
 
     def __init__(
@@ -63,16 +63,16 @@ class State:
         #: Positions [m], component-major, shape (3, particle_count).
         self.x: Array = np.array(position.T, order="C")
         #: Velocities [m/s], component-major, shape (3, particle_count).
-        # Without any the system need not give memory to zeros that are never written.
+        # Zeros need no memory from the system until they are written.
         self.v: Array = np.zeros(self.x.shape) if velocities is None else np.array(velocity.T, order="C")
         if frame < 0:
             raise ValueError(f"frame is {frame}; it must be a number of frames, at least 0")
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
         self.cloth = cloth
-        #: `contact.thickness` with which it came about [m]; None without contact, or where that is not known.
+        #: `contact.thickness` of the simulation that made the state [m]; None without contact, or if unknown.
         self.thickness: float | None = None
-        #: Names of memory of another version's rules, which a file had and this state has not: those begin anew.
+        #: Names of memory of older versions in the state file; the state lacks it, and its rules start afresh.
         self.left_out: tuple[str, ...] = ()
 
     @property
@@ -91,7 +91,7 @@ class State:
         return np.ascontiguousarray(self.v.T)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return all that the state is, by name, in the fixed order of the digest."""
+        """Return all arrays of the state by name, in the fixed order of the digest."""
         everything = {_FRAME: np.array(self.frame, dtype=np.int64), _POSITION: self.x, _VELOCITY: self.v}
         for name in sorted(self.memory):
             everything[_MEMORY + name] = self.memory[name]
@@ -104,12 +104,13 @@ class State:
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
         return twin
 
-    #: A copy that shared `memory` would change with the original.
+    #: `copy.copy` must not share `memory` with the original.
     __copy__ = copy
 
     def share(self) -> State:
-        """Return the state as it is, with the same arrays, those of its memory too: whoever moves this one replaces
-        them and writes into none.
+        """Return a shallow copy with the same arrays, also in its memory.
+
+        Code that moves a state replaces its arrays and never writes into them.
         """
         twin = object.__new__(State)
         twin.x, twin.v = self.x, self.v
@@ -120,14 +121,14 @@ class State:
         return twin
 
     def become(self, other: State) -> None:
-        """Take over all of another state, with the same arrays: as `share`, and unlike `restore`, which copies."""
+        """Assign all fields of another state, with the same arrays; `restore` copies them."""
         self.x, self.v = other.x, other.v
         self.frame, self.cloth, self.left_out = other.frame, other.cloth, other.left_out
         self.thickness = other.thickness
         self.memory = dict(other.memory)
 
     def go_back(self, start: State) -> None:
-        """Take back positions, velocities, friction's anchors and pads: what a stretch of time changes itself."""
+        """Restore positions, velocities, friction anchors and jaws: all that an interval itself changes."""
         self.x, self.v = start.x, start.v
         for name in (ANCHORS, PINCHED):
             self.memory.pop(name, None)
@@ -135,7 +136,7 @@ class State:
                 self.memory[name] = start.memory[name]
 
     def restore(self, other: State) -> None:
-        """Take over all of another state."""
+        """Copy positions, velocities, frame number and memory from another state."""
         self.x = other.x.copy()
         self.v = other.v.copy()
         self.frame = other.frame
@@ -146,10 +147,10 @@ class State:
         import xxhash
 
         hashed, memory = xxhash.xxh3_128(), self.memory
-        # Takes arrays as they are; before Python 3.12 there is no type that says so.
+        # Accepts arrays directly; before Python 3.12 no type describes that.
         take: Any = hashed.update
         take(_FRAME_TITLE + _FRAME_NUMBER(self.frame))
-        # The order of `arrays`, without gathering them first: each recorded frame has a digest.
+        # The order of `arrays`, without building its dictionary: each recorded frame has a digest.
         for name, array in ((_POSITION, self.x), (_VELOCITY, self.v)):
             take(_title(name, array.dtype, array.shape))
             take(array if array.flags.c_contiguous else array.tobytes())
@@ -167,16 +168,16 @@ class State:
             everything[_CLOTH] = np.array(self.cloth, dtype=np.int64)
         if self.thickness is not None:
             everything[_THICKNESS] = np.array(self.thickness)
-        # Without `allow_pickle`, which numpy 1.26 would take for one more array; none of them holds objects.
+        # Without `allow_pickle`, which numpy 1.26 would store as one more array; no array contains objects.
         np.savez(buffer, **everything)
         return buffer.getvalue()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> State:
-        """Read what `to_bytes` wrote.
+        """Read a state from the bytes of `to_bytes`.
 
         Raises:
-            ValueError: if the bytes are not a state; the message names the array and what is wrong with it.
+            ValueError: if the bytes are no state; the message names the array and the fault.
         """
         try:
             arrays = npz.read(data)
@@ -201,7 +202,7 @@ class State:
 
 
 def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Check the type and shape of the arrays that every state file has; the values are the constructor's to check."""
+    """Check type and shape of the arrays that every state file has; the constructor checks their entries."""
     if frame.dtype != np.int64 or frame.shape != ():
         raise ValueError(
             f"array '{_FRAME}' is of type {frame.dtype} and shape {frame.shape}; it must be a single int64"
@@ -240,15 +241,15 @@ def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int
 
 @functools.lru_cache(maxsize=1024)
 def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
-    """What the digest takes in before an array's bytes."""
+    """Return the digest's header of an array: name, type and shape."""
     return f"{name} {kind.str} {shape};".encode()
 
 
 @functools.lru_cache(maxsize=1024)
 def _title_of_memory(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
-    """The same of an array of the memory."""
+    """Return the digest's header of an array in the memory."""
     return _title(_MEMORY + name, kind, shape)
 
 
-#: What the digest takes in of the frame's number: a title, and the number as an array has it.
+#: Digest of the frame number: header, and the number in an array's bytes.
 _FRAME_TITLE, _FRAME_NUMBER = _title(_FRAME, np.dtype(np.int64), ()), struct.Struct("=q").pack

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a state's named memory must look like before a simulation takes it over from a file."""
+"""Checks of a state's named memory from a file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.remembered import (
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
-#: Arrays of grippers and grips: type and shape, g standing for the number of grippers, m for that of held particles.
+#: Arrays of grippers and grips: type and shape; g is the number of grippers, m that of grasped particles.
 _GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
     "gripper.pose": (_FLOAT, ("g", 7)),
     "gripper.target": (_FLOAT, ("g", 7)),
@@ -35,7 +35,7 @@ _GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
     "grip.offsets": (_FLOAT, ("m", 3)),
     "grip.starts": (_INT, ("g+1",)),
 }
-#: The same of obstacles, o standing for their number.
+#: Arrays of obstacles; o is their number.
 _OBSTACLES: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
     "obstacle.pose": (_FLOAT, ("o", 7)),
     "obstacle.target": (_FLOAT, ("o", 7)),
@@ -45,17 +45,16 @@ _OBSTACLES: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Refuse memory that steppers, grippers, obstacles, the pause or sleep can't go on from; names that are not known
-    here pass.
+    """Refuse memory from which controllers, grippers, obstacles, pause or sleep can't continue; unknown names pass.
 
-    The arrays of grippers and grips are there together, or none of them; so are those of obstacles.
+    The arrays of grippers and grips occur together, or none of them; so do those of obstacles.
 
     Args:
         memory: arrays by name, as in `State.memory`.
         particle_count: number of particles of the state.
 
     Raises:
-        ValueError: naming the array and what is wrong with it.
+        ValueError: naming the array and the fault.
     """
     for name, array in memory.items():
         if array.dtype not in (_FLOAT, _INT, _BOOL):
@@ -83,7 +82,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             )
         pads = 2 * len(np.atleast_1d(memory.get(PINCHED, ())))
         known = len(np.atleast_1d(memory["obstacle.pose"])) if "obstacle.pose" in memory else len(anchors) - pads
-        # Two rows more where layers of the cloth have friction.
+        # Two more rows if layers of the cloth have friction.
         if len(anchors) - known - pads not in (0, LAYER_SIDES):
             what = f"obstacles and pads, 'obstacle.pose' of {known} and '{PINCHED}' of {pads}" if pads else ""
             what = what or f"obstacles, 'obstacle.pose' of {known}"
@@ -123,13 +122,13 @@ def _check_table(
     table: Mapping[str, tuple[np.dtype, tuple[str | int, ...]]],
     counted: Mapping[str, str],
 ) -> bool:
-    """Check arrays that are there together, or none of them; whether they are.
+    """Check arrays that occur together, or none of them; return whether they occur.
 
     Args:
-        what: they belong to.
+        what: their owner, for messages.
         memory: all arrays.
-        table: type and shape of each.
-        counted: the array whose length each letter of the shapes stands for.
+        table: type and shape of each array.
+        counted: for each letter of the shapes, the array with that length.
     """
     if not any(name in memory for name in table):
         return False

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A plan's contact with obstacles and with itself: what the engine is told of it, and what it is asked."""
+"""Engine binding of a plan's contact with obstacles and with itself.
+
+It uploads geometry and state, and queries forces, energies and bounds.
+"""
 
 from __future__ import annotations
 
@@ -35,18 +38,18 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.physics.touching_features import TouchingFeatures, tell_meshes
 from cloth_sim_ros.physics.uncopyable import Uncopyable
 
-#: Operations of a force evaluation: of a particle in reach of an obstacle, what friction adds to it, and of a pair of
-#: a particle or point and a triangle, or of two edges, that may come near.
+#: Operations of a force evaluation: of a particle in reach of an obstacle; of its friction; of a pair in reach. A pair
+#: is a particle or point with a triangle, or two edges.
 NEAR, RUBBED, PAIR = 60, 150, 150
 
 
 class Touching(Uncopyable):
-    """The contact of one plan.
+    """Engine binding of the contact of one plan.
 
     Args:
-        owner: of the engine's plan.
+        owner: handle of the engine's plan.
         contact: the force.
-        particle_count: of the model.
+        particle_count: number of particles of the model.
     """
 
     def __init__(self, owner: Owner, contact: Contact, particle_count: int) -> None:
@@ -56,9 +59,9 @@ class Touching(Uncopyable):
         self._seen = self._moved = self._heard = -1
         self._ahead = 0.0
         self._taken: Array | None = None
-        # Reduced thickness as the engine has it, when its recovery begins, and what it leads to.
+        # Reduced thickness in the engine, the start of its recovery, and the target thickness.
         self._reduced: tuple[Array, float, Array | None] | None = None
-        #: Room for what the engine tells of what is ahead, made once.
+        #: Output buffer of the engine's predictions, allocated once.
         self._told = (ctypes.c_double * 8)()
         self._told_at = ctypes.addressof(self._told)
         touching_layers.tell_surface(self._handle, contact)
@@ -67,11 +70,11 @@ class Touching(Uncopyable):
 
     @property
     def count(self) -> int:
-        """Number of obstacles, pads included."""
+        """Number of obstacles, jaws included."""
         return len(self.force.obstacles)
 
     def sync(self) -> None:
-        """Tell the engine what obstacles there are and how they move, where that changed."""
+        """Upload obstacles, their paths and jaw commands if they changed."""
         force = self.force
         if force.changes == self._seen and force.moves == self._moved and force.commands == self._heard:
             return
@@ -107,27 +110,28 @@ class Touching(Uncopyable):
         self._seen, self._moved, self._heard = force.changes, force.moves, force.commands
 
     def place_ahead(self, duration: float) -> None:
-        """Let obstacles be where they are by a duration [s] later than times say, and contacts as thick."""
+        """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""
         self._ahead, self._moved = duration, -1
         if self._reduced is not None:
             self.lay_thickness(self._reduced[0])
 
     @property
     def anchors_shape(self) -> tuple[int, int, int]:
-        """Shape of anchors: obstacles; place in the obstacle's frame [m] and bond (none, sticks, slides); particles.
-        Two rows more with friction between layers: triangle, weights of its second and third corner, bond.
+        """Shape of anchors: obstacles; position in the obstacle's frame [m] and bond (none, sticks, slides); particles.
+
+        With friction between layers there are two more rows: triangle, weights of its second and third corner, bond.
         """
         return (self.count + LAYER_SIDES * self.force.layered, ANCHOR_NUMBERS, self._shape[1])
 
     @property
     def pinched_shape(self) -> tuple[int, int]:
-        """Shape of where pads are: pinches; half the way between their faces [m], its rate [m/s]."""
+        """Shape of jaw states: pinches; half opening between the faces [m] and jaw speed [m/s]."""
         return (len(self.force.pads), PINCH_NUMBERS)
 
     def take(self, state: State) -> None:
-        """Let what follows start with the anchors, pads and thickness of contacts of a state.
+        """Load the anchors, jaws and contact thickness of a state into the engine.
 
-        A state without any, or of other obstacles, has no anchors; its pads are open.
+        If the state has none, or those of other obstacles, there are no anchors and the jaws are open.
         """
         self.sync()
         self.lay_thickness(state.memory.get(THICKNESS))
@@ -139,21 +143,21 @@ class Touching(Uncopyable):
 
     @property
     def thickness_shape(self) -> tuple[int, int]:
-        """Shape of the thickness of contacts: obstacles and the cloth itself; particles, and an obstacle's edges."""
+        """Shape of contact thickness: obstacles, then the cloth itself; particles, then an obstacle's edges."""
         return (self.count + 1, self._shape[1] + 1)
 
     @property
     def thickness(self) -> Array | None:
-        """Thickness of contacts [m] that was laid last; None where all have the whole one."""
+        """Contact thickness [m] in the engine; None if all contacts have the full one."""
         return None if self._reduced is None else self._reduced[0]
 
     @property
     def regained(self) -> Array | None:
-        """Thickness of contacts [m] to which that grows, see `Contact.recover`; None where none does."""
+        """Target of the thickness recovery [m], see `Contact.start_recovery`; None if none grows."""
         return None if self._reduced is None else self._reduced[2]
 
     def lay_thickness(self, reduced: Array | None) -> None:
-        """Let contacts have a reduced thickness [m] when their recovery begins; the whole one where left out."""
+        """Set the contact thickness [m] at the start of its recovery; None sets the full one."""
         if reduced is None:
             if self._reduced is not None:
                 check(self._library.cloth_contact_thickness(self._handle, None, None, 0.0))
@@ -170,8 +174,10 @@ class Touching(Uncopyable):
         self._reduced = reduced, start, after
 
     def lay_pads(self, pinched: Array | None) -> Array | None:
-        """Let what follows start with pads where they are said to be, open where left out; return that, None where no
-        gripper pinches.
+        """Set the jaw states; None opens the jaws.
+
+        Returns:
+            The jaw states, shape `jaws_shape`; None if no gripper pinches.
         """
         self.sync()
         if not self.force.pads:
@@ -182,8 +188,9 @@ class Touching(Uncopyable):
         return pinched
 
     def narrows(self, duration: float, x: Array, v: Array) -> bool:
-        """Whether runs over a duration [s] from a state may calculate in single precision: an anchor's spring gives by
-        less than it tells apart, and so does a gap within the cloth.
+        """Return true if runs over a duration [s] from a state may calculate in single precision.
+
+        Single precision resolves neither the stretch of an anchor's spring nor a gap within the cloth.
         """
         if self.force.rough or self.force.pads or self._reduced is not None or not self.rests(duration, x, v):
             return False
@@ -191,17 +198,17 @@ class Touching(Uncopyable):
         return self._features is None or self._features.rests(start, duration, x, v)
 
     def ends(self, runs: int) -> tuple[Array | None, Array | None]:
-        """Return room for the anchors and pads of runs at their ends; None where there are none."""
+        """Return buffers for the anchors and jaws at the ends of runs; None for those that do not exist."""
         anchors = np.empty((runs, *self.anchors_shape)) if self.force.anchored else None
         return anchors, np.empty((runs, *self.pinched_shape)) if self.force.pads else None
 
     def combined_pads(self, runs: Sequence[Run], weights: Sequence[float]) -> Array | None:
-        """Return where pads are at the end of runs that are combined by weights; None where no gripper pinches."""
+        """Return the weighted combination of the runs' jaw states; None if no gripper pinches."""
         ends = [run.pinched for run in runs if run.pinched is not None]
         return combine(ends, weights) if ends else None
 
     def pad_accelerations(self, t: float, x: Array, v: Array) -> Array:
-        """Return the accelerations [m/s^2] of half the ways between pads, shape (pinches,)."""
+        """Return the accelerations [m/s^2] of the jaws' half openings, shape (pinches,)."""
         out = np.empty(len(self.force.pads))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         check(self._library.cloth_pinch_accelerations(self._handle, t, *addresses))
@@ -210,8 +217,14 @@ class Touching(Uncopyable):
     def ended(
         self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float]
     ) -> tuple[Array | None, Array | None]:
-        """Return the anchors and pads of what combines runs by weights and ends at time t [s], with positions x and
-        velocities v; None where there are none.
+        """Return anchors and jaws of a weighted combination of runs; None for those that do not exist.
+
+        Args:
+            t: time at the end [s].
+            x: combined positions [m], shape (3, n).
+            v: combined velocities [m/s], shape (3, n).
+            runs: the runs.
+            weights: dimensionless weight of each run.
         """
         pinched = self.combined_pads(runs, weights)
         self.lay_pads(pinched)
@@ -221,8 +234,13 @@ class Touching(Uncopyable):
         return self.settle(t, x, v, ends, weights), pinched
 
     def pass_on(self, state: State, t: float, runs: Sequence[Run], weights: Sequence[float]) -> None:
-        """Let a state, whose positions and velocities combine runs by weights and are of time t [s], end with the
-        anchors and pads of that.
+        """Commit the anchors and jaws of a weighted combination of runs to its state.
+
+        Args:
+            state: state with the combined positions and velocities.
+            t: time of the state [s].
+            runs: the runs.
+            weights: dimensionless weight of each run.
         """
         if not self.force.remembered:
             return
@@ -231,7 +249,11 @@ class Touching(Uncopyable):
                 state.memory[name] = array
 
     def lay(self, anchors: Array | None) -> Array | None:
-        """Let what follows start with anchors, none where left out; return them, None where there is no friction."""
+        """Set friction anchors; None sets none.
+
+        Returns:
+            The anchors, shape `anchors_shape`; None without friction.
+        """
         self.sync()
         if not self.force.anchored:
             return None
@@ -243,7 +265,7 @@ class Touching(Uncopyable):
         return anchors
 
     def rubbed(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that friction between layers takes at time t [W], with the anchors that were laid."""
+        """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
         return touching_layers.rubbed(self._handle, t, x, v) if self.force.layered else 0.0
 
     def recovering(self, t: float, x: Array, v: Array) -> float:
@@ -256,14 +278,14 @@ class Touching(Uncopyable):
         return float(out[0])
 
     def settle(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
-        """Return the anchors of a state that combines runs by weights, from those that each run ended with.
+        """Return the anchors of a weighted combination of runs, from the anchors at the end of each run.
 
         Args:
-            t: time of the state [s].
-            x: its positions.
-            v: its velocities.
+            t: time of the combined state [s].
+            x: combined positions [m], shape (3, n).
+            v: combined velocities [m/s], shape (3, n).
             ends: anchors of each run, shape (runs, *anchors_shape).
-            weights: of the runs.
+            weights: dimensionless weight of each run.
         """
         out, factors = np.empty(self.anchors_shape), np.array(weights, dtype=np.float64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
@@ -272,7 +294,13 @@ class Touching(Uncopyable):
         return out
 
     def follow(self, t: float, h: float, state: State) -> None:
-        """Let pads and anchors follow a state that has moved by a step h [s] to time t [s], during which pads stood."""
+        """Update jaws and anchors of a state after an implicit step during which the jaws stood still.
+
+        Args:
+            t: time at the end of the step [s].
+            h: length of the step [s].
+            state: state at the end of the step.
+        """
         if self.force.pads:
             features = self._features
             state.memory[PINCHED] = touching_pads.moved(
@@ -288,16 +316,25 @@ class Touching(Uncopyable):
             state.memory[ANCHORS] = self.settle(t, state.x, state.v, self._taken[None], [1.0])
 
     def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
-        """Return squared frequency [1/s^2] and damping rate [1/s] that contact may come to within a duration [s]: where
-        it has taken up the energy of what is in contact, and of what comes into contact by then. And the operations
-        that it adds to a force evaluation: of what is in reach.
+        """Predict the bounds and the cost of contact within a duration.
+
+        The bounds hold after contact has taken up the energy of all present contacts, and of those that begin by then.
+
+        Args:
+            t: time [s].
+            duration: duration [s]; 0 for present contacts alone.
+            x: positions [m], shape (3, n).
+            v: velocities [m/s], shape (3, n).
+
+        Returns:
+            Squared angular frequency [1/s^2], damping rate [1/s], and operations of a force evaluation in reach.
 
         Raises:
-            ValueError: where a particle is inside an obstacle, naming it.
+            ValueError: if a particle is inside an obstacle, naming the obstacle.
         """
         self.sync()
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
-        # Neighbours may push, too. What contact holds already is known.
+        # Neighbours may push, too. The energy of present contacts is known exactly.
         factors = CONSTANTS.trust, CONSTANTS.trust if duration > 0.0 else 1.0
         check(self._library.cloth_outlook(self._handle, t, duration, *factors, *addresses))
         energy, near, rough, omega2, damping, own_omega2, own_damping, pairs = self._told
@@ -310,17 +347,23 @@ class Touching(Uncopyable):
         return omega2 + own_omega2, damping + own_damping, NEAR * near + RUBBED * rough + PAIR * pairs
 
     def own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
-        """Return the same as `ahead` of contact of the cloth's triangles and edges, with itself and with obstacles."""
+        """Predict the bounds of contact of the cloth's triangles and edges, with the cloth and with obstacles.
+
+        Returns:
+            Squared angular frequency [1/s^2] and damping rate [1/s].
+        """
         return self._own_ahead(t, duration, x, v)[:2]
 
     def work(self, t: float, duration: float, state: State) -> float:
-        """Return the operations that contact adds to a force evaluation: of what a state at time t [s] has in reach."""
+        """Return the operations that contact adds to a force evaluation within a duration [s] from a state at time t
+        [s].
+        """
         self.lay_pads(state.memory.get(PINCHED))
         _, near, rough = self._looked_at(t, duration, state.x, state.v)
         return NEAR * near + RUBBED * rough + PAIR * self._own_ahead(t, duration, state.x, state.v)[2]
 
     def _own_ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
-        """Return the same as `own_ahead`, and how many pairs come into question."""
+        """Predict as `predict_surface_contact`; return the number of candidate pairs, too."""
         self.sync()
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
         expected = CONSTANTS.trust if duration > 0.0 else 1.0
@@ -328,7 +371,7 @@ class Touching(Uncopyable):
         return self._told[0], self._told[1], self._told[2]
 
     def rests(self, duration: float, x: Array, v: Array) -> bool:
-        """Return whether nothing of the cloth gets near itself within a duration [s], so that runs leave that out."""
+        """Return true if the cloth stays clear of itself for a duration [s], so that runs may skip self-contact."""
         if self.force.surface is None:
             return True
         self.sync()
@@ -338,15 +381,17 @@ class Touching(Uncopyable):
         return bool(out[0])
 
     def keep_pairs(self, keeps: bool) -> None:
-        """Say whether pairs of the cloth that may come near are kept between evaluations; no bit depends on it."""
+        """Set whether candidate pairs of the cloth are reused between evaluations; no bit depends on it."""
         check(self._library.cloth_self_keeps(self._handle, keeps))
 
     def energy_ahead(self, t: float, duration: float, x: Array, v: Array) -> float:
-        """Return the energy per mass that contact may have to take up in a duration [s], in U^2/2; inside infinite."""
+        """Predict the energy per mass that contact may take up within a duration [s], in U^2/2; infinite inside an
+        obstacle.
+        """
         return self._looked_at(t, duration, x, v)[0]
 
     def _looked_at(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
-        """Return the same, and how often particles come into question: for any obstacle, for those with friction."""
+        """Predict the energy; return the numbers of candidate particles for all and for rough obstacles, too."""
         if not self.count:
             return 0.0, 0.0, 0.0
         self.sync()
@@ -355,21 +400,32 @@ class Touching(Uncopyable):
         return self._told[0], self._told[1], self._told[2]
 
     def limits(self, energy: float) -> tuple[float, float]:
-        """Return squared frequency and damping rate of contact that has taken up an energy per mass, in U^2/2."""
+        """Return squared frequency [1/s^2] and damping rate [1/s] of contact that has taken up an energy per mass, in
+        U^2/2.
+        """
         if not self.count or (energy == 0.0 and not self.force.pads):
             return 0.0, 0.0
         check(self._library.cloth_contact_limits(self._handle, energy, self._told_at))
         return self._told[0], self._told[1]
 
     def held(self, gap: float) -> float:
-        """Return the energy per mass that contact holds at a gap [m], in U^2/2; infinite at none."""
+        """Return the energy per mass of contact at a gap [m], in U^2/2; infinite without a gap."""
         s = min(max(gap / self.force.thickness, 0.0), 1.0)
         square = (1.0 - s) * (1.0 - s)
         return square * square / s if s else math.inf
 
     def rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
-        """Return for each obstacle force, torque about its place, power on the cloth and power lost in contact, times a
-        weight, shape (obstacles, BOOKED_NUMBERS).
+        """Return force, torque and power of each obstacle on the cloth, and the power that its contact dissipates.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            v: velocities [m/s], shape (3, n).
+            weight: factor on the result.
+
+        Returns:
+            Force [N] (3), torque about the obstacle's position [N m] (3), power [W], dissipated power [W], shape
+            (obstacles, BOOKED_NUMBERS).
         """
         self.sync()
         out = np.zeros((self.count, BOOKED_NUMBERS))
@@ -378,8 +434,9 @@ class Touching(Uncopyable):
         return out
 
     def gaps(self, t: float, x: Array) -> Array:
-        """Return for each obstacle how many particles are nearer than the thickness, and the least gap [m], infinite
-        where no particle is free: shape (obstacles, 2).
+        """Return for each obstacle the number of particles within the thickness and the least gap [m], (obstacles, 2).
+
+        The gap is infinite if no particle is free.
         """
         self.sync()
         out = np.empty((self.count, 2))
@@ -387,8 +444,9 @@ class Touching(Uncopyable):
         return out
 
     def gap_rows(self, t: float, x: Array) -> Array:
-        """Return the gap of each contact at time t [m], of shape `thickness_shape`: infinite where it is none. Edges'
-        gaps, which have half the thickness, count twice.
+        """Return the gap of each contact at time t [m], shape `thickness_shape`; infinite without contact.
+
+        Gaps of edges, which have half the thickness, count twice.
         """
         self.sync()
         out = np.empty(self.thickness_shape)
@@ -396,12 +454,12 @@ class Touching(Uncopyable):
         return out
 
     def gaps_of(self, state: State, t: float) -> Array:
-        """Return the same of a state at time t [s]."""
+        """Return `contact_gaps` of a state at time t [s]."""
         self.take(state)
         return self.gaps(t, state.x)
 
     def own_gaps(self, x: Array) -> tuple[int, float]:
-        """Return how many contacts the cloth has with itself, and the least of their gaps [m], infinite for none."""
+        """Return the number of self-contacts and their least gap [m], infinite if there are none."""
         if self.force.surface is None:
             return 0, math.inf
         self.sync()
@@ -420,8 +478,13 @@ class Touching(Uncopyable):
             check(self._library.cloth_self_bounds(self._handle, t, place, *addresses))
 
     def crosses(self, t: float, duration: float, start: Array, end: Array) -> bool:
-        """Return whether a particle meets an obstacle's surface on its straight way from one place to another, or the
-        cloth meets itself.
+        """Return true if a straight motion hits an obstacle or the cloth itself.
+
+        Args:
+            t: time at the start [s].
+            duration: duration of the motion [s].
+            start: positions at the start [m], shape (3, n).
+            end: positions at the end [m], shape (3, n).
         """
         self.sync()
         out = np.empty(1, dtype=np.int64)
@@ -430,7 +493,10 @@ class Touching(Uncopyable):
         return bool(out[0]) or self.passes(t, duration, start, end)
 
     def check_clear(self, t: float, x: Array) -> None:
-        """Refuse a cloth that goes through an obstacle between its particles, or through itself (`clear_start`)."""
+        """Refuse a cloth that an obstacle penetrates between its particles, or that penetrates itself.
+
+        See `initial_penetration`.
+        """
         self.sync()
         if self._features is not None:
             self._features.check_clear(t, x, [obstacle.name for obstacle in self.force.obstacles])
@@ -440,8 +506,13 @@ class Touching(Uncopyable):
             check_clear(self._owner, self.force.surface, self.force.thickness, x)
 
     def passes(self, t: float, duration: float, start: Array, end: Array) -> bool:
-        """Return whether the cloth meets itself, or obstacles between its particles, on straight ways from one place at
-        time t [s] to another.
+        """Return true if the surface hits itself or an obstacle's features in a straight motion.
+
+        Args:
+            t: time at the start [s].
+            duration: duration of the motion [s].
+            start: positions at the start [m], shape (3, n).
+            end: positions at the end [m], shape (3, n).
         """
         if self._features is not None and self._features.cross(t, duration, start, end):
             return True

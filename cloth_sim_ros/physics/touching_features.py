@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles' points and edges against the cloth's triangles and edges: what the engine is told of them, and asked."""
+"""Engine binding of obstacle features against the cloth's surface.
+
+Features are points and edges of obstacles; they touch triangles and edges of the cloth.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,12 @@ from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 
 class TouchingFeatures(Uncopyable):
-    """Those of one plan.
+    """Engine binding of the obstacle features of one plan.
 
     Args:
-        owner: of the engine's plan.
-        faces: the cloth's surface.
-        particle_count: of the model.
+        owner: handle of the engine's plan.
+        faces: surface of the cloth.
+        particle_count: number of particles of the model.
     """
 
     def __init__(self, owner: Owner, faces: OwnSurface, particle_count: int) -> None:
@@ -34,7 +37,7 @@ class TouchingFeatures(Uncopyable):
         check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.shortest))
 
     def tell(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
-        """Tell the engine the features of its obstacles, but for those that particles keep out."""
+        """Upload the features of obstacles, except those that particles alone keep out."""
         for k, obstacle in enumerate(obstacles):
             found = features(obstacle, thickness)
             if found.radius > 0.0 and round_enough(found.radius, self._longest, thickness):
@@ -44,22 +47,26 @@ class TouchingFeatures(Uncopyable):
             check(self._library.cloth_plan_features(self._handle, k, *places, found.radius))
 
     def rests(self, t: float, duration: float, x: Array, v: Array) -> bool:
-        """Return whether none gets near the cloth within a duration [s] from time t on."""
+        """Return true if no feature gets near the cloth within a duration [s] from time t [s] on."""
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         check(self._library.cloth_features_rest(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def cross(self, t: float, duration: float, start: Array, end: Array) -> bool:
-        """Return whether any passes through the cloth on straight ways from one place at time t to another."""
+        """Return true if a feature passes through the cloth in a straight motion from time t over a duration [s]."""
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_features_cross(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def pads_cross(self, t: float, x: Array, ways: Array) -> NDArray[np.bool_]:
-        """Return of each pinch whether a pad passes through the cloth on its way at time t [s] from half a way between
-        the faces [m] to where pads were laid, the cloth being at x.
+        """Return for each pinch whether a jaw passes through the cloth while it moves to its present half opening.
+
+        Args:
+            t: time [s].
+            x: positions of the cloth [m], shape (3, n).
+            ways: half openings at the start of the motion [m], shape (pinches,).
         """
         out = np.empty(len(ways), dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("ways", ways, ways.shape), address(out)
@@ -67,17 +74,19 @@ class TouchingFeatures(Uncopyable):
         return out != 0
 
     def pierced(self, t: float, x: Array) -> tuple[int, int, int]:
-        """Return which obstacle passes through the cloth at time t, and two particles about the place; -1 for none."""
+        """Return the first obstacle that penetrates the cloth at time t [s], and two particles near the position; -1
+        for none.
+        """
         out = np.empty(3, dtype=np.int64)
         check(self._library.cloth_features_pierce(self._handle, t, doubles("x", x, self._shape), address(out)))
         obstacle, a, b = out.tolist()
         return obstacle, a, b
 
     def check_clear(self, t: float, x: Array, names: Sequence[str]) -> None:
-        """Refuse a cloth that an obstacle passes through at time t, naming it and where.
+        """Refuse a cloth that an obstacle penetrates at time t [s].
 
         Raises:
-            ValueError: for such a cloth.
+            ValueError: for such a cloth, naming the obstacle, the particles and the position.
         """
         k, a, b = self.pierced(t, x)
         if k < 0:
@@ -90,7 +99,7 @@ class TouchingFeatures(Uncopyable):
 
 
 def tell_meshes(handle: int, obstacles: Sequence[Obstacle]) -> None:
-    """Tell the engine's plan the meshes of those obstacles that are one."""
+    """Upload the meshes of those obstacles that have one."""
     for k, obstacle in enumerate(obstacles):
         vertices, triangles = obstacle.vertices, obstacle.triangles
         if vertices is not None and triangles is not None:

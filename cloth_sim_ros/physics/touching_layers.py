@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A cloth that touches itself, and friction between its layers: what the engine is told of it, and what it is asked."""
+"""Engine binding of self-contact and of friction between layers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.remembered import ANCHORS
 
 
 def tell_surface(handle: int, contact: Contact) -> None:
-    """Tell the engine the surface that is not to pass through itself, if any, and the friction between its layers."""
+    """Upload the surface of self-contact, if there is one, and the friction between its layers."""
     surface = contact.surface
     if surface is None:
         return
@@ -24,7 +24,11 @@ def tell_surface(handle: int, contact: Contact) -> None:
 
 
 def check_anchors(contact: Contact, anchors: Array) -> None:
-    """Refuse anchors, of obstacles and then of layers, in triangles that the cloth does not have.
+    """Refuse anchors between layers in triangles that the cloth does not have.
+
+    Args:
+        contact: the force.
+        anchors: anchors of obstacles, then of layers, shape `ContactBinding.anchors_shape`.
 
     Raises:
         ValueError: naming the side of the cloth and the triangle.
@@ -43,7 +47,7 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
 
 
 def rubbed(handle: int, t: float, x: Array, v: Array) -> float:
-    """Return the power that friction between layers takes at time t [W], with the anchors that were laid."""
+    """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
     out = np.empty(1)
     check(library().cloth_self_rubbed(handle, t, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)))
     return float(out[0])

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pads of grippers that follow a step of the implicit method, during which they stood."""
+"""Motion of jaws in a step of the implicit method."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 
-#: Halvings of the range in which the rate of pads is looked for: down to its last bit.
+#: Bisections of the range of the jaw speed, down to its last bit.
 _BISECTIONS = 60
 
 
@@ -26,20 +26,20 @@ def moved(
     accelerations: Callable[[], Array],
     cross: Callable[[Array], NDArray[np.bool_]] | None,
 ) -> Array:
-    """Return where pads are, and their rates, after a step of the implicit Euler method, the cloth where it is then.
+    """Return the states of jaws after an implicit Euler step, given the cloth at its end.
 
-    Cloth and stops push the harder the further pads go: of their rates, one is what the rate before and the push make.
-    It is found by bisection between the stops.
+    The load of cloth and stops grows with the half opening's displacement. Therefore one jaw speed is consistent with
+    the speed before and the load. Bisection between the stops finds it.
 
     Args:
-        force: contact, with its pads.
-        before: half the ways between pads [m] and their rates [m/s] at the start, shape (pinches, 2); open pads where
-            left out.
+        force: contact, with its jaws.
+        before: half openings [m] and jaw speeds [m/s] at the start, shape (pinches, 2); None for open jaws.
         h: length of the step [s].
-        lay: lets what follows have pads in such places.
-        accelerations: of half the ways between pads, where they were laid; not finite where they are within the cloth.
-        cross: whether pads pass through the cloth on their way from some half ways to where they were laid; left out
-            where only particles meet them.
+        lay: sets the jaw states in the engine.
+        accelerations: returns the accelerations of the half openings [m/s^2] in the present states; not finite inside
+            the cloth.
+        cross: returns whether jaws pass through the cloth from given half openings [m] to the present ones; None if
+            only particles meet them.
     """
     if before is None:
         before = np.array([pads.start for pads in force.pads])
@@ -52,7 +52,7 @@ def moved(
         middle = 0.5 * (low + high)
         lay(np.stack([way + h * middle, middle], axis=1))
         over = middle - rate - h * accelerations()
-        # Where pads stood they were clear of the cloth: it keeps them on that side.
+        # If jaws were clear of the cloth at the start, the cloth keeps them on that side.
         past = ~np.isfinite(over) & clear
         if cross is not None:
             past |= cross(way)

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A guard against two calls of one plan at a time.
+"""Guard against re-entrant calls of a plan.
 
-They may come from two threads, or from a force in numpy that calls the plan which is just calling the force.
+Two calls at a time may come from two threads, or from a Python force that calls its own plan.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cloth_sim_ros.engine.binding import AT_WORK
 
 
 class Taken(Protocol):
-    """An object that allows one call at a time; the lock is held during a call."""
+    """An object that allows one call at a time; a call holds the lock."""
 
     turn: threading.Lock
 
@@ -29,10 +29,10 @@ _Result = TypeVar("_Result")
 def one_at_a_time(
     method: Callable[Concatenate[_Self, _Arguments], _Result],
 ) -> Callable[Concatenate[_Self, _Arguments], _Result]:
-    """Refuse a second call while one is at work: both would write into the same memory.
+    """Refuse a second call of a method while one is running: both would write into the same memory.
 
     Raises:
-        RuntimeError: for that call.
+        RuntimeError: for the second call.
     """
 
     @functools.wraps(method)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Refusal of copies of an object that works in memory of the engine."""
+"""Base class of objects that can't be copied because they use the engine's memory."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, ClassVar, NoReturn
 
 
 class Uncopyable:
-    """An object whose copy would write into the same memory of the engine: `copy` and `pickle` are refused."""
+    """An object whose copy would write into the same memory of the engine: `copy` and `pickle` raise an error."""
 
-    #: Cause and remedy of the refusal.
+    #: Cause and remedy in the error.
     copy_refusal: ClassVar[str] = (
         "this object works in memory of the engine, and can't be copied or pickled; compile its model once more"
     )

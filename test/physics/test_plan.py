@@ -282,5 +282,5 @@ def test_arrays_that_the_engine_would_misread_are_refused():
 
 def test_mismatched_work_accumulator_is_refused():
     simulation = made(next(iter(SCENES.values())))
-    with pytest.raises(ValueError, match="a book of 3 grippers for a run with 2"):
+    with pytest.raises(ValueError, match="accumulator is for 3 grippers, the run has 2"):
         Extrapolated(tolerance=1e-4).advance(simulation.plan, simulation.state, 0.0, 1.0 / 60.0, Book(3))

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Air on the cloth's surface: each triangle or cell is a panel that the air pushes more across than along."""
+"""Aerodynamic drag of the cloth's surface, panel by panel.
+
+A panel is a triangle or a grid cell. Drag across the surface is larger than along it.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,16 @@ from cloth_sim_ros.physics.parts import Listed, Part
 class AirPanels(EngineForce):
     """Linear drag of every panel relative to the air, shared evenly by its k corners.
 
-        F = -A/k (c_n n n' + c_t (1 - n n')) (v - w)
+        F = -A/k (c_n n n' + c_t (1 - n n')) (v - w).
 
-    with the panel's present area A and unit normal n, the corner's velocity v and the wind w. Of a quadrilateral, A n
-    is half the cross product of its diagonals: a cell that is bent along one of them has the air of its outline. It
-    takes no side of the cloth for its front. Dissipation is that of still air, v'Bv; what the wind adds, w'Bv, is its
-    work (`supply`).
+    A is the panel's present area, n its unit normal, v the corner's velocity and w the wind. For a quadrilateral, A n
+    is half the cross product of its diagonals. A cell bent along one of them has the drag of its outline. The force
+    does not distinguish the two sides of the cloth. The dissipation is that of still air, v'Bv. The wind adds the work
+    w'Bv (`supply`).
 
-    The damping blocks are exact. The force also changes as the panels turn, which no potential describes. The stiffness
-    blocks bound that change for a cloth at rest in the wind. They leave out the cloth's own speed: its share, of size
-    ``c |v| L``, is small beside a spring's ``k_s / l0``, and the error control covers it.
+    The damping blocks are exact. The force also changes as the panels turn; this part has no potential. The stiffness
+    blocks bound that change for a cloth at rest in the wind. They ignore the cloth's own speed. Its contribution, of
+    size ``c |v| L``, is small compared with a spring's ``k_s / l0``, and the error control covers it.
 
     Args:
         panels: particles of each panel in order around it, shape (m, 3) or (m, 4).
@@ -36,7 +39,7 @@ class AirPanels(EngineForce):
         wind: velocity of the air [m/s], shape (3,).
 
     Raises:
-        ValueError: for no panels, or a coefficient or a wind that is not finite.
+        ValueError: if there are no panels, or for a coefficient or a wind that is not finite.
     """
 
     name = "air"
@@ -45,7 +48,7 @@ class AirPanels(EngineForce):
     def __init__(
         self, panels: ArrayLike, *, normal: float, tangential: float, wind: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
-        # As objects: rows of different lengths are told below.
+        # As objects: the check below reports rows of different lengths.
         corners = 4 if np.shape(np.asarray(panels, dtype=object))[1:] == (4,) else 3
         self.panels = indices("panels", panels, corners, np.iinfo(np.int64).max)
         if not len(self.panels):
@@ -55,7 +58,7 @@ class AirPanels(EngineForce):
         self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
     def blown(self, wind: ArrayLike) -> AirPanels:
-        """The same panels in another wind [m/s], shape (3,)."""
+        """Return the same panels in another wind [m/s], shape (3,)."""
         other = copy.copy(self)
         other.wind = finite("wind", wind, (3,), one_for_all=False)
         return other

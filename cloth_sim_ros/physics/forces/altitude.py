@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S9: the seven candidate springs of the tetrahedron, blended into one."""
+"""Altitude springs (S9): seven candidate springs of a tetrahedron, blended into one."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
 
 
 class AltitudeSprings(HingeSprings):
-    """One spring a hinge on the blend of the seven candidates (three edge-edge, four point-face) of its tetrahedron.
+    """One spring per hinge on the blend of its tetrahedron's seven candidates (three edge-edge, four point-face).
 
-    Candidate c has the signed length h_c = 6V/M_c, with ``M_c = |a × b|`` of its face or its pair of edges. They blend
-    into
+    Candidate c has the signed length h_c = 6V/M_c, with ``M_c = |a × b|`` of its face or its pair of edges. The blend
+    has the length h.
 
-        1/h² = ½ Σ 1/h_c², h = 6V / √(½ Σ M_c²) = 6V / √(Σ over the faces of M_f²)
+        1/h² = ½ Σ 1/h_c².
+        h = 6V / √(½ Σ M_c²) = 6V / √(Σ over the faces of M_f²).
 
-    (the squares of the three edge-edge M_c sum to those of the four faces). Its gradient is Σ ½ (M_c/M)³ ∇h_c: all
-    seven springs pull at once, the shortest most. So there is no choice to switch and nothing to remember; force and
-    energy are smooth until all four points are collinear, where the force is zero (thinner than 1e-12).
+    The squares of the three edge-edge M_c sum to those of the four faces. The gradient is Σ ½ (M_c/M)³ ∇h_c: all seven
+    springs pull at once, the shortest most. Therefore there is no switch and no memory. Force and energy are smooth
+    until all four points are collinear; there the force is zero (thinner than 1e-12).
 
     Args:
         quads: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contact: obstacles, and the cloth itself, keep cloth at a distance (docs/contact.md)."""
+"""Contact force: obstacles and the cloth itself keep cloth at a distance (docs/contact.md)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from cloth_sim_ros.physics.pinch import Pads
 
 
 class OwnSurface:
-    """The surface of a cloth that nothing is to pass through, itself or obstacles.
+    """A surface of the cloth that neither the cloth nor obstacles may pass through.
 
     Args:
         triangles: its triangles, shape (m, 3).
-        positions: of its particles at rest [m], shape (n, 3).
-        thickness: distance that it keeps from itself [m].
+        positions: particle positions at rest [m], shape (n, 3).
+        thickness: contact thickness [m].
         friction: coefficients of static and kinetic friction between its layers.
 
     Raises:
         ValueError: for a surface without triangles, a thickness above half its shortest edge (neighbours would touch at
-            rest), or friction that is none.
+            rest), or invalid friction.
     """
 
     def __init__(
@@ -46,14 +46,14 @@ class OwnSurface:
         ends = places[self.triangles[:, [1, 2, 0]]] - places[self.triangles]
         square = ends[..., 0] * ends[..., 0] + ends[..., 1] * ends[..., 1] + ends[..., 2] * ends[..., 2]
         self.particle_count = len(places)
-        #: Its shortest and its longest edge at rest [m].
+        #: Shortest and longest edge at rest [m].
         self.shortest, self.longest = math.sqrt(float(square.min())), math.sqrt(float(square.max()))
         if thickness > 0.5 * self.shortest:
             raise ValueError(
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.shortest:.4g} "
                 f"m: neighbours would touch at rest; take {0.49 * self.shortest:.2g} m or less, or a coarser cloth"
             )
-        #: Coefficients of friction between layers, at rest and in motion.
+        #: Coefficients of static and kinetic friction between layers.
         self.friction = (float(friction[0]), float(friction[1]))
         if not 0.0 <= self.friction[1] <= self.friction[0] < math.inf:
             raise ValueError(
@@ -63,23 +63,23 @@ class OwnSurface:
 
 
 class Contact(EngineForce):
-    """Obstacles that move as commanded, and push particles off that come nearer than a thickness; so does the cloth's
-    own surface where it is given.
+    """Contact of particles with moving obstacles and, if given, of the cloth's surface with itself.
 
-    With g the gap between a particle and an obstacle, d the thickness and s = g / d, the energy of a particle of mass m
-    is ``m U^2 / 2 (1 - s)^4 / s`` for s < 1, U = 35 m/s. It is in proportion to mass, so that a sheet's motion does not
-    depend on its mesh. Damping multiplies the push by Q(u) = u / 2 + sqrt(1 + u^2 / 4), u = kappa w / (1 + kappa a /
-    gamma), where w is the speed with which the gap closes, a the push over the mass, and gamma = U / (2 d).
+    Let g be the gap between a particle and an obstacle, d the thickness and s = g / d. A particle of mass m has the
+    energy ``m U^2/2 (1 - s)^4/s`` for s < 1, with U = 35 m/s. The energy is proportional to mass; therefore the motion
+    of a sheet does not depend on its mesh. Damping multiplies the force by ``Q(u) = u/2 + sqrt(1 + u^2/4)``. Its
+    argument is ``u = kappa w / (1 + kappa a/gamma)``. In it w is the closing speed of the gap, a the force over the
+    mass, and gamma = U / (2 d).
 
     Args:
-        obstacles: what there is at first; names must differ.
-        pads: of the grippers that pinch; they are nowhere until `drive` says so.
+        obstacles: the first obstacles, with different names.
+        pads: jaws of the grippers that pinch; they are absent until `set_jaw_commands` places them.
         thickness: d [m], above 0.
-        damping: kappa [s/m], at least 0: at speeds from 1 / kappa on much of a bounce is lost.
-        frequency: of the springs that hold sticking particles to their anchors [1/s], above 0. On a slope a particle
-            gives by about mu g / frequency^2.
-        surface: what is not to pass through itself; None where the cloth may.
-        faces: what points and edges of obstacles are kept out of; None where particles alone are kept out.
+        damping: kappa [s/m], at least 0; at speeds above 1 / kappa much of a bounce is lost.
+        frequency: angular frequency of the springs between sticking particles and their anchors [1/s], above 0. On a
+            slope a particle gives by about mu g / frequency^2.
+        surface: surface of self-contact; None if the cloth may pass through itself.
+        faces: surface against points and edges of obstacles; None if only particles touch obstacles.
 
     Raises:
         ValueError: for a thickness or damping out of range, a shape that the engine has no distance for, or two
@@ -108,25 +108,25 @@ class Contact(EngineForce):
         self.frequency = float(finite("contact frequency", frequency, ()))
         if self.frequency <= 0.0:
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
-        #: Count obstacles laid anew, new paths and new commands to drives, so that a plan knows when to look.
+        #: Counters of new obstacles, new paths and new jaw commands; a plan uploads what changed.
         self.changes = self.moves = self.commands = 0
-        #: Of the grippers that pinch.
+        #: Jaws of the grippers that pinch.
         self.pads = tuple(pads)
-        #: Whether each of those is anywhere, and whether it closes, shape (pinches, 2).
+        #: For each of them: whether it is present, and whether it closes, shape (pinches, 2).
         self.driven = np.zeros((len(self.pads), 2), dtype=bool)
         self.surface, self.faces = surface, faces
-        #: When contacts with a reduced thickness begin to regain it, for how long [s], and their thickness then [m], of
-        #: shape `Touching.thickness_shape`; None where none does.
+        #: Recovery of reduced thickness: its start [s], its duration [s] and the thickness at its end [m], shape
+        #: `ContactBinding.thickness_shape`. The thickness is None if none grows.
         self.recovery: tuple[float, float, Array | None] = (0.0, 0.0, None)
         self.surround(obstacles)
 
     def surround(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
-        """Set what obstacles there are.
+        """Set the obstacles.
 
         Args:
-            obstacles: all of them, pads aside.
-            paths: of each over the next frame, shape (m, PATH_NUMBERS), see `Grips`, and behind them of the gripper of
-                each pad; at rest at the origin where left out.
+            obstacles: all obstacles, without jaws.
+            paths: path of each obstacle over the next frame, then the gripper's path for each jaw, shape (m,
+                PATH_NUMBERS), see `Grips`; the default is at rest at the origin.
         """
         names = [obstacle.name for obstacle in obstacles]
         for obstacle in obstacles:
@@ -136,7 +136,7 @@ class Contact(EngineForce):
                 raise ValueError(
                     f"obstacle '{obstacle.name}' is a {obstacle.shape}; the engine knows {', '.join(SHAPES)}"
                 )
-        #: Pads included, two for each gripper that pinches.
+        #: Obstacles and jaws, two for each gripper that pinches.
         self.obstacles = (*obstacles, *(box for pads in self.pads for box in pads.boxes()))
         #: Whether any obstacle has friction.
         self.rough = any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
@@ -147,40 +147,44 @@ class Contact(EngineForce):
         self.changes += 1
 
     def move(self, paths: Array) -> None:
-        """Set new paths, shape (m, PATH_NUMBERS), for the obstacles and pads that there are."""
+        """Set new paths, shape (m, PATH_NUMBERS), for the present obstacles and jaws."""
         self.paths = paths
         self.moves += 1
 
     def recover(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
-        """Let contacts with a reduced thickness, that of time t [s], grow to another one [m] in a duration [s]; none
-        grows if that is left out.
+        """Start the recovery of a reduced contact thickness.
+
+        Args:
+            t: start of the recovery [s].
+            duration: its duration [s].
+            thickness: thickness at its end [m]; None if none grows.
         """
         self.recovery = (t, duration, thickness)
 
     def drive(self, driven: NDArray[np.bool_]) -> None:
-        """Set whether each gripper that pinches is anywhere, and whether it closes, shape (pinches, 2)."""
+        """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
         if not np.array_equal(driven, self.driven):
             self.driven = driven.copy()
             self.commands += 1
 
     @property
     def solid_count(self) -> int:
-        """Number of obstacles that are no pads."""
+        """Number of obstacles without jaws."""
         return len(self.obstacles) - 2 * len(self.pads)
 
     @property
     def layered(self) -> bool:
-        """Whether layers of the cloth have friction."""
+        """True if layers of the cloth have friction."""
         return self.surface is not None and self.surface.friction[0] > 0.0
 
     @property
     def anchored(self) -> bool:
-        """Whether there is friction anywhere, and so anchors."""
+        """True if any friction exists; then states have anchors."""
         return self.rough or self.layered
 
     @property
     def remembered(self) -> bool:
-        """Whether states have anchors or pads."""
+        """True if states have anchors or jaws."""
         return bool(self.pads) or self.anchored
 
     def parts(self, particle_count: int) -> Sequence[Part]:
@@ -194,9 +198,9 @@ class Contact(EngineForce):
 
     @property
     def acts(self) -> bool:
-        """Whether there is anything to touch."""
+        """True if there is anything to touch."""
         return bool(self.obstacles) or self.surface is not None
 
     def steady(self) -> bool:
-        """Whether no obstacle moves or turns over its path, and no contact regains its thickness."""
+        """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
         return self.recovery[2] is None and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())

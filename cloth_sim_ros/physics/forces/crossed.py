@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S8: the lecture's second bending spring, between the shared edge and the bending spring."""
+"""Crossed springs (S8): the lecture's second bending spring.
+
+It connects the shared edge with the bending spring.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,12 @@ from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
 
 
 class CrossedSprings(HingeSprings):
-    """Edge-edge springs (S8): h is the signed distance of the lines of the shared edge a and of the wings b.
+    """Edge-edge springs (S8): h is the signed distance between the lines of the shared edge a and of the wings b.
 
-    That distance is 6V divided by the norm of a × b, positive where the wings rise to the side of the surface's
-    normal. Parallel lines, as in a symmetric pair folded by exactly 180°, have no common normal: there its force would
-    grow without limit. So h = 6V/M with M² = (a × b)² + (0.1 a²)²: bounded everywhere, and within some 6° of 180° the
-    spring lets go.
+    The distance is 6V divided by the norm of a × b. It is positive if the wings rise to the side of the surface's
+    normal. Parallel lines, as in a symmetric pair folded by exactly 180°, have no common normal: there the force would
+    grow without limit. Therefore h = 6V/M with M² = (a × b)² + (0.1 a²)². It is bounded everywhere, and within some 6°
+    of 180° the spring lets go.
 
     Args:
         edges: the shared edges, shape (m, 2).

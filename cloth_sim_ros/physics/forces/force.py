@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a force is: what the engine is told of it, or, for a force of one's own, its formulas in numpy."""
+"""Base classes of forces, in the engine or in Python."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from cloth_sim_ros.physics.parts import Part
 
 Array = NDArray[np.float64]
 
-# Empty members below are meant (noqa: B027): a force without stiffness or damping adds none.
+# Empty methods below are intended (noqa: B027): a force without stiffness or damping adds none.
 
 
 class Force:
     """One force of a model.
 
-    The engine's forces say in `parts` what they consist of. A force of one's own leaves that out and overrides
-    `add_force`, and `energy`, `add_stiffness` and so on where it has them: it costs its own time and no more. Its
-    stiffness and damping bound the step; a force that grows with positions or velocities and does not tell them may
-    become unstable.
+    A force of the engine describes its parts in `parts`. A Python force does not override `parts`. It overrides
+    `add_force` and, if it has them, `energy`, `add_stiffness` and the other methods. A Python force costs only its own
+    time. Its stiffness and damping bound the step. A force that varies with positions or velocities without reporting
+    its stiffness and damping may make steps unstable.
 
     Positions ``x`` [m], velocities ``v`` [m/s] and forces ``f`` [N] are component-major, shape (3, particle_count),
     float64 and C-contiguous. Times ``t`` [s] are simulated time. Blocks have shape (6, particle_count): the entries xx,
-    yy, zz, xy, xz, yz of one symmetric 3x3 matrix a particle.
+    yy, zz, xy, xz, yz of one symmetric 3x3 matrix per particle.
     """
 
     #: Short name, unique within a model.
     name: str = "force"
-    #: True where the force depends on velocities.
+    #: True if the force depends on velocities.
     damped: bool = False
-    #: Whether its damping, where it has any, takes out waves of the whole cloth.
+    #: True if its damping, if any, damps waves of the whole cloth.
     damps_waves: ClassVar[bool] = True
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
-        """Return what the engine is to do; None for a force in numpy.
+        """Return the force's parts for the engine; None for a Python force.
 
         Raises:
-            ValueError: if the force does not fit so many particles.
+            ValueError: if the force does not fit the number of particles.
         """
         return None
 
     def steady(self) -> bool:
-        """Whether the force at given positions and velocities stays what it is until the next event."""
+        """Return true if the force at given positions and velocities is constant until the next event."""
         return True
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
@@ -59,11 +59,11 @@ class Force:
         return 0.0
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that damping takes out of the motion [W]."""
+        """Return the power that damping dissipates [W]."""
         return 0.0
 
     def supply(self, t: float, x: Array, v: Array) -> float:
-        """Return the power [W] that the force puts into the motion beside what its energy loses."""
+        """Return the power [W] of the force on the cloth, except for the change of its energy."""
         return 0.0
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
@@ -77,18 +77,18 @@ class Force:
 
 
 class EngineForce(Force):
-    """A force of the engine's: it says what it consists of, and a plan says what that gives."""
+    """A force of the engine, described by its parts; a plan evaluates it."""
 
     @abstractmethod
     def parts(self, particle_count: int) -> Sequence[Part]:
-        """Return what the engine is to do.
+        """Return the force's parts for the engine.
 
         Raises:
-            ValueError: if the force does not fit so many particles.
+            ValueError: if the force does not fit the number of particles.
         """
 
     def _ask(self, *_: object) -> NoReturn:
-        raise TypeError(f"force '{self.name}' alone gives no numbers; ask compile(Model(masses, [force])), its plan")
+        raise TypeError(f"force '{self.name}' alone can't be evaluated; use the plan compile(Model(masses, [force]))")
 
     _asked: Any = _ask
     add_force = energy = dissipation = supply = add_stiffness = add_damping = add_jacobian_product = _asked

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The springs of a regular sheet, by the direction in which they point."""
+"""Springs of a regular sheet, by direction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.parts import Gridded, GridFamily, Part
 
-#: Ends of a family's springs relative to the row and column that own it: (row, column) of each.
+#: Ends of a family's springs relative to their owner's row and column: (row, column) of each end.
 ENDS = {
     "right": ((0, 0), (0, 1)),
     "down": ((0, 0), (1, 0)),
@@ -27,13 +27,13 @@ ENDS = {
 
 
 class GridSprings(EngineForce):
-    """Families of springs of a sheet of `rows` times `columns` particles, numbered row * columns + column.
+    """Springs of a sheet with `rows` times `columns` particles, by direction; indices are row * columns + column.
 
-    The law is that of `PairSprings`; the engine takes all families of a sheet in one sweep over its rows.
+    The law is that of `PairSprings`. The engine calculates all families of a sheet in one sweep over its rows.
 
     Args:
-        rows: of particles.
-        columns: of particles.
+        rows: number of rows of particles.
+        columns: number of columns of particles.
         families: springs by direction, each at most once.
         name: the force's name in a model.
 
@@ -73,7 +73,7 @@ class GridSprings(EngineForce):
 
     @cached_property
     def listed(self) -> PairSprings:
-        """The same springs as a list, made when it is first asked for."""
+        """List of the springs, built on first use."""
         found = [self._of(family) for family in self.families]
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)])
         every = np.concatenate([np.empty((0, 3)), *(numbers for _, numbers in found)])
@@ -85,7 +85,7 @@ class GridSprings(EngineForce):
         return self.listed.pairs
 
     def _of(self, family: GridFamily) -> tuple[NDArray[np.int64], Array]:
-        """Pairs of a family, and rest length, k_s and k_d of each."""
+        """Return pairs of a family, (m, 2), and rest length [m], k_s [N] and k_d [N s/m] of each, (m, 3)."""
         (row0, column0), (row1, column1) = ENDS[family.name]
         down, across = max(row0, row1), max(column0, column1)
         rows, columns = np.arange(max(self.rows - down, 0)), np.arange(max(self.columns - across, 0))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grips: particles held by grippers with zero-length springs (S4)."""
+"""Grips: zero-length springs (S4) between grippers and grasped particles."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from cloth_sim_ros.physics.parts import Part
 
 
 class Grips(EngineForce):
-    """Zero-length springs between held particles and points fixed to moving grippers.
+    """Zero-length springs between grasped particles and points fixed to moving grippers.
 
-    ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A gripper's path is a
-    row of PATH_NUMBERS numbers: its start time t0; position coefficients p0 to p3 of p0 + p1 s + p2 s^2 + p3 s^3 with s
-    = t - t0; the orientation q0 (x, y, z, w) at s = 0; rotation vector coefficients r1, r2, r3. The orientation is
-    exp(r1 s + r2 s^2 + r3 s^3) q0.
+    ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper.
+
+    A gripper's path is a row of PATH_NUMBERS numbers. The first is the start time t0; s = t - t0 below. Then follow p0
+    to p3 of the position p0 + p1 s + p2 s^2 + p3 s^3 [m]. The last are the orientation q0 (x, y, z, w) at s = 0 and r1
+    to r3. The orientation is exp(r1 s + r2 s^2 + r3 s^3) q0, with the rotation vector in rad.
 
     Args:
         gripper_count: number of grippers.
@@ -37,7 +38,7 @@ class Grips(EngineForce):
         self.gripper_count = int(gripper_count)
         paths = np.zeros((gripper_count, PATH_NUMBERS))
         paths[:, 16] = 1.0
-        #: Count what is held anew, and new paths, so that a plan knows when to look.
+        #: Counters of new grips and new paths; a plan uploads what changed.
         self.changes = self.moves = 0
         self.hold(
             paths,
@@ -57,43 +58,43 @@ class Grips(EngineForce):
         stiffness: Array,
         damping: Array,
     ) -> None:
-        """Set what is held: gripper g holds ``particles[starts[g]:starts[g + 1]]``.
+        """Set the grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
 
         Args:
-            paths: of the grippers, shape (gripper_count, PATH_NUMBERS).
-            starts: shape (gripper_count + 1,), int64.
-            particles: held particles, shape (m,), int64.
+            paths: paths of the grippers, shape (gripper_count, PATH_NUMBERS).
+            starts: first grip of each gripper, shape (gripper_count + 1,), int64.
+            particles: grasped particles, shape (m,), int64.
             offsets: points in their gripper's frame [m], shape (m, 3).
             stiffness: k [N/m], shape (m,).
             damping: k_d [N s/m], shape (m,).
         """
         self.paths, self.starts, self.particles, self.offsets = paths, starts, particles, offsets
         self.stiffness, self.damping = stiffness, damping
-        #: The same as the engine takes it, once it was checked: see `Gripping`.
+        #: The same arrays, validated for the engine: see `GripBinding`.
         self.told: tuple[NDArray[Any], ...] | None = None
         self.changes += 1
 
     def move(self, paths: Array) -> None:
-        """Set new paths, shape (gripper_count, PATH_NUMBERS), for what is held already."""
+        """Set new paths, shape (gripper_count, PATH_NUMBERS), for the present grips."""
         self.paths = paths
         self.moves += 1
 
     def noted(self) -> tuple[Any, ...]:
-        """Return what is held, and the paths, for `go_back`."""
+        """Return the present grips and paths for `restore`."""
         return self.paths, self.starts, self.particles, self.offsets, self.stiffness, self.damping, self.told
 
     def go_back(self, noted: tuple[Any, ...]) -> None:
-        """Hold what was held then, by this force or by that of another model of the same masses."""
+        """Restore grips and paths from `save`, also from the force of another model with the same masses."""
         *held, told = noted
         self.hold(*held)
         self.told = told
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        # What is held changes from frame to frame: the plan asks for it then.
+        # Grips change from frame to frame: the plan uploads them in each frame.
         return ()
 
     def owners(self) -> NDArray[np.int64]:
-        """Gripper of each grip, shape (m,).
+        """Return the gripper index of each grip, shape (m,).
 
         Raises:
             ValueError: for starts that do not ascend from 0.
@@ -106,7 +107,7 @@ class Grips(EngineForce):
         return np.repeat(np.arange(self.gripper_count), np.diff(self.starts))
 
     def steady(self) -> bool:
-        """Whether no gripper that holds something moves or turns over its path."""
+        """Return true if no gripper with grips moves or turns over its path."""
         if not self.particles.size:
             return True
         paths = self.paths[np.diff(self.starts) > 0]

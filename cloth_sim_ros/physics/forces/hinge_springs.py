@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What S8 and S9 share: springs on one signed length of the tetrahedron of two triangles with a common edge."""
+"""Base class of S8 and S9: springs on one signed length of a hinge.
+
+A hinge is the tetrahedron of two triangles with a common edge.
+"""
 
 from __future__ import annotations
 
@@ -18,22 +21,22 @@ from cloth_sim_ros.physics.parts import Listed, Part
 class HingeSprings(EngineForce):
     """Springs on the signed length h [m] of hinges: energy κ̂ (h - h0)²/2, damping force -k_d (∇h·v) ∇h.
 
-    `CrossedSprings` (S8) and `AltitudeSprings` (S9) say which length. Neither has forces that push or turn the whole.
+    `CrossedSprings` (S8) and `AltitudeSprings` (S9) define the length. Their forces have no resultant and no torque.
 
     Args:
         hinges: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).
-        rest_length: signed rest lengths h0 [m], shape (m,) or one number; 0 is flat, positive where the wings rise to
-            the side of the normal.
+        rest_length: signed rest lengths h0 [m], shape (m,) or one number; 0 is flat, positive if the wings rise to the
+            side of the normal.
         stiffness: κ̂ [N/m], shape (m,) or one number, at least 0.
         damping: k_d [N s/m], shape (m,) or one number, at least 0.
         name: the force's name in a model.
 
     Raises:
-        ValueError: for a shape that does not fit, a particle that a hinge names twice, or a value that is not finite
-            or negative.
+        ValueError: for a shape that does not fit, a particle that a hinge names twice, or an entry that is negative or
+            not finite.
     """
 
-    #: Which length: a key of `engine.binding.KINDS`.
+    #: The kind of length: a key of `engine.binding.KINDS`.
     kind: ClassVar[str]
 
     def __init__(
@@ -67,13 +70,17 @@ class HingeSprings(EngineForce):
         return (Listed(kind=self.kind, particles=hinges, numbers=numbers),)
 
     def lengths(self, x: Array) -> Array:
-        """Return the signed length h [m] of every hinge at positions x (3, n), NaN where undefined, shape (m,)."""
+        """Return the signed length h [m] of every hinge at positions x (3, n), NaN if undefined, shape (m,)."""
         return signed_lengths(self.hinges, x, kind=self.kind)
 
 
 def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
-    """Return the signed lengths [m] of hinges (m, 4) at x (3, n), `crossed` (S8) or `altitude` (S9); NaN where
-    undefined.
+    """Return the signed lengths h [m] of hinges, shape (m,); NaN if undefined.
+
+    Args:
+        hinges: particles (edge0, edge1, wing0, wing1), shape (m, 4).
+        x: positions [m], shape (3, n).
+        kind: `crossed` (S8) or `altitude` (S9).
     """
     return _lengths(hinges, x, kind)[0]
 

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S7: the lecture's bending spring, between the opposite vertices of two triangles with a common edge."""
+"""Opposite springs (S7): the lecture's bending spring.
+
+It connects the opposite vertices of two triangles with a common edge.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 class OppositeSprings(PairSprings):
     """Bending springs (S7): pair springs between the wings of each hinge.
 
-    At a fold θ of two equal triangles they have the energy k L θ⁴/128 and the moment k L θ³/32 (L the distance of the
-    wings when flat), so they resist no small fold and have no bending modulus. With a rest angle that is not flat
-    they push neither way when the wings are coplanar. S8 and S9 cure both.
+    Let L be the distance of the wings of two equal triangles when flat. A fold θ then has the energy k L θ⁴/128 and the
+    moment k L θ³/32. Therefore these springs do not resist small folds and have no bending modulus. With a rest angle
+    that is not flat they push neither way when the wings are coplanar. S8 and S9 cure both.
 
     Args:
         wings: opposite vertices, shape (m, 2); see `surface.opposite_pairs`.

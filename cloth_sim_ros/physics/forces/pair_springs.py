@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Springs between pairs of particles: S1, S2, S4 to S7 of the model, on any list of pairs."""
+"""Springs between pairs of particles: S1, S2, S4 to S7."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cloth_sim_ros.physics.parts import Listed, Part
 
 
 class PairSprings(EngineForce):
-    """Damped springs by the lecture's law (S1), joints where the rest length is zero (S4).
+    """Damped springs by the lecture's law (S1); joints (S4) if the rest length is zero.
 
-    With s the position of the far end relative to the near end, the force on the far end is
-    ``F = -k_s (|s|/l0 - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s|``, of a joint ``F = -k s - k_d ds/dt``.
+    Let s be the position of the far end relative to the near end. A spring's force on the far end is ``F = -k_s (|s|/l0
+    - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s|``, a joint's is ``F = -k s - k_d ds/dt``.
 
     Args:
         pairs: particle indices of the near and far ends, shape (m, 2).
@@ -28,8 +28,8 @@ class PairSprings(EngineForce):
         name: the force's name in a model.
 
     Raises:
-        ValueError: for a shape that does not fit, a spring from a particle to itself, or a negative or non-finite
-            value.
+        ValueError: for a shape that does not fit, a spring from a particle to itself, or an entry that is negative or
+            not finite.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class PairSprings(EngineForce):
 
     @property
     def rigidity(self) -> Array:
-        """Force per length, k_s / l0 or a joint's k [N/m], shape (m,)."""
+        """Force per length [N/m], shape (m,): k_s / l0 of a spring, k of a joint."""
         return self.stiffness / np.where(self.rest_length > 0.0, self.rest_length, 1.0)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
@@ -72,7 +72,11 @@ class PairSprings(EngineForce):
 
 
 def lecture_damping(k_d0: ArrayLike, rigidity: ArrayLike, mass: ArrayLike) -> Array:
-    """Return k_d = k_d0 sqrt(m k) [N s/m] for the dimensionless k_d0, k = k_s / l0 [N/m] and mass [kg] (S1; S4 at l0 =
-    0).
+    """Return the damping k_d = k_d0 sqrt(m k) [N s/m] (S1; S4 at l0 = 0).
+
+    Args:
+        k_d0: dimensionless damping.
+        rigidity: k = k_s / l0 [N/m].
+        mass: m [kg].
     """
     return np.asarray(k_d0) * np.sqrt(np.asarray(mass, dtype=float) * np.asarray(rigidity, dtype=float))

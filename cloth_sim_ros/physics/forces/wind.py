@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Uniform wind: what linear drag relative to moving air adds to that in still air."""
+"""Uniform wind: the difference between linear drag in moving and in still air."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from cloth_sim_ros.physics.parts import Part, Uniform
 
 
 class Wind(EngineForce):
-    """Drag relative to the air is the acceleration -rate (v - w): that of `Drag`, and the constant push rate w of this.
+    """The constant acceleration rate w of wind.
 
-    A constant force, and yet no potential energy: what it does on the cloth is the wind's work.
+    Drag relative to the air is the acceleration -rate (v - w). `Drag` has the part -rate v, this force the part rate w.
+    The force is constant but counts as work of the wind, not as potential energy.
 
     Args:
-        velocity: of the air [m/s], shape (3,).
+        velocity: velocity w of the air [m/s], shape (3,).
         rate: drag rate [1/s], at least 0.
 
     Raises:
@@ -33,7 +34,7 @@ class Wind(EngineForce):
         self.velocity: Array = finite("wind", velocity, (3,), one_for_all=False)
         pushed = float(finite("drag rate", rate, (), least=0.0))
         with np.errstate(over="ignore"):
-            #: Push on every particle [m/s^2], shape (3,).
+            #: Acceleration of every particle [m/s^2], shape (3,).
             self.acceleration: Array = finite("push of the wind", pushed * self.velocity, (3,))
 
     def parts(self, particle_count: int) -> Sequence[Part]:

@@ -1,28 +1,28 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the bending modulus of a sheet to bending springs, calibrated for each mesh pattern.
+"""Bending springs from a sheet's bending modulus, calibrated for each mesh pattern.
 
-The modulus D [N m] is what a cantilever test measures: moment per width over curvature of a strip with free long
-edges. A fold θ of a hinge shall cost k_θ θ²/2, with the hinge constant k_θ [N m] from D and the pattern of the mesh.
+The modulus D [N m] is what a cantilever test measures: moment per width over curvature of a strip with free long edges.
+A fold θ of a hinge has the energy k_θ θ²/2. The hinge constant k_θ [N m] follows from D and the pattern of the mesh.
 
-*Grid.* Hinges of both checkerboards (`surface.grid_hinges`), each at half strength, so that all particles are alike
-and a smooth bending leaves each where the smooth surface passes. With the curvatures κ the hinge of an edge along the
-columns (length hy) folds by κ_xx hx, one along the rows by κ_yy hy, a diagonal (length l) by κ_xy l. Per cell the
-energy is ½ D hx hy (κ_xx² + κ_yy² + 2 κ_xy²), a plate without Poisson's ratio, if
+*Grid.* The hinges are those of both checkerboards (`surface.grid_hinges`), each at half strength. Therefore all
+particles are alike, and a smooth bending leaves each on the smooth surface. Let the curvatures be κ. The hinge of an
+edge along the columns (length hy) folds by κ_xx hx. One along the rows folds by κ_yy hy, a diagonal (length l) by κ_xy
+l. The energy per cell is ½ D hx hy (κ_xx² + κ_yy² + 2 κ_xy²), a plate without Poisson's ratio, for these constants.
 
     k_θ = D hy/hx,   D hx/hy,   2 D hx hy/l².
 
-*One triangulation of a grid.* In a strip along the rows under the moment M per width, statics give the hinge of an
-edge across it the moment M hy and that of a diagonal M hy²/l; each turns by its moment over k_θ, and over one cell
-hx/(D hy) = 1/k_across + (hy/l)²/k_diagonal. Free is the diagonals' share, k_diagonal = 1.5 D (l²/(2 hx hy))²: a
-square checkerboard becomes isotropic with Poisson's ratio -1/3. One family of diagonals still twists when bent.
+*One triangulation of a grid.* Take a strip along the rows under the moment M per width. By statics the hinge of an edge
+across it has the moment M hy, that of a diagonal M hy²/l. Each turns by its moment over k_θ. Over one cell hx/(D hy) =
+1/k_across + (hy/l)²/k_diagonal. The diagonals' share is free: k_diagonal = 1.5 D (l²/(2 hx hy))². With it a square
+checkerboard is isotropic with Poisson's ratio -1/3. One family of diagonals still twists when bent.
 
-*Other meshes.* k_θ = (9/8) D e/h̄, h̄ the mean height of the two triangles: exact for regular triangles (isotropic,
-Poisson's ratio -1/3). On irregular ones the sheet comes out stiffer, because its vertices lock one another;
+*Other meshes.* k_θ = (9/8) D e/h̄, h̄ the mean height of the two triangles. This is exact for regular triangles
+(isotropic, Poisson's ratio -1/3). Irregular ones make the sheet stiffer, because its vertices lock one another;
 docs/bending.md has the measured figures.
 
-*Springs.* With h(θ) and L(θ) of `HingeShape`, a fold from rest costs ½ (κ̂ h'² + κ7 L'²) Δθ², which fixes κ̂ once
-S7's κ7 [N/m] is κ̂ (h_max / ½ΔL)² / ρ with the stiffness ratio ρ.
+*Springs.* With h(θ) and L(θ) of `HingeShape`, a fold from rest has the energy ½ (κ̂ h'² + κ7 L'²) Δθ². S7 has κ7 = κ̂
+(h_max / ½ΔL)² / ρ [N/m] with the stiffness ratio ρ. This fixes κ̂.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from cloth_sim_ros.physics.sheets.surface import opposite_kept
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 
-#: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which it is another, and that other: the middle of
-#: where a pair finds its rest shape again (docs/bending.md has the map).
+#: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which another ratio holds, and that ratio. Each is the
+#: middle of the range in which a pair finds its rest shape again (docs/bending.md has the map).
 RATIOS = {
     "crossed": (2.0, math.pi, 2.0),
     "altitude": (0.5, math.radians(80.0), 1.4),
@@ -111,11 +111,11 @@ def bending_terms(
     masses: ArrayLike | None = None,
     existing: ArrayLike | None = None,
 ) -> list[PairSprings | HingeSprings]:
-    """Build the terms of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
+    """Return the springs of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
 
     Args:
         model: the bending model.
-        hinges: of the surface, shape (m, 4).
+        hinges: hinges of the surface, shape (m, 4).
         positions: particles of the surface at rest [m], shape (n, 3).
         hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`,
             `mesh_hinge_constants`.
@@ -124,8 +124,8 @@ def bending_terms(
             `positions`.
         ratio: stiffness ratio ρ; None is the one that docs/bending.md recommends.
         damping: the dimensionless k_d0 of every bending spring.
-        masses: particle masses [kg], shape (n,); needed where there is damping.
-        existing: springs that are there already, (s, 2): S7 leaves their pairs out.
+        masses: particle masses [kg], shape (n,); required with damping.
+        existing: pairs of existing springs, (s, 2); S7 leaves them out.
 
     Raises:
         ValueError: for a parameter that does not belong to the model or is out of range.
@@ -165,7 +165,7 @@ def bending_terms(
 def spring_constants(
     model: Literal["crossed", "altitude"], shape: HingeShape, hinge_constants: ArrayLike, *, ratio: float | None = None
 ) -> tuple[Array, Array]:
-    """Return κ̂ of S8 or S9 and κ7 of S7 [N/m], each (m,), that make a fold from rest cost k_θ Δθ²/2.
+    """Return κ̂ of S8 or S9 and κ7 of S7 [N/m], each (m,), with which a fold from rest has the energy k_θ Δθ²/2.
 
     Raises:
         ValueError: for a hinge constant or ratio out of range.
@@ -195,13 +195,13 @@ def _squared(a: Array) -> Array:
 def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -> Array:
     """Return (C11, C22, C66) [N/m] that S7 adds to a flat sheet's stiffness in its plane, shape (3,).
 
-    By the sum over springs of k L² d d d d over the area. S7's stiffness in `crossed` and `altitude` goes as D/h², so
-    on fine meshes it is to be taken off the edge springs (docs/bending.md has the figures).
+    It is the sum over springs of k L² d d d d over the area. S7's stiffness in `crossed` and `altitude` is proportional
+    to D/h². On fine meshes the edge springs have to be weakened by it (docs/bending.md has the figures).
 
     Args:
         springs: the bending springs.
         positions: particles at rest in the plane of their first two coordinates [m], shape (n, 2) or (n, 3).
-        area: of the sheet [m²].
+        area: area of the sheet [m²].
     """
     x = np.asarray(positions, dtype=np.float64)[:, :2]
     along = x[springs.pairs[:, 1]] - x[springs.pairs[:, 0]]
@@ -212,7 +212,7 @@ def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -
 
 
 def refuse_bending_modulus(model: str) -> None:
-    """Say why `axial` and `opposite` have no bending modulus.
+    """Raise the error that `axial` and `opposite` have no bending modulus.
 
     Raises:
         ValueError: always.
@@ -227,7 +227,7 @@ def refuse_bending_modulus(model: str) -> None:
 def _opposite(
     quads: np.ndarray, distance: Array, k_s: Array, kept: np.ndarray, damping: float, mass: Array
 ) -> OppositeSprings:
-    """S7 between the wings of the kept hinges; springs of one pair and rest length are one, stiffnesses added."""
+    """Return S7 between the wings of the masked hinges; springs of one pair and rest length are merged."""
     pairs, first, same = np.unique(np.sort(quads[kept][:, 2:], axis=1), axis=0, return_index=True, return_inverse=True)
     rest = distance[kept][first]
     same = same.ravel()

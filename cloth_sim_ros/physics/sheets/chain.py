@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Chains of springs (S1, S2), joints (S4), and the law by which a lattice is refined (S3)."""
+"""Chains of springs (S1, S2), joints (S4), and refinement of lattices (S3)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cloth_sim_ros.physics.state import State
 
 @attrs.frozen(kw_only=True)
 class SpringLaw:
-    """One spring of a lattice and the mass that goes with it, in the lecture's terms.
+    """One spring of a lattice and its share of mass, in the lecture's terms.
 
-    Damping is given as the dimensionless k_d0, the lecture's material property, or as the viscosity eta = k_d l0, whose
-    damping of slow modes converges under refinement; not both.
+    Damping is either the dimensionless k_d0, the lecture's material property, or the viscosity eta = k_d l0. With the
+    viscosity the damping of slow modes converges under refinement.
     """
 
     #: Mass of one particle inside the lattice [kg].
@@ -36,7 +36,7 @@ class SpringLaw:
     viscosity: float = 0.0
 
     def __attrs_post_init__(self) -> None:
-        """Refuse values that make no spring."""
+        """Refuse invalid values."""
         for name in ("mass", "rest_length", "stiffness"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
@@ -73,10 +73,9 @@ class SpringLaw:
     def refined(self, *, factor: int = 2, dimension: int = 1) -> SpringLaw:
         """Return the law of the lattice with `factor` times the resolution, of the same total size and mass (S3).
 
-        In one dimension m and l0 are divided by the factor, k_s stays. In a sheet (dimension 2) m is divided by its
-        square, and k_s by the factor
-        too: the same material is shared by more threads. k_d0, or the viscosity as a share of the sheet's, is the
-        material's.
+        In one dimension m and l0 are divided by the factor; k_s stays. In a sheet (dimension 2) m is divided by the
+        factor's square, and k_s by the factor: more threads share the same material. k_d0, or the viscosity as a
+        fraction of the sheet's, is a property of the material.
 
         Raises:
             ValueError: for another dimension or a factor below 1.
@@ -95,20 +94,20 @@ class SpringLaw:
 
 @attrs.frozen(kw_only=True)
 class Chain:
-    """A line of particles joined by equal springs (S2); a simple spring (S1) where it has two.
+    """A line of particles joined by equal springs (S2); a simple spring (S1) if it has two particles.
 
-    Free ends carry half a particle's mass, so that mass and length stay exact under refinement.
+    Free ends carry half a particle's mass. Therefore mass and length stay exact under refinement.
     """
 
     law: SpringLaw
     particle_count: int
-    #: Ends that hold their place: none, first, last, both.
+    #: Anchored ends: none, first, last, both.
     anchored: str = "first"
-    #: Free ends carry half a mass (True) or a whole one.
+    #: True if free ends carry half a mass, false for a whole one.
     half_ends: bool = True
 
     def __attrs_post_init__(self) -> None:
-        """Refuse what is no chain."""
+        """Refuse invalid values."""
         if self.particle_count < 2:
             raise ValueError(f"particle_count is {self.particle_count}; a chain has at least 2")
         if self.anchored not in ("none", "first", "last", "both"):
@@ -139,7 +138,7 @@ class Chain:
         return positions
 
     def model(self, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), further: tuple[Force, ...] = ()) -> Model:
-        """Build the physics; `further` forces are listed behind the springs and gravity [m/s^2]."""
+        """Return the model; `further` forces follow the springs and gravity [m/s^2]."""
         first = np.arange(self.particle_count - 1)
         pairs = np.stack([first, first + 1], axis=1)
         law = self.law
@@ -149,7 +148,7 @@ class Chain:
         return Model(self.masses(), [*forces, *further], anchors=self.anchors)
 
     def state(self) -> State:
-        """The chain at rest along x."""
+        """Return the chain at rest along x."""
         return State(self.positions())
 
     def refined(self, factor: int = 2) -> Chain:
@@ -165,10 +164,10 @@ def joint(pair: tuple[int, int], *, stiffness: float, k_d0: float, mass: float, 
     """Return a zero-length spring (S4) between two particles: F = -k s - k_d ds/dt with k_d = k_d0 sqrt(m k).
 
     Args:
-        pair: the particles that it joins.
+        pair: the two particles.
         stiffness: k = k_s / l0 [N/m].
         k_d0: dimensionless damping; critical: 2 with one end fixed, sqrt(2) between two free particles of the given
-        mass.
+            mass.
         mass: mass of one particle [kg].
         name: the force's name.
     """

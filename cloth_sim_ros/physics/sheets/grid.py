@@ -20,9 +20,10 @@ from cloth_sim_ros.physics.sheets.surface import Layout, Surface, grid_triangles
 
 @attrs.frozen(kw_only=True)
 class GridSheet:
-    """Geometry of a flat sheet of rows x columns particles, numbered row * columns + column.
+    """Geometry of a flat sheet of rows x columns particles; particle indices are row * columns + column.
 
-    It lies in its own x-y plane about the origin: columns along x, row 0 at the top (largest y).
+    It lies in its own x-y plane around the origin: columns along x, row 0 at the top (largest y). `height` and `width`
+    are in metres.
     """
 
     height: float
@@ -79,11 +80,17 @@ class GridSheet:
     def families(
         self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0
     ) -> dict[str, list[GridFamily]]:
-        """Springs by direction, for each of `structural`, `shear` and, with bending threads, `bend`.
+        """Return springs by direction for each of `structural`, `shear` and, with bending threads, `bend`.
 
-        Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass of a particle inside the sheet,
-        so that it scales with the border's half stiffness and half mass as the springs do; with a retardation time [s]
-        it is that time times the stiffness k instead.
+        Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass m of a particle inside the
+        sheet. Therefore it scales at the border with half the stiffness and half the mass, as the springs do. With a
+        retardation time the damping is that time times the stiffness k instead.
+
+        Args:
+            threads: spring stiffnesses.
+            k_d0: dimensionless damping.
+            density: mass per area [kg/m^2].
+            retardation: retardation time [s]; 0 uses k_d0.
         """
         hx, hy = self.spacing
         mass = density * hx * hy
@@ -104,8 +111,7 @@ class GridSheet:
             ]
         }
         if threads.diagonal > 0.0:
-            # As `grid_diagonals` lays them: left runs down to the right; alternating is left where row + column is
-            # even.
+            # As in `grid_diagonals`: left runs down to the right; alternating is left if row + column is even.
             parities: dict[Layout, tuple[list[int | None], list[int | None]]] = {
                 "left": ([None], []),
                 "right": ([], [None]),
@@ -128,7 +134,7 @@ class GridSheet:
         return terms
 
     def springs(self, named: dict[str, list[GridFamily]]) -> list[GridSprings]:
-        """The forces of `families`."""
+        """Return the forces of `families`."""
         return [GridSprings(self.rows, self.columns, families, name=name) for name, families in named.items()]
 
 

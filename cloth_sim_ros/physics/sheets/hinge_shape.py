@@ -1,17 +1,25 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A hinge as its fold angle changes: the lengths of its springs (S7, S8, S9) in closed form.
+"""Closed-form lengths of a hinge's springs (S7, S8, S9) over its fold angle.
 
-Two rigid triangles share an edge of length e; wing i stands at height h_i over it, its foot at f_i along it. Folded
-by θ, with t = cos θ,
+Two rigid triangles share an edge of length e. Wing i stands at height h_i over it, its foot at f_i along it. The hinge
+is folded by θ, with t = cos θ.
 
-    L² = h0² + h1² + d² + 2 h0 h1 t               the distance of the wings (S7), d = f1 - f0
-    6V = e h0 h1 sin θ
-    M² = e² (h0² + h1² + 2 h0 h1 t) + (ε e²)²     of the edge and the wings' line (S8), ε = PARALLEL
-    M² = e² (h0² + h1²) + Σ (p_k² q_k² - (α_k - h0 h1 t)²)   of the four faces (S9), k = 0, 1 the ends of the edge,
+S7 has the distance L of the wings, with d = f1 - f0.
 
-where p_k, q_k are the distances of the wings from end k and α_k = (f0 - e_k)(f1 - e_k). So every M² is a + b t + c
-t², and h = 6V / M.
+    L² = h0² + h1² + d² + 2 h0 h1 t.
+
+S8 and S9 have the length h = 6V / M with 6V = e h0 h1 sin θ. In S8, M belongs to the edge and the wings' line, and ε =
+PARALLEL.
+
+    M² = e² (h0² + h1² + 2 h0 h1 t) + (ε e²)².
+
+In S9, M belongs to the four faces, and k = 0, 1 are the ends of the edge.
+
+    M² = e² (h0² + h1²) + Σ (p_k² q_k² - (α_k - h0 h1 t)²).
+
+Here p_k, q_k are the distances of the wings from end k, and α_k = (f0 - e_k)(f1 - e_k). Therefore every M² is a + b t +
+c t².
 """
 
 from __future__ import annotations
@@ -26,7 +34,7 @@ from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.forces.force import Array
 
 Length = Literal["crossed", "altitude"]
-#: S8's M² has (this e²)² more than |a × b|², so that parallel lines have a distance too; as in engine/laws.hpp.
+#: S8's M² has (this e²)² more than |a × b|²: parallel lines have a distance, too. The same as in engine/laws.hpp.
 PARALLEL = 0.1
 
 
@@ -51,9 +59,9 @@ class HingeShape:
     foot1: Array
     """Foot of wing 1 along the edge, counted from its first end."""
     cosine: Array
-    """Of the fold angle, 0 flat, positive where the wings rise to the side of the normal."""
+    """Cosine of the fold angle: 0 is flat, positive if the wings rise to the side of the normal."""
     sine: Array
-    """Of the fold angle."""
+    """Sine of the fold angle."""
 
     @classmethod
     def of(cls, hinges: ArrayLike, positions: ArrayLike) -> HingeShape:
@@ -83,7 +91,7 @@ class HingeShape:
             feet.append(foot)
             heights.append(height)
             sides.append(side / height[:, None])
-        # flat means that the wings stand on opposite sides: sides[0] = -sides[1]
+        # flat: the wings stand on opposite sides, sides[0] = -sides[1]
         sine, cosine = _dot(unit, np.cross(sides[0], sides[1])), -_dot(sides[0], sides[1])
         length = np.sqrt(sine * sine + cosine * cosine)
         return cls(
@@ -130,8 +138,8 @@ class HingeShape:
     def half_range_ratio(self, kind: Length) -> Array:
         """Return (largest h / half the range of L) over all folds.
 
-        Scaled by it, the closed curve of (L, h) is as wide as it is high, and the energies of S7 and of S8 or S9 have
-        the same depth.
+        Scaled by it, the closed curve of (L, h) is as wide as it is high. The energies of S7 and of S8 or S9 then have
+        equal depth.
         """
         a, b, c = self._areas(kind)
         # h² = (6V)² (1 - t²) / (a + b t + c t²) is largest where b t² + 2 (a + c) t + b = 0, |t| < 1
@@ -154,7 +162,7 @@ class HingeShape:
         return np.maximum(across + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
-        """Coefficients of M² = a + b t + c t² [m^4]."""
+        """Return the coefficients of M² = a + b t + c t² [m^4]."""
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":

@@ -1,15 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the moduli of a sheet to the threads of a grid.
+"""Thread stiffnesses of a grid from the moduli of a sheet.
 
-A family of threads with stiffness k_s [N], direction d and spacing w acts like a sheet with the modulus tensor (k_s /
-w) d d d d. Summed over the families of a grid with spacings hx, hy and diagonals of length l (docs/springs.md has the
-derivation):
+A family of threads has a stiffness k_s [N], a direction d and a spacing w. It acts like a sheet with the modulus tensor
+(k_s / w) d d d d. The sums over the families of a grid follow; docs/springs.md derives them. The grid has spacings hx,
+hy and diagonals of length l.
 
-- diagonals `both` or `alternating`: C66 = C12 = G, C11 = E_x + G (hx/hy)^2, C22 = E_y + G (hy/hx)^2, so that a Young's
-modulus Y along both axes needs
-  C11 = C22 = (Y + sqrt(Y^2 + 4 G^2)) / 2;
-- diagonals `left` or `right`: an axial pull also shears, which unloads the one diagonal family wholly: Y = E_x = E_y.
+- Diagonals `both` or `alternating`: C66 = C12 = G, C11 = E_x + G (hx/hy)^2, C22 = E_y + G (hy/hx)^2.
+- They have a Young's modulus Y along both axes if C11 = C22 = (Y + sqrt(Y^2 + 4 G^2)) / 2.
+- Diagonals `left` or `right`: an axial pull also shears, which unloads the single diagonal family: Y = E_x = E_y.
 """
 
 from __future__ import annotations
@@ -23,8 +22,9 @@ from cloth_sim_ros.physics.sheets.surface import Layout
 
 @attrs.frozen(kw_only=True)
 class Threads:
-    """Spring stiffnesses of a grid, force per strain k_s [N], for threads inside the sheet; border threads carry
-    half.
+    """Spring stiffnesses of a grid, force per strain k_s [N], for threads inside the sheet.
+
+    Border threads carry half.
     """
 
     along_rows: float
@@ -32,7 +32,7 @@ class Threads:
     diagonal: float
     bend_along_rows: float
     bend_along_columns: float
-    #: Poisson's ratio of the sheet along its axes: it follows from the moduli, a network of springs does not leave it
+    #: Poisson's ratio of the sheet along its axes. It follows from the moduli: a network of springs does not leave it
     #: free.
     poisson_ratio: float
 
@@ -51,10 +51,10 @@ def grid_threads(
         stretch_modulus: Young's modulus Y of the sheet along its axes [N/m], above 0.
         shear_modulus: shear modulus G [N/m], at least 0.
         spacing: distance of neighbours along a row and along a column, hx and hy [m].
-        layout: which diagonals of the cells are springs.
+        layout: diagonals of the cells that are springs.
         bend_stiffness: stiffness B [N/m] of the springs two apart along both axes (bending `axial`), k_s = B times the
-        thread spacing. Two of them lie
-            over each stretch of thread, so they add 2 B to the axial stiffness: it is taken off the edge springs.
+            thread spacing. Two of them overlap everywhere along a thread and add 2 B to the axial stiffness. The edge
+            springs are weakened by that.
 
     Raises:
         ValueError: if no edge springs of positive stiffness give these moduli.

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clusters of mesh vertices that are copies of one vertex, up to rounding.
 
-Some programs close a seam by sin(2 pi), or round each triangle by itself. They leave copies of a vertex that differ in
-their last digits. Two vertices are linked if they are closer than the limit; linked vertices are
-one cluster, and its lowest vertex stands for it. A cluster with a vertex further than twice the limit from its
-lowest one is a fine part of the mesh. It is left as it is.
+Some programs close a seam by sin(2 pi), or round each triangle separately. They leave copies of a vertex that differ in
+their last digits. Two vertices are linked if they are closer than the limit. Linked vertices are one cluster, and its
+lowest vertex represents it. A cluster that extends further than twice the limit from its lowest vertex is a fine part
+of the mesh. It stays as it is.
 
-The result depends on positions and order alone: every distance is computed by single additions and multiplications in
-double precision, which every machine rounds alike.
+The result depends on positions and order alone. Single additions and multiplications in double precision, which every
+machine rounds alike, compute the distances.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.powers import scalar_products
 
-#: Share of a mesh's extent below which two vertices are copies of one.
+#: Fraction of a mesh's extent below which two vertices are copies of one.
 MERGE_SHARE = 1e-7
-#: The same for coordinates in single precision, whose last digit may be larger than that: at most this share.
+#: The same for coordinates in single precision, whose last digit may be larger: at most this fraction.
 SINGLE_PRECISION_SHARE = 1e-6
-#: More different vertices than this in a cube of two limits are no copies of one vertex.
+#: Largest number of different vertices in a cube of two limits that may be copies of one vertex.
 _CROWD = 64
-#: Links that are collected before they are reduced to clusters.
+#: Number of links that are collected before they are reduced to clusters.
 _PENDING = 1 << 22
-#: A direction, (1, these two), along which few vertices of a mesh lie side by side, and a bound of its length.
+#: A direction, (1, these two), along which few vertices of a mesh coincide, and a bound of its length.
 _DIRECTION, _STRETCH = (0.7548776662466927, 0.5698402909980532), 1.4
-#: Factors that mix the three numbers of a cell into one.
+#: Factors of a hash of a cell's three indices.
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
@@ -38,7 +38,7 @@ def merge_limit(points: Array, *, single: bool = False) -> float:
 
     Args:
         points: vertices [m], (n, 3).
-        single: true if the file keeps single precision: its last digit is the limit if that is larger.
+        single: true if the file has single precision: its last digit is the limit if that is larger.
 
     Returns:
         1e-7 of the diagonal of the bounding box; 0, which merges nothing, if that is not finite.
@@ -78,7 +78,7 @@ def clusters(points: Array, limit: float) -> NDArray[np.int64]:
 
 
 def _candidates(points: Array, limit: float) -> NDArray[np.int64]:
-    """Vertices that may have another one closer than a limit: along one direction one is; ascending."""
+    """Return vertices that may have another one closer than the limit, ascending: their projections are close."""
     x, y, z = (points - points.min(axis=0)).T
     along = x + _DIRECTION[0] * y + _DIRECTION[1] * z
     order = np.argsort(along, kind="stable")
@@ -89,12 +89,12 @@ def _candidates(points: Array, limit: float) -> NDArray[np.int64]:
 def _linked(points: Array, limit: float) -> NDArray[np.int64]:
     """Return the lowest vertex that each one is linked to, directly or through others, (n,)."""
     lowest = np.arange(len(points))
-    # Cells of two limits, in eight grids that are shifted by one: two linked vertices share a cell in one of them.
+    # Cells of two limits, in eight grids shifted by one limit: two linked vertices share a cell in one of them.
     scaled = (points - points.min(axis=0)) / (2.0 * limit)
     for shift in np.ndindex(2, 2, 2):
         cell = np.floor(scaled + 0.5 * np.array(shift)).astype(np.int64).astype(np.uint64)
         order, first = _shared_cells(np.bitwise_xor.reduce(cell * _MIX, axis=1))
-        # Copies of one vertex are linked to the first in the cell; what is not is compared pair by pair.
+        # Copies of one vertex are linked to the first in the cell; the others are compared pair by pair.
         lowest = _lowest(lowest, _closer(points, order, order[first], limit))
         alone = np.flatnonzero(lowest[order] != lowest[order[first]])
         compared = np.isin(first, first[alone])
@@ -118,13 +118,13 @@ def _linked(points: Array, limit: float) -> NDArray[np.int64]:
 
 
 def _closer(points: Array, firsts: NDArray[np.int64], seconds: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
-    """Those pairs of vertices that are closer than a limit, (p, 2)."""
+    """Return those pairs of vertices that are closer than the limit, (p, 2)."""
     is_close = _square(points[firsts], points[seconds]) < limit * limit
     return np.stack((firsts[is_close], seconds[is_close]), axis=1)
 
 
 def _lowest(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the lowest vertex that each one is linked to, given those so far, (n,), and further links, (p, 2) each."""
+    """Return the lowest vertex that each one is linked to, from those so far, (n,), and further links, (p, 2) each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -137,7 +137,10 @@ def _lowest(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.
 
 
 def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Vertices that share a cell with others but with no crowd, cell by cell, and the place of their cell's first."""
+    """Return vertices that share a cell with others, cell by cell, and the position of each cell's first one.
+
+    Cells with too many vertices are skipped.
+    """
     order = np.argsort(key, kind="stable")
     key = key[order]
     begins = np.concatenate(([True], key[1:] != key[:-1]))
@@ -148,6 +151,6 @@ def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _square(firsts: Array, seconds: Array) -> Array:
-    """Squares of distances between vertices (n, 3) and others [m^2], (n,)."""
+    """Return the squared distances between vertices (n, 3) and others [m^2], (n,)."""
     away = firsts - seconds
     return scalar_products(away, away)

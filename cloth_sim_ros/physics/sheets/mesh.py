@@ -25,7 +25,7 @@ class MeshSheet:
     #: Rest positions [m], shape (particle_count, 3), every particle in at least one triangle.
     rest: Array
     surface: Surface
-    #: What was merged, and what was mended or is doubtful, when a file was read; a sentence each.
+    #: Sentences on merged vertices, and on repairs and doubts, from reading a file.
     notes: tuple[str, ...] = ()
     repairs: tuple[str, ...] = ()
 
@@ -52,18 +52,25 @@ class MeshSheet:
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
     ) -> PairSprings:
-        """Return edge springs that make a sheet of Young's modulus Y [N/m].
+        """Return edge springs that make a sheet of Young's modulus Y.
 
         An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
-        3(2), 1998), half of it at the border by itself. On equilateral triangles it is exact, k = Y sqrt(3)/2,
-        isotropic with Poisson's ratio 1/3 and shear modulus 3/8 Y; elsewhere an approximation whose deviation
-        docs/springs.md gives. Damping is k_d0 sqrt(k m) with the mean mass of the edge's ends, or, with a viscosity [N
-        s/m], k viscosity / Y.
+        3(2), 1998). A border edge has one triangle. On equilateral triangles the formula is exact: k = Y sqrt(3)/2,
+        isotropic with Poisson's ratio 1/3 and shear modulus 3/8 Y. Elsewhere it is an approximation; docs/springs.md
+        gives its deviation. Damping is k_d0 sqrt(k m) with the mean mass of the edge's ends, or, with a viscosity, k
+        viscosity / Y.
+
+        Args:
+            stretch_modulus: Young's modulus Y [N/m].
+            k_d0: dimensionless damping.
+            density: mass per area [kg/m^2].
+            viscosity: viscosity of the sheet [N s/m]; 0 uses k_d0.
+            name: the force's name in a model.
         """
         a, b = self.surface.edges.T
         away = self.rest[b] - self.rest[a]
         square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
-        areas = np.append(self.areas(), 0.0)  # edge_triangles has -1 where there is none
+        areas = np.append(self.areas(), 0.0)  # edge_triangles has -1 for no triangle
         first, second = areas[self.surface.edge_triangles].T
         stiffness = stretch_modulus * (first + second) / square
         masses = self.masses(density)

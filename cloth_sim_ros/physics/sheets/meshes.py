@@ -1,17 +1,24 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From vertices and triangles as found in files to the surface of one cloth: harmless faults mended, others refused.
+"""Checks and repairs that turn vertices and triangles from files into one cloth's surface.
 
-Mended, and said so: vertices in no triangle (left out), vertices at one and the same place (made one), vertices closer
-than a limit (merged, if there is a limit), triangles given twice (kept once), triangles with two corners in one place
-(left out, which leaves no hole), triangles wound against their neighbours (turned).
+Repaired and reported faults:
 
-Said, and left as it is: a seam that looks closed and is open.
+- Vertices in no triangle are removed.
+- Vertices at the same position, or closer than a limit if there is one, are merged.
+- Triangles given twice are kept once.
+- Triangles with two corners at one position are removed, which leaves no hole.
+- Triangles wound against their neighbours are turned.
 
-Refused, with the place: values that are not finite or no cloth's in metres, indices out of range, faces that no fan of
-triangles fills, triangles whose three corners lie on one line, edges of more than two triangles, parts that touch in
-one point, a surface that can't be wound one way (a Möbius strip), more than one piece unless that is wanted, nothing
-at all.
+A seam that looks closed and is open is reported and kept.
+
+Faults that are refused, with the position:
+
+- Coordinates are not finite, or not plausible in metres; indices are out of range.
+- No fan of triangles fills a face; the three corners of a triangle lie on one line.
+- An edge has more than two triangles; parts touch in one point.
+- The surface can't be wound one way (a Möbius strip).
+- There is more than one piece, unless several are allowed, or no triangle at all.
 """
 
 from __future__ import annotations
@@ -29,11 +36,12 @@ from cloth_sim_ros.physics.sheets.merging import MERGE_SHARE, clusters, merge_li
 from cloth_sim_ros.physics.sheets.seams import border_edges, open_seam
 from cloth_sim_ros.physics.sheets.surface import Surface, SurfaceError
 
-#: A triangle whose height over its longest side is below this share of that side has no area.
+#: A triangle whose height over its longest side is below this fraction of that side has no area.
 FLATNESS = 1e-6
-#: The largest coordinate [m] and the smallest extent of a whole mesh [m] that are taken for a cloth's in metres.
+#: The largest coordinate [m] and the smallest extent of a whole mesh [m] that are plausible for a cloth in metres.
 FARTHEST, SMALLEST = 1e6, 1e-6
-#: Most work on corners tried in vain, of all faces of a mesh: the corners of the face for each, and what any costs.
+#: Largest work on failed corners of all faces of a mesh, and the fixed cost of a corner. A failed corner costs the
+#: face's number of corners plus the fixed cost.
 _MAX_TRIED, _TRY = 3_000_000, 64
 
 
@@ -46,11 +54,11 @@ class CheckedMesh:
     surface: Surface
     """The triangles, in the order given, consistently wound."""
     kept: NDArray[np.int64]
-    """Index of each vertex in what was given, ascending, (n,)."""
+    """Index of each vertex in the input, ascending, (n,)."""
     repairs: tuple[str, ...]
-    """What was mended or is doubtful, one sentence each; empty for a clean mesh."""
+    """Repairs and doubts, one sentence each; empty for a clean mesh."""
     notes: tuple[str, ...] = ()
-    """Sentences on what was done as a matter of course: vertices merged."""
+    """Sentences on routine changes: merged vertices."""
 
 
 def checked_mesh(
@@ -61,17 +69,17 @@ def checked_mesh(
     merge: float = 0.0,
     scale: float = 1.0,
 ) -> CheckedMesh:
-    """Check vertices (n, 3) and triangles (m, 3) and mend what can be mended without changing the cloth.
+    """Check vertices (n, 3) and triangles (m, 3), and repair faults without changing the cloth.
 
     Args:
-        positions: of the vertices [m / scale].
+        positions: positions of the vertices [m / scale].
         triangles: indices of three vertices each.
-        several: whether it may be of several pieces.
-        merge: distance below which vertices are copies of one [m / scale]; 0 for those at exactly one place alone.
-        scale: factor that makes metres of the positions.
+        several: true to allow several pieces.
+        merge: distance below which vertices are copies of one [m / scale]; 0 merges only equal positions.
+        scale: factor that converts positions to metres.
 
     Raises:
-        SurfaceError: for a fault that can't be mended; the message names the vertices or triangles as given, counted
+        SurfaceError: for a fault that can't be repaired; the message names the vertices or triangles as given, counted
             from 0.
     """
     points, faces = _arrays(positions, triangles)
@@ -100,15 +108,15 @@ def checked_mesh(
 def _checked(
     points: Array, faces: NDArray[np.int64], several: bool, distinct: int, repairs: list[str], *, unmerged: bool
 ) -> CheckedMesh:
-    """Return the mesh of triangles whose corners are at places of their own.
+    """Return the mesh of triangles whose corners are at different positions.
 
     Args:
         points: vertices [m], (n, 3).
         faces: triangles, (m, 3).
-        several: whether it may be of several pieces.
-        distinct: vertices left by merging.
-        repairs: sentences on what was mended, to which further ones are added.
-        unmerged: whether vertices at exactly one place alone were merged.
+        several: true to allow several pieces.
+        distinct: number of vertices left by merging.
+        repairs: sentences on repairs, to which further ones are added.
+        unmerged: true if only vertices at equal positions were merged.
     """
     _check_size(points, faces)
     faces = _without_slivers(points, faces, repairs)
@@ -147,7 +155,9 @@ def _checked(
 
 
 def _merged(points: Array, faces: NDArray[np.int64], limit: float, notes: list[str]) -> tuple[NDArray[np.int64], int]:
-    """Merge vertices closer than a limit into the lowest of them; return the triangles, and how many vertices went."""
+    """Merge vertices closer than a limit into the lowest of them; return the triangles and the number of merged
+    vertices.
+    """
     used = np.unique(faces)
     lowest = used[clusters(points[used], limit)]
     moved = np.flatnonzero(lowest != used)
@@ -179,13 +189,17 @@ def _merged(points: Array, faces: NDArray[np.int64], limit: float, notes: list[s
 
 
 def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
-    """Cut polygons with vertices out of (n, 3) [m] into triangles, (m, 3), in the order given.
+    """Cut polygons into triangles, (m, 3), in the order given.
 
-    Each is cut into a fan from its first corner from which no triangle lies outside it, measured against the
-    polygon's area vector (Newell), so that a concave face is cut along an inner diagonal.
+    Each polygon is cut into a fan. The fan starts at the first corner for which no triangle lies outside the polygon,
+    measured against the polygon's area vector (Newell). Therefore a concave face is cut along an inner diagonal.
+
+    Args:
+        positions: vertices [m], (n, 3).
+        polygons: vertex indices of each polygon.
 
     Raises:
-        SurfaceError: for a polygon of fewer than three corners, a corner out of range, or one no fan can fill.
+        SurfaceError: for a polygon of fewer than three corners, a corner out of range, or a polygon that no fan fills.
     """
     triangles: list[Sequence[int]] = []
     tried = 0
@@ -216,9 +230,13 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
 
 
 def _fan_corner(corners: Array, most: int) -> tuple[int | None, int]:
-    """The first of a polygon's corners (k, 3) to fan it from with no triangle outside, and how many were tried in vain.
+    """Return a polygon's first corner from which a fan has no triangle outside, and the number of failed corners.
 
-    None for a corner if there is none, or if more than `most` were tried in vain.
+    The corner is None if there is none, or if more corners failed than allowed.
+
+    Args:
+        corners: the polygon's corners [m], (k, 3).
+        most: largest number of failed corners.
     """
     best, best_share = 0, -np.inf
     for begin in range(len(corners)):
@@ -281,9 +299,11 @@ def _arrays(positions: ArrayLike, triangles: ArrayLike) -> tuple[Array, NDArray[
 
 
 def _first_of_equals(points: Array, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """For each vertex the first used one at exactly its place, and the number of used vertices that are not first."""
+    """Return for each vertex the first used one at the same position, and the number of used vertices that are not
+    first.
+    """
     used = np.unique(faces)
-    # 0.0 and -0.0 are one place
+    # 0.0 and -0.0 are one position
     _, first, same = np.unique(points[used] + 0.0, axis=0, return_index=True, return_inverse=True)
     place = np.arange(len(points))
     place[used] = used[first[same.ravel()]]
@@ -298,7 +318,7 @@ def _without_repeats(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np
 
 
 def _without_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
-    """Leave out triangles of fewer than three vertices; refuse thin ones, whose removal would open the surface."""
+    """Remove triangles of fewer than three vertices; refuse thin ones, whose removal would open the surface."""
     collapsed = _collapsed(faces)
     if np.any(collapsed):
         repairs.append(f"{_several(int(collapsed.sum()), 'triangle')} with a repeated vertex left out")
@@ -318,7 +338,7 @@ def _without_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]
 
 
 def _collapsed(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which triangles (m, 3) have a repeated vertex, (m,)."""
+    """Return a mask of triangles (m, 3) with a repeated vertex, (m,)."""
     first, second, third = faces.T
     return (first == second) | (second == third) | (third == first)
 
@@ -336,7 +356,7 @@ def _check_edges(faces: NDArray[np.int64], points: Array) -> None:
 
 
 def _wound(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
-    """Turn triangles so that neighbours agree, in every piece with the larger part as given."""
+    """Turn triangles so that neighbours agree; in every piece the larger part stays as given."""
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     order = np.lexsort((high, low))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Raw springs, for experts: particles and springs as plain arrays, without a sheet's moduli."""
+"""Raw springs for experts: particles and springs as plain arrays, without moduli."""
 
 from __future__ import annotations
 
@@ -32,17 +32,22 @@ class RawSprings:
 
     @classmethod
     def from_tables(cls, tables: dict[str, Any]) -> RawSprings:
-        """Build it from tables by name, as a springs file has them.
+        """Build the system from the named tables of a springs file.
 
         Args:
-            tables: `positions` (n, 3) [m]; `masses` [kg], one or n; `springs` (m, 2), particle indices; `rest_lengths`
-            [m], one or m, the distance
-                at the start where left out, 0 for a joint (S4); `stiffness` k_s [N] (of a joint N/m), one or m; `k_d`
-                [N s/m] or the dimensionless
-                `k_d0`, one or m; `velocities` (n, 3) [m/s]; `triangles` (t, 3), for showing it as a surface.
+            tables: the tables:
+
+                - `positions` (n, 3) [m]
+                - `masses` [kg], one or n
+                - `springs` (m, 2), particle indices
+                - `rest_lengths` [m], one or m; default: the distance at the start; 0 for a joint (S4)
+                - `stiffness` k_s [N] (of a joint N/m), one or m
+                - `k_d` [N s/m] or the dimensionless `k_d0`, one or m
+                - `velocities` (n, 3) [m/s]
+                - `triangles` (t, 3), to show it as a surface
 
         Raises:
-            ValueError: naming the table and what is wrong with it.
+            ValueError: naming the table and the fault.
         """
         unknown = sorted(set(tables) - set(_KEYS))
         if unknown:
@@ -89,11 +94,11 @@ class RawSprings:
         return self.start.copy()
 
     def masses(self, density: float) -> Array:
-        """Particle masses [kg]; they are given, whatever a sheet's density [kg/m^2]."""
+        """Return the given particle masses [kg], shape (particle_count,); the density is not used."""
         return self.mass.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Triangles for showing it, shape (m, 3); none where it is no surface."""
+        """Return the triangles of the shown surface, shape (m, 3); empty if there is none."""
         return self.surface_triangles
 
 

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Seams of a mesh that look closed and are open.
 
-Two vertices of the border are one seam's if they are closer than a hundredth of the shortest border edge at either.
-A vertex and a border edge of another triangle are one seam's if they are closer than a hundredth of the edge's length.
+Two vertices of the border belong to one seam if they are closer than a hundredth of the shortest border edge at either.
+A vertex and a border edge of another triangle belong to one seam if they are closer than a hundredth of the edge's
+length.
 """
 
 from __future__ import annotations
@@ -15,25 +16,25 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.powers import scalar_products, whole_sum
 
-#: Share of the local edge length below which two places of the border look joined.
+#: Fraction of the local edge length below which two positions of the border look joined.
 SEAM_SHARE = 0.01
 #: Neighbours of a border vertex that are examined.
 _NEIGHBOURS = 8
-#: Edges of the border, and pairs of an edge and a vertex, up to which vertices are looked for on edges: a border has a
-#: few thousand edges, and triangles that do not hang together have three each.
+#: Largest number of border edges, and of pairs of an edge and a vertex, for the search of vertices on edges. A border
+#: has a few thousand edges; disconnected triangles have three each.
 _MAX_EDGES, _MAX_PAIRS = 10_000, 1 << 22
-#: Factor of the distances that a tree is asked for: what it finds is measured again, and its rounding hides nothing.
+#: Margin of a tree query's distance: the results are measured again, so rounding hides none.
 _WIDER = 1.0 + 1e-9
 
 
 @attrs.frozen(kw_only=True)
 class OpenSeam:
-    """Places of a mesh's border that nearly coincide and are not joined."""
+    """Positions of a mesh's border that nearly coincide and are not joined."""
 
     count: int
     """Number of border vertices that lie near another part of the border."""
     vertex: int
-    """The vertex of the closest such place."""
+    """Vertex of the closest such position."""
     distance: float
     """Distance of that vertex from the other part of the border [m]."""
 
@@ -50,7 +51,7 @@ class OpenSeam:
 
 
 def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the edges of one triangle alone, directed as it runs, (b, 2), of triangles (m, 3)."""
+    """Return the edges with a single triangle, directed as it runs, (b, 2), of triangles (m, 3)."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     keys = edges.min(axis=1) * (int(triangles.max()) + 1) + edges.max(axis=1)
     _, first, uses = np.unique(keys, return_index=True, return_counts=True)
@@ -58,12 +59,12 @@ def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> OpenSeam | None:
-    """Return the places of a border that look joined and are not; None if there are none.
+    """Return the positions of a border that look joined and are not; None if there are none.
 
     Args:
         points: vertices [m], (n, 3).
         triangles: vertices of each triangle, (m, 3).
-        border: the two vertices of each edge that has one triangle, (b, 2).
+        border: the two vertices of each edge with one triangle, (b, 2).
     """
     if len(border) < 2:
         return None
@@ -79,7 +80,7 @@ def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.in
     tree = cKDTree(corners)
     most = _WIDER * SEAM_SHARE * lengths.max()
     _, nearest = tree.query(corners, k=_NEIGHBOURS, distance_upper_bound=most)
-    # The tree gives the number of vertices where there is no further neighbour.
+    # The tree returns the number of vertices if there is no further neighbour.
     apart = corners[:, None] - np.append(corners, np.full((1, 3), np.inf), axis=0)[nearest]
     away = np.sqrt(scalar_products(apart, apart))
     reach = np.append(shortest, 0.0)
@@ -105,7 +106,7 @@ def _at_edges(
     tree: object,
     lengths: Array,
 ) -> Array:
-    """Distances of border vertices from the middle part of border edges of other triangles, where small [m]."""
+    """Return distances of border vertices from the middle part of near border edges of other triangles [m]."""
     distances = np.full(len(vertices), np.inf)
     edges, which = near_edges(points, border, tree, lengths)
     begin, side = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
@@ -123,16 +124,16 @@ def _at_edges(
 def near_edges(
     points: Array, border: NDArray[np.int64], tree: object, lengths: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs of a border edge and a border vertex, as rows of the tree, that its middle's sphere holds.
+    """Return pairs of a border edge and a border vertex inside the sphere around the edge's middle.
 
     Args:
         points: vertices [m], (n, 3).
         border: the two vertices of each edge, (b, 2).
         tree: a cKDTree of the border's vertices.
-        lengths: of the edges [m], (b,).
+        lengths: lengths of the edges [m], (b,).
 
     Returns:
-        Edges and vertices, each (p,); none if there were more than can be looked at.
+        Edges and vertices (rows of the tree), each (p,); empty if there are too many.
     """
     none = np.zeros(0, dtype=np.int64)
     if len(border) > _MAX_EDGES:
@@ -151,14 +152,14 @@ def near_edges(
 
 
 def _joined(triangles: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell whether an edge joins each of some vertices (p,) to another (p,)."""
+    """Return whether an edge joins each of some vertices (p,) with another (p,)."""
     count = int(triangles.max()) + 1
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     return np.isin(np.minimum(first, second) * count + np.maximum(first, second), edges[:, 0] * count + edges[:, 1])
 
 
 def _opposite(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Third corner of the triangle at each directed border edge, (b,)."""
+    """Return the third corner of the triangle at each directed border edge, (b,)."""
     count = int(triangles.max()) + 1
     tails, heads, thirds = (np.concatenate([triangles[:, (k + at) % 3] for k in range(3)]) for at in range(3))
     keys = tails * count + heads

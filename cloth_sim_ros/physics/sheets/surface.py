@@ -1,19 +1,19 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topology of a triangulated surface: edges, hinges, boundary; and the triangles and diagonals of a grid.
+"""Topology of a triangulated surface, and triangles and diagonals of a grid.
 
-A *hinge* is an interior edge with its two triangles, written as four particles `(edge0, edge1, wing0, wing1)`:
+A *hinge* is an interior edge with its two triangles. It is written as four particles `(edge0, edge1, wing0, wing1)`. In
+this picture the normal points to the viewer.
 
             edge1
            /  |  \\
-      wing0   |   wing1        seen from the side that the normal points to
+      wing0   |   wing1
            \\  |  /
             edge0
 
-The triangles are `(edge0, edge1, wing0)` and `(edge1, edge0, wing1)`, both counter-clockwise here. The opposite
-vertices
-`wing0, wing1` are the ends of the lecture's bending spring (S7); together with the edge they are a tetrahedron (S8,
-S9).
+Its triangles are `(edge0, edge1, wing0)` and `(edge1, edge0, wing1)`. Both run counter-clockwise here. The opposite
+vertices `wing0, wing1` are the ends of the lecture's bending spring (S7). Together with the edge they are a tetrahedron
+(S8, S9).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ShortIndexArray = NDArray[np.int32]
 
 
 class SurfaceError(ValueError):
-    """A set of triangles that is no oriented manifold surface; the message names the place."""
+    """A set of triangles that is no oriented manifold surface; the message names the position."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -50,16 +50,21 @@ class Surface:
     edges: ShortIndexArray
     """Every edge once, lower index first, sorted, (e, 2)."""
     edge_triangles: ShortIndexArray
-    """Triangles on either side of each edge, -1 where there is none, (e, 2)."""
+    """Triangles on either side of each edge, -1 for no triangle, (e, 2)."""
     boundary_edges: IndexArray
     """Edges of one triangle, directed as that triangle runs, (b, 2)."""
 
     @classmethod
     def from_triangles(cls, triangles: ArrayLike, *, particle_count: int | None = None) -> Surface:
-        """Find edges, hinges and boundary of `triangles` (m, 3); particle_count defaults to the largest index + 1.
+        """Find edges, hinges and boundary of triangles.
 
-        Raises SurfaceError, naming the place, for an index out of range, a triangle with a repeated particle, an edge
-        of more than two triangles, two neighbours wound oppositely, or a particle in which two fans meet.
+        Args:
+            triangles: particles of each triangle, (m, 3).
+            particle_count: number of particles; the default is the largest index + 1.
+
+        Raises:
+            SurfaceError: naming the position, for an index out of range, a triangle with a repeated particle, an edge
+                of more than two triangles, two neighbours wound oppositely, or a particle in which two fans meet.
         """
         faces = _checked_triangles(triangles, particle_count)
         count = int(particle_count if particle_count is not None else faces.max(initial=-1) + 1)
@@ -104,25 +109,25 @@ class Surface:
 
     @property
     def hinges(self) -> IndexArray:
-        """`(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4); made anew for each
-        caller.
+        """`(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4); a new array on each
+        access.
         """
         inner = self.hinge_edges
         low, high = self.edges[inner].T[:, :, None]
         one, two = (self.triangles[side] for side in self.edge_triangles[inner].T)
         wings = [np.sum(np.where((side != low) & (side != high), side, 0), axis=1) for side in (one, two)]
-        # As the first triangle runs: it goes from low to high where high follows low.
+        # In the direction of the first triangle: it runs from low to high if high follows low.
         along = np.any((one == low) & (np.roll(one, -1, axis=1) == high), axis=1)
         first, second = np.where(along, low[:, 0], high[:, 0]), np.where(along, high[:, 0], low[:, 0])
         return np.stack((first, second, *wings), axis=1)
 
     @property
     def is_closed(self) -> bool:
-        """True for a surface without a boundary."""
+        """True if the surface has no boundary."""
         return self.boundary_edges.size == 0
 
     def boundary_loops(self) -> list[IndexArray]:
-        """Particles of each closed boundary curve, in the order in which the triangles run, the lowest index first."""
+        """Return the particles of each closed boundary curve, in the triangles' direction, the lowest index first."""
         following = {int(a): int(b) for a, b in self.boundary_edges}
         loops: list[IndexArray] = []
         for begin in sorted(following):
@@ -136,7 +141,7 @@ class Surface:
         return loops
 
     def pieces(self) -> IndexArray:
-        """Number of the connected piece of each triangle, pieces counted from 0 in order of appearance, (m,)."""
+        """Return the index of the connected piece of each triangle, in order of appearance, (m,)."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -155,7 +160,7 @@ class Surface:
             )
 
     def _touching_fans(self) -> NDArray[np.bool_]:
-        """Particles whose corners are not all connected through hinges, (particle_count,)."""
+        """Return a mask of particles whose corners are not all connected through hinges, (particle_count,)."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -176,17 +181,21 @@ class Surface:
 
 
 def opposite_pairs(hinges: ArrayLike, existing: ArrayLike | None = None) -> IndexArray:
-    """Pairs of opposite vertices of `hinges` (h, 4) that S7 connects, (p, 2), in the order of the hinges.
+    """Return the pairs of opposite vertices that S7 connects, (p, 2), in the order of the hinges.
 
-    `existing` (m, 2) are springs that are there already: their pairs are left out, so that across a cell of layout
-    `both`, where the opposite vertices are the other diagonal, a spring is not counted twice.
+    Across a cell of layout `both` the opposite vertices are the other diagonal. Pairs of existing springs are left out;
+    therefore no spring is counted twice.
+
+    Args:
+        hinges: (edge0, edge1, wing0, wing1), (h, 4).
+        existing: pairs of existing springs, (m, 2).
     """
     quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
     return np.ascontiguousarray(quads[opposite_kept(quads, existing)][:, 2:])
 
 
 def opposite_kept(hinges: ArrayLike, existing: ArrayLike | None = None) -> NDArray[np.bool_]:
-    """Which hinges (h, 4) get a bending spring of their own: those whose wings no spring of `existing` joins, (h,)."""
+    """Return a mask of hinges that need a bending spring: no existing spring (m, 2) joins their wings, (h,)."""
     wings = np.sort(np.asarray(hinges, dtype=np.int64).reshape(-1, 4)[:, 2:], axis=1)
     if existing is None:
         return np.ones(len(wings), dtype=np.bool_)
@@ -196,18 +205,19 @@ def opposite_kept(hinges: ArrayLike, existing: ArrayLike | None = None) -> NDArr
 
 
 def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Triangles of a grid of rows x columns particles numbered `row * columns + column`, (2 (rows-1) (columns-1), 3).
+    """Return the triangles of a grid of rows x columns particles, (2 (rows-1) (columns-1), 3).
 
-    The diagonal that cuts cell (r, c), r and c counted from 0, is
+    Particle indices are `row * columns + column`. The layout selects the diagonal that cuts cell (r, c), r and c
+    counted from 0.
 
-    - `left`: (r, c) to (r + 1, c + 1)
-    - `right`: (r, c + 1) to (r + 1, c)
-    - `alternating`: left where r + c is even, right where it is odd (a checkerboard)
-    - `both`: springs on both diagonals; the surface is cut as `alternating`, because a surface cut along one family of
+    - `left`: (r, c) to (r + 1, c + 1).
+    - `right`: (r, c + 1) to (r + 1, c).
+    - `alternating`: left if r + c is even, right if it is odd (a checkerboard).
+    - `both`: springs on both diagonals. The surface is cut as `alternating`, because one cut along one family of
       diagonals twists when it is bent (docs/bending.md).
 
-    The normal is (direction of rising column) x (direction of rising row). Triangles 2 q and 2 q + 1 are those of
-    cell q = r (columns - 1) + c.
+    The normal is (direction of rising column) x (direction of rising row). Triangles 2 q and 2 q + 1 are those of cell
+    q = r (columns - 1) + c.
     """
     p00, p01, p10, p11, left = _cells(rows, columns, layout)
     cut_left = np.stack((p00, p01, p11, p00, p11, p10), axis=1)
@@ -216,14 +226,15 @@ def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
 
 
 def grid_cells(rows: int, columns: int) -> IndexArray:
-    """The four particles of every cell of a grid, in order around it, (cells, 4)."""
+    """Return the four particles of every cell of a grid, in order around it, (cells, 4)."""
     p00, p01, p10, p11, _ = _cells(rows, columns, "left")
     return np.stack((p00, p01, p11, p10), axis=1)
 
 
 def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Shear springs of a grid: one diagonal a cell, for layout `both` two (left, then right), in order of cells, (d,
-    2).
+    """Return the shear springs of a grid, in the order of cells, (d, 2): one diagonal a cell.
+
+    For layout `both` there are two (left, then right).
     """
     p00, p01, p10, p11, left = _cells(rows, columns, layout)
     if layout == "both":
@@ -232,11 +243,11 @@ def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
 
 
 def grid_hinges(rows: int, columns: int) -> IndexArray:
-    """Hinges that give a grid its bending stiffness, for every shear layout: those of both checkerboards, (m, 4).
+    """Return the hinges of a grid's bending stiffness, for every shear layout: those of both checkerboards, (m, 4).
 
-    One checkerboard has two kinds of particle, with four and with eight edges; bent, they move against each other,
-    and the sheet comes out with a Poisson's ratio of -1/3. Cut along one family of diagonals it twists. The two
-    checkerboards together, each at half strength, do neither.
+    One checkerboard has two kinds of particle, with four and with eight edges. In bending they move against each other,
+    and the sheet has a Poisson's ratio of -1/3. A grid cut along one family of diagonals twists. The two checkerboards
+    together, each at half strength, do neither.
     """
     cuts = [grid_triangles(rows, columns, "alternating")]
     left, right = grid_triangles(rows, columns, "left"), grid_triangles(rows, columns, "right")
@@ -247,7 +258,7 @@ def grid_hinges(rows: int, columns: int) -> IndexArray:
 
 
 def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
-    """Corners p(row)(column) of every cell and whether its triangles are cut along the left diagonal, each (cells,)."""
+    """Return the corners p(row)(column) of every cell, and whether the left diagonal cuts it, each (cells,)."""
     if rows < 2 or columns < 2:
         raise ValueError(f"a grid surface needs at least 2 x 2 particles, not {rows} x {columns}")
     if layout not in LAYOUTS:
@@ -260,7 +271,7 @@ def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
 
 
 def _checked_triangles(triangles: ArrayLike, particle_count: int | None) -> IndexArray:
-    """`triangles` as an (m, 3) array of indices that are whole numbers, in range and different in each triangle."""
+    """Return `triangles` as an (m, 3) array of whole numbers in range that differ within each triangle."""
     given = np.asarray(triangles)
     if given.size == 0:
         given = np.zeros((0, 3), dtype=np.int64)
