@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S8 and S9: lengths, degenerate states, and how tight their bounds are; `test_forces.py` has what all promise."""
+"""S8 and S9: lengths, degenerate states and tightness of bounds; `test_forces.py` has the common properties."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_crossed_force_stays_bounded_up_to_a_closed_fold(short):
     for f0, f1 in ((0.5, 0.5), (0.2, 0.8)):
         x = fold(np.pi - short, foot0=f0, foot1=f1)
         assert np.abs(signed_lengths(PAIR, x, kind="crossed")).max() < 1.0
-        # 6V falls as fast as the lines turn parallel: its gradient over M is what is left, 10 times that of a flat pair
+        # 6V vanishes as fast as the lines become parallel: its gradient over M remains, 10 times that of a flat pair
         assert gradient_squares(PAIR, x, kind="crossed").max() < 100.1
     assert signed_lengths(PAIR, fold(np.pi), kind="crossed") == pytest.approx(0.0, abs=1e-13)
 
@@ -148,7 +148,7 @@ def test_degenerate_hinges_are_refused(build, words):
 
 @pytest.mark.parametrize("kind", [CrossedSprings, AltitudeSprings])
 def test_stiffness_bound_is_tight_for_hinges_of_any_shape(kind):
-    # far from rest, so that the part from the length's curvature leads
+    # far from rest: the part of the length's curvature dominates
     rng = np.random.default_rng(5)
     looseness = []
     for _ in range(300):

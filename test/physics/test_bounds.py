@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bounds of frequencies and damping rates of whole cloths: the same by every loop, and above the true ones."""
+"""Spectral bounds of whole cloths: equal in every loop, and above the true eigenvalues."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Root of single precision's rounding: small beside the 4 % that steps keep from their limit.
+#: Root of single precision's rounding: small against the 4 % margin of the step limit.
 SINGLE = 3e-4
 SHEETS = [
     {},
@@ -31,13 +31,13 @@ SHEETS = [
 
 
 def listed(model):
-    """The same model with a sheet's springs as lists."""
+    """Return the model with a sheet's springs as lists."""
     forces = [force.listed if isinstance(force, GridSprings) else force for force in model.forces]
     return compile(Model(model.masses, forces, anchors=model.anchors))
 
 
 def true_rates(plan, x):
-    """The true largest squared frequency and damping rate; anchored particles do not move, so they are left out."""
+    """Return the true largest squared frequency and damping rate; anchored particles do not count."""
     inverse, still = np.tile(np.sqrt(plan.model.inverse_masses), 3), np.zeros_like(x)
     wholes = [matrix(plan, x, still, part) for part in "xv"]
     return [np.linalg.eigvalsh(inverse[:, None] * 0.5 * (whole + whole.T) * inverse)[-1] for whole in wholes]
@@ -53,7 +53,7 @@ def test_sheet_bounds_are_those_of_its_springs_one_by_one(values, crumpled):
     if crumpled and x.shape[1] > 30:
         x[:, 5] = x[:, 4]  # a spring without a direction
     single = listed(plan.model)
-    # A sheet's are calculated in single precision; two of the eigenvalues may be equal, and come out to its root.
+    # A sheet's bounds are calculated in single precision. Two nearly equal eigenvalues are accurate to its root.
     assert plan.rates(x) == pytest.approx(of_blocks(single, x), rel=SINGLE)
     x[:, 3] = x[:, 2] + 1e-9  # as good as none
     for one, other in zip(blocks(plan, x), blocks(single, x), strict=True):
@@ -73,7 +73,7 @@ def test_spectral_bounds_are_tight_upper_bounds(values, crumpled):
     x += crumpled * np.random.default_rng(1).standard_normal(x.shape)
     for true, rate, sharper in zip(true_rates(plan, x), plan.rates(x), listed(plan.model).rates(x), strict=True):
         assert true <= sharper * (1.0 + SINGLE) <= rate * (1.0 + SINGLE) ** 2
-        # Next to the anchors, and where springs are compressed or cross, the bound is looser than within a flat sheet.
+        # Next to anchors, and at compressed or crossing springs, the bound is looser than within a flat sheet.
         assert rate <= 4.0 * true + 1e-9
 
 
@@ -95,7 +95,7 @@ def test_bounds_of_a_grasped_sheet_add_springs_and_grips():
 
 
 def mesh_file(count=1500):
-    """A Delaunay triangulation whose neighbours lie far apart in the file."""
+    """Return a Delaunay triangulation whose neighbours lie far apart in the file."""
     points = np.random.default_rng(4).uniform(size=(count, 2))
     corners = Delaunay(points).simplices
     a, b, c = (points[corners[:, i]] for i in range(3))
@@ -144,12 +144,12 @@ def test_bounds_of_an_irregular_mesh_are_tight_upper_bounds(bending, crumpled, s
         assert true <= rate * (1.0 + 1e-9)
         assert rate <= even * (1.0 + 1e-12)
         if not crumpled:
-            # A light particle in a sliver of the mesh stands out, and equal weights are off by as much as two.
+            # A light particle in a sliver of the mesh is an outlier: equal weights are wrong by up to a factor of two.
             assert rate <= 1.25 * true
 
 
 def test_light_particle_distributes_its_bound_to_heavy_ones():
-    # A star: a light particle on springs k to heavy ones all around moves as if they stood still, w^2 = 2 k / m.
+    # A star: a light particle on springs k to heavy ones moves as if they stood still, w^2 = 2 k / m.
     angles = np.pi / 2.0 * np.arange(4)
     x = np.concatenate([np.zeros((3, 1)), [np.cos(angles), np.sin(angles), 0.0 * angles]], axis=1)
     springs = PairSprings([[0, i] for i in range(1, 5)], 1.0, 100.0, 2.0)
@@ -161,7 +161,7 @@ def test_light_particle_distributes_its_bound_to_heavy_ones():
 
 
 class Tether(Force):
-    """A user's own force: isotropic springs of stiffness k and damping c from every particle to the origin."""
+    """A Python force: isotropic springs of stiffness k and damping c from every particle to the origin."""
 
     name = "tether"
     damped = True

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""No tuned number of step control and sleep stands outside the table of constants."""
+"""Tuned numbers of step control and sleep occur only in the table of constants."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "cloth_sim_ros"
-#: Nothing, one, halving and doubling need no reason.
+#: Zero, one, halving and doubling need no reason.
 PLAIN = {0.0, 0.5, 1.0, 2.0}
-#: Every other number, and why it is not tuned.
+#: Every other number, and the reason that it is not tuned.
 REASONS = {
     "automatic.py": {1e9: "nanoseconds a second"},
     "choice.py": {0.99: "says in words that a step is shorter than the one asked for; decides nothing"},
@@ -54,7 +54,7 @@ FILES = [*sorted((PACKAGE / "physics" / "control").glob("*.py")), PACKAGE / "sim
 
 
 def numbers(tree: ast.AST) -> set[float]:
-    """Numbers of a file, but for places in sequences, what text is formatted by, and sizes of caches."""
+    """Return the numbers in a file, except for indices, text formats and cache sizes."""
     left_out = set[int]()
     for node in ast.walk(tree):
         inner: list[ast.AST] = []

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What contact is about to come to: an obstacle left out at one look would have been left out by each particle."""
+"""Contact prediction: an obstacle that one check skips is out of reach of each particle."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.plan import compile
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("push", [0.0, 1.0])
 def test_distant_obstacle_is_skipped_as_for_each_particle(shape, push):
-    """An anchored particle meets nothing; where it is far away, the ball about the cloth reaches every obstacle."""
+    """An anchored particle has no contact; if it is far away, the sphere around the cloth reaches every obstacle."""
     rng, seen = np.random.default_rng(7), set()
     model, places = flat_sheet(5, 6, contact(shape), size=0.4, gravity=push > 0.0, anchors=[0])
     plan = compile(model)

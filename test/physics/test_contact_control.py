@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step control with obstacles: the promise holds, nothing comes through at any speed, energy is never made."""
+"""Step control with obstacles: tolerance, no penetration at any speed, no energy gain."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.state import State
 
 FRAME = 1.0 / 60.0
-#: Where each shape touches a sheet about the origin first, so far below it [m].
+#: Depth of each shape below the origin at which a sheet around the origin first touches it [m].
 BELOW = {
     "plane": lambda gap: still((0.0, 0.0, -gap)),
     "box": lambda gap: still((0.13, 0.02, -0.1 - gap)),
@@ -26,7 +26,7 @@ every_shape = pytest.mark.parametrize("shape", SHAPES)
 
 
 def exact(plan, state, duration):
-    """The motion of the same equations, by DOP853 far below every tolerance here."""
+    """Return the motion of the same equations by DOP853, far below every tolerance of these tests."""
     shape, size = state.x.shape, state.x.size
     a = np.empty(shape)
 
@@ -41,12 +41,12 @@ def exact(plan, state, duration):
 
 
 def furthest(x, y):
-    """Largest distance of a particle in two places."""
+    """Return the largest distance of a particle between two arrays."""
     return float(np.sqrt(((x - y) ** 2).sum(axis=0)).max())
 
 
 def fall(shape, tolerance, frames):
-    """The error [m] of a sheet that falls on an obstacle, and how much a small kick grows."""
+    """Return the error [m] of a sheet that falls on an obstacle, and the amplification of a small perturbation."""
     model, places = flat_sheet(9, 9, contact(shape, paths=[BELOW[shape](5e-3)]), size=0.4)
     plan, state, integrator = drop(model, places, tolerance=tolerance)
     end = exact(plan, state, frames * FRAME)
@@ -70,7 +70,7 @@ def test_a_sheet_that_falls_on_an_obstacle_keeps_its_tolerance(shape, tolerance)
 @pytest.mark.parametrize("tolerance", [1e-3, None])
 def test_impact_at_20_m_per_s_penetrates_nothing(shape, listed, tolerance):
     model, places = flat_sheet(12, 12, contact(shape, paths=[BELOW[shape](0.1)]), size=0.3, listed=listed, drag=False)
-    # No limit of work: so few particles are cheap by any step, and what is asked is what explicit steps do.
+    # No work limit: this test is about explicit steps, and so few particles are cheap with any step.
     plan, state, integrator = drop(model, places, (0.0, 0.0, -20.0), tolerance=tolerance, work=0.0)
     balance = EnergyBalance(plan, state)
     energy = plan.energy(0.0, state.x, state.v)
@@ -116,7 +116,7 @@ def test_obstacle_at_10_m_per_s_penetrates_nothing(tolerance):
         gaps = plan.contact.gaps((k + 1) * FRAME, state.x)
         assert gaps[0, 1] > 0.0
         residual = balance.close((k + 1) * FRAME, state)
-        # What is noted is as coarse as the steps, which without a tolerance are as long as stability allows.
+        # The recorded gap is as coarse as the steps, which without a tolerance are as long as stability allows.
         assert residual <= (1e-2 if tolerance else 3e-2) * balance.turned_over
     assert state.x[2].max() > 0.5
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The model of costs counts contact by what is in reach, by no clock and by nothing that was kept from before."""
+"""Cost model of contact: it depends on elements in reach, not on clocks or earlier calls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.touching import NEAR, PAIR, RUBBED
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: A cloth at rest over what there is.
+#: A cloth at rest above the obstacles.
 OVER: dict[str, Any] = {
     "cloth.resolution": [5, 5],
     "cloth.size": [0.2, 0.2],
@@ -30,12 +30,12 @@ OVER: dict[str, Any] = {
 
 
 def added(**values: Any) -> float:
-    """Operations that contact adds to an evaluation of a frame."""
+    """Return the operations that contact adds to an evaluation of a frame."""
     cloth = Simulation(Scene.from_parameters({**OVER, **{k.replace("__", "."): v for k, v in values.items()}}))
     costs = []
     for _ in range(2):
         costs.append(cloth.plan.contact_cost(cloth.time, cloth.scene.period, cloth.state))
-        # Lists of what is near are made for another reach meanwhile.
+        # Meanwhile neighbour lists are built for another reach.
         cloth.plan.ahead(cloth.time, 10.0 * cloth.scene.period, cloth.state.x, cloth.state.v + 1.0)
     assert costs[0] == costs[1]
     return costs[0] / CONSTANTS.operation
@@ -54,7 +54,7 @@ def test_particles_in_reach_cost_more_with_friction() -> None:
 def test_edge_and_face_pairs_in_reach_cost() -> None:
     ball = {"it__shape": "sphere", "it__size": [0.01], "it__position": [0.02, 0.02, -0.0115]}
     found = added(**ball)
-    # A point and the triangles about it.
+    # A point and its adjacent triangles.
     assert found >= PAIR
     assert found == pytest.approx(PAIR * round(found / PAIR))
 
@@ -71,6 +71,6 @@ def test_work_limit_always_fits_some_runs_during_contact() -> None:
     bare, longest = plan.step_cost * plan.model.particle_count, 1e-4
     runs, little = CONSTANTS.work / 60.0 / longest, whole_work(plan, 1e-3, 1 / 60, bare)
     assert work_cap(plan, little, 1 / 60, longest, 0.0, bare) == (pytest.approx(runs), pytest.approx(runs))
-    # What could not be followed is tried with half the effort, and so on; what finishes a frame stays.
+    # The budget of explicit steps is halved after each fallback; the fallback itself stays.
     assert work_cap(plan, little, 1 / 60, longest, 3.0, bare) == (pytest.approx(runs / 8.0), pytest.approx(runs))
     assert work_cap(plan, little, 1 / 60, longest, 0.0)[0] < runs

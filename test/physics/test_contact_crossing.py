@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a particle meets an obstacle that moves and turns, against looking at many places of its way."""
+"""Continuous collision detection against moving, turning obstacles, compared with dense sampling."""
 
 import numpy as np
 import pytest
@@ -12,12 +12,12 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 
 START, DURATION = 0.02, 0.05
-#: What is less deep may be stepped over: a thousandth of the thickness [m].
+#: Shallower penetration may be missed: a thousandth of the thickness [m].
 SHALLOW = 1e-3 * THICKNESS
 
 
 def least_gap(obstacle, path, start, end):
-    """The least of the gaps [m] of a particle that goes straight from one place to another."""
+    """Return the least gap [m] of a particle that moves straight from one position to another."""
     points = []
     for part in np.linspace(0.0, 1.0, 201):
         place, _, rotation, _ = pose(path, START + part * DURATION)
@@ -33,7 +33,7 @@ def test_particle_hits_an_obstacle_on_its_path(shape):
         path = moving(seed)
         plan = compile(Model([1.0], [contact(shape, paths=[path])]))
         start = near(SHAPES[shape], path, START, 1, rng, deepest=0.05, farthest=2.0)
-        # It goes along with the obstacle or stands, but for less or more than the gap.
+        # It moves with the obstacle or stands, with a gap below or above the given one.
         along = start + (seed % 2) * DURATION * carried(path, START, DURATION, start)
         end = along + rng.normal(size=(3, 1)) * THICKNESS * 10.0 ** rng.uniform(-1.5, 1.0)
         gap = least_gap(SHAPES[shape], path, start[:, 0], end[:, 0])
@@ -45,7 +45,7 @@ def test_particle_hits_an_obstacle_on_its_path(shape):
 
 
 def ball(*, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
-    """The path of a ball of 0.2 m about the origin at the start of the step, without a turn."""
+    """Return the path of a ball of 0.2 m around the origin at the start of the step, without rotation."""
     path = still()
     path[0], path[4:7], path[7:10] = START, velocity, 0.5 * np.array(acceleration)
     return path
@@ -66,7 +66,7 @@ def test_particle_moving_with_a_fast_obstacle_does_not_hit_it():
 
 def test_obstacle_that_reverses_on_its_path_is_hit():
     start = np.array([0.0, 0.0, 0.21])
-    # It comes nearer by v^2 / 2 a, halfway, and is back where it was in the end.
+    # It approaches by v^2 / 2 a, halfway, and returns in the end.
     for nearest, met in ((0.012, True), (0.008, False)):
         rise = 4.0 * nearest / DURATION
         turning = ball(velocity=[0.0, 0.0, rise], acceleration=[0.0, 0.0, -2.0 * rise / DURATION])

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction: Coulomb's cone, anchors that don't move inside it, and what runs and states make of them."""
+"""Friction: Coulomb's cone, anchors that stay fixed inside it, and their use in runs and states."""
 
 import attrs
 import numpy as np
@@ -23,7 +23,9 @@ every_shape = pytest.mark.parametrize("shape", SHAPES)
 
 
 def about(shape, rough=(0.6, 0.4), frequency=2000.0, seed=0):
-    """One moving obstacle with friction, particles in contact, and anchors near them: none, sticking and sliding."""
+    """Return one moving obstacle with friction, particles in contact, and anchors near them: none, sticking and
+    sliding.
+    """
     rng = np.random.default_rng(seed)
     path = moving(seed)
     obstacle = attrs.evolve(SHAPES[shape], friction=rough)
@@ -33,7 +35,7 @@ def about(shape, rough=(0.6, 0.4), frequency=2000.0, seed=0):
     masses = rng.uniform(0.5, 2.0, COUNT)
     plan = alone(own, masses=masses)
     place, velocity, rotation, turning = laws.pose(path, 0.3)
-    # Seen from the obstacle, from slower than the coefficient at rest holds to faster than that in motion.
+    # Relative to the obstacle: from slower than static friction allows to faster than kinetic friction.
     v = 10.0 ** rng.uniform(-3.0, -0.5, COUNT) * rng.normal(size=x.shape)
     v += velocity[:, None] + turning @ (rotation.T @ (x - place[:, None]))
     anchors = np.zeros((1, 4, COUNT))
@@ -46,7 +48,7 @@ def about(shape, rough=(0.6, 0.4), frequency=2000.0, seed=0):
 
 
 def by_formulas(own, masses, x, v, anchors):
-    """Forces (3, n), anchors that were dragged, and the power lost, by the formulas of friction one by one."""
+    """Return forces (3, n), dragged anchors, and the dissipated power, contact by contact from the formulas."""
     plain, _ = laws.contact(0.3, x, v, own, masses)
     total, dragged, lost = plain.force.copy(), anchors.copy(), plain.lost
     place, velocity, rotation, turning = laws.pose(own.paths[0], 0.3)
@@ -100,7 +102,7 @@ def test_derivative_product_includes_friction(shape):
 
 
 def on_a_slope(rough, degrees, frames, *, count=6, listed=False, tolerance=1e-4, integrator="auto"):
-    """Mean places (frames, 3) along a slope of a sheet that is laid on it at rest, its plan and its state."""
+    """Return mean positions (frames, 3) along a slope of a sheet that starts at rest, its plan and its state."""
     turn = Rotation.from_euler("y", degrees, degrees=True)
     slope = Obstacle(name="slope", shape="plane", friction=rough)
     own = contact(slope, paths=[still(orientation=turn.as_quat())])
@@ -120,7 +122,7 @@ def on_a_slope(rough, degrees, frames, *, count=6, listed=False, tolerance=1e-4,
 def test_sheet_slips_within_0_1_degree_of_the_friction_angle(mu, listed):
     steep = np.degrees(np.arctan(mu))
     below, _, state = on_a_slope((mu, mu), steep - 0.1, 60, listed=listed)
-    # It settles first; then nothing moves by a nanometre, and no anchor by a bit.
+    # It settles first; then it moves by less than a nanometre, and no anchor changes a bit.
     assert np.abs(below[-1] - below[-30]).max() < 1e-9
     assert (state.memory[ANCHORS][0, 3] == 1.0).all()
     above, _, state = on_a_slope((mu, mu), steep + 0.1, 60, listed=listed)
@@ -139,7 +141,7 @@ def test_sliding_sheet_accelerates_by_kinetic_friction(mu):
 
 
 def test_anchors_keep_their_bits_while_a_sheet_sticks():
-    # On its way to rest the push swings, and with it the cone: it is a state of rest that is asked about.
+    # Before it is at rest the normal force oscillates, and with it the cone: this test needs a state of rest.
     _, plan, state = on_a_slope((0.5, 0.5), 20.0, 60)
     kept = state.memory[ANCHORS].copy()
     _, _, steps = drop(plan.model, state.positions, tolerance=1e-4)
@@ -153,14 +155,14 @@ def test_anchors_keep_their_bits_while_a_sheet_sticks():
 def test_every_integrator_holds_a_sheet_on_a_slope(integrator):
     tolerance = None if integrator == "symplectic_euler" else 1e-4
     means, _, state = on_a_slope((0.5, 0.5), 20.0, 40, tolerance=tolerance, integrator=integrator)
-    # Implicit steps are as long as a frame, and anchors follow after each of them: rest is found more slowly.
+    # Implicit steps are as long as a frame, and anchors follow after each of them: the sheet comes to rest more slowly.
     assert np.abs(means[-1] - means[-15]).max() < (1e-5 if integrator == "implicit" else 1e-6)
     assert (state.memory[ANCHORS][0, 3] == 1.0).all()
 
 
 @pytest.mark.parametrize("shape", ["plane", "cylinder"])
 def test_sliding_converges_with_second_order(shape):
-    """A particle on a turntable, its contact swinging under its weight: halved steps leave a quarter of the error."""
+    """A particle on a turntable, its contact oscillating under its weight: half steps give a quarter of the error."""
     obstacle = attrs.evolve(SHAPES[shape], friction=(0.5, 0.3))
     path = still((0.0, 0.0, 0.0 if shape == "plane" else -0.5 * obstacle.size[1]))
     path[17:20] = [0.0, 0.0, 20.0]

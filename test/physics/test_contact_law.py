@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contact with obstacles: forces, energy, bounds and what is booked, against formulas of their own."""
+"""Contact with obstacles: forces, energy, bounds and recorded wrenches against independent formulas."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,9 @@ every_shape = pytest.mark.parametrize("shape", SHAPES)
 
 
 def about(shape, seed=0, damping=10.0, path=None, **where):
-    """A force with one moving obstacle, its plan with random masses, and particles about it with random velocities."""
+    """Return a force with one moving obstacle, its plan with random masses, and nearby particles with random
+    velocities.
+    """
     rng = np.random.default_rng(seed)
     path = moving(seed) if path is None else path
     own = contact(shape, paths=[path], damping=damping)
@@ -33,7 +35,7 @@ def test_forces_energies_and_powers_are_those_of_the_formulas(shape, damping):
     own, plan, masses, x, v = about(shape, damping=damping)
     found, booked = laws.contact(0.3, x, v, own, masses)
     assert np.abs(found.force).max() > 1e4
-    # Places are known to 1e-16 m, and a thickness of 2 mm turns that into 1e-13 of it.
+    # Positions are accurate to 1e-16 m, which is 1e-13 of a thickness of 2 mm.
     scale = np.abs(found.force).max()
     assert force(plan, x, v, 0.3) == pytest.approx(found.force, rel=1e-9, abs=1e-10 * scale)
     assert plan.energies(0.3, x, v)[1] == pytest.approx(found.energy, rel=1e-9)
@@ -57,7 +59,7 @@ def test_damping_never_gives_energy_and_never_pulls(shape):
         found = force(plan, x, speed * v, 0.3)
         still_found = force(one, x, np.zeros_like(x), 0.3)
         assert plan.dissipation(0.3, x, speed * v) >= 0.0
-        # Along one normal each: pushes stay pushes.
+        # Each along one normal: the force never pulls.
         assert (np.sum(found * still_found, axis=0) >= 0.0).all()
 
 
@@ -100,7 +102,7 @@ def test_force_starts_smoothly_at_the_thickness():
     gaps = THICKNESS * np.array([1.0, 1.0 - 1e-3, 1.0 - 2e-3, 1.5, 100.0])
     push = [force(plan, np.array([[0.0], [0.0], [gap]]))[2, 0] for gap in gaps]
     assert push[0] == push[3] == push[4] == 0.0
-    # As the third power of the way in: its first two derivatives are continuous.
+    # As the third power of the depth: the first two derivatives are continuous.
     assert push[2] / push[1] == pytest.approx(8.0, rel=1e-2)
 
 
@@ -139,12 +141,12 @@ def test_predicted_bounds_are_those_of_the_stopping_gap():
     for speed in (0.5, 3.0, 20.0):
         x, v = np.array([[0.0], [0.0], [0.01]]), np.array([[1.0], [0.0], [-speed]])
         omega2, _ = plan.ahead(0.0, 0.05, x, v)
-        # The push's slope where (1 - s)^4 / s = (speed / U)^2, and a margin of as much energy again.
+        # The slope of the force at (1 - s)^4 / s = (speed / U)^2, with a margin of the same energy again.
         gaps = np.linspace(1e-3, 1.0, 100_001)
         s = gaps[np.argmin(np.abs((1.0 - gaps) ** 4 / gaps - (speed / laws.STOPPING_SPEED) ** 2))]
         slope = laws.STOPPING_SPEED**2 / 2.0 / THICKNESS**2 * (2.0 / s**3 - 8.0 + 6.0 * s)
         assert slope <= omega2 <= 2.5 * slope
-        # It goes away, or does not get there.
+        # It moves away, or does not arrive.
         assert plan.ahead(0.0, 0.05, x, -v) == (0.0, 0.0)
         assert plan.ahead(0.0, 0.001 / speed, x, v) == (0.0, 0.0)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts of a reduced thickness that grows: energy, forces, the growth's power, bounds and derivatives."""
+"""Contacts with a growing reduced thickness: energy, forces, power of growth, bounds and derivatives."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan, compile
 
 COUNT, DAMPING = 40, 10.0
-#: How long thickness has grown at the time that is looked at, and how long it grows in all [s]: to the whole one.
+#: Time for which the thickness has grown, and time of its growth to the full one [s].
 GROWN, DURATION = 2e-3, 5e-3 / LAYER_RECOVERY_SPEED
 STILL = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
 
 
 def reduce(plan: Plan, *, duration: float = DURATION) -> Array:
-    """Lay a random thickness into a plan, with which its growth to the whole one began a while ago; return it."""
+    """Set a random thickness that has been growing to the full one for a while; return it."""
     touching = plan.contact
     assert touching is not None
     whole = touching.force.thickness
@@ -45,7 +45,7 @@ def reduce(plan: Plan, *, duration: float = DURATION) -> Array:
 
 
 def scene(kind: str, damping: float) -> tuple[Plan, Array]:
-    """The plan of a contact alone, and places (3, n) at which it acts with a reduced thickness too."""
+    """Return the plan of contact alone, and positions (3, n) at which it acts with a reduced thickness, too."""
     rng = np.random.default_rng(1)
     if kind == "cloth":
         triangles, rest, x, masses = own.sheets(0.0, 0.5 * 4e-3, rough=5e-4, shift=(0.0031, 0.0057), rows=3, columns=3)
@@ -83,7 +83,7 @@ def test_reduced_law_is_that_of_its_own_thickness() -> None:
         touching.force.recover(TIME)
         touching.sync()
         touching.lay_thickness(np.full(touching.thickness_shape, thickness))
-        # The law of another thickness with U in proportion to it: the same squared frequencies at the same s.
+        # The law of another thickness with a proportional U: the same squared frequencies at the same s.
         thin = contact("sphere", paths=[STILL], damping=0.0, thickness=thickness)
         expected, _ = laws.contact(TIME, x, np.zeros_like(x), thin, masses)
         share = thickness / THICKNESS
@@ -101,7 +101,7 @@ def test_growth_power_closes_the_energy_balance(kind: str, damping: float) -> No
     assert plan.contact is not None
     v = 0.1 * np.random.default_rng(5).normal(size=x.shape)
     h = 1e-7
-    # Of the motion with these forces: what they do on it, and what the energy of contact gains.
+    # Power of these forces on the motion, and the gain of contact energy.
     change = (potential(plan, x + h * v, TIME + h) - potential(plan, x - h * v, TIME - h)) / (2.0 * h)
     done = float((force(plan, x, v, TIME) * v).sum())
     grown, lost = plan.contact.recovering(TIME, x, v), plan.dissipation(TIME, x, v)
@@ -152,7 +152,7 @@ def test_contacts_grow_up_to_the_max_push() -> None:
     plan, x = scene("plane", 0.0)
     touching = plan.contact
     assert touching is not None
-    # The push by the engine's law, at gaps about where contacts stop to grow.
+    # The force by the engine's law, at gaps around the one at which growth stops.
     gaps = touching.gap_rows(TIME, x)
     reduced = gaps / np.linspace(0.9, 0.99, gaps.shape[1])
     thickness = touching.force.thickness
@@ -183,7 +183,7 @@ def test_reduced_derivative_product_is_the_difference(kind: str) -> None:
 @KINDS
 def test_bounds_hold_with_a_reduced_thickness(kind: str) -> None:
     plan, x = scene(kind, DAMPING)
-    # Where nothing moves, and thickness does not grow.
+    # At rest, without growth.
     reduce(plan, duration=0.0)
     stiff, damped = np.zeros((2, 6, x.shape[1]))
     plan.add_bounds(x, stiff, damped, TIME)
@@ -206,7 +206,7 @@ def test_predicted_bounds_follow_the_growth() -> None:
     touching.lay_thickness(reduced)
     stands = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
     assert grows[0] > stands[0] > 0.0
-    # What a contact comes to at once is at most what was seen ahead.
+    # Present bounds of a contact are at most those predicted.
     reduce(plan)
     stiff, damped = blocks(plan, x)[0], np.zeros((2, 6, COUNT))
     plan.add_bounds(x, stiff * 0.0, damped[1], TIME)
@@ -225,7 +225,7 @@ def test_reduced_thickness_leaves_the_rest_gap() -> None:
 
 
 def test_layers_regain_their_thickness_more_slowly() -> None:
-    # In the last row are those of the cloth with itself.
+    # The last row is of the cloth with itself.
     reduced, thickness = np.array([[1.2e-3, 1.9e-3, 2e-3], [1.2e-3, 1.95e-3, 2e-3]]), 2e-3
     gaps, duration = START_GAP * reduced, 2e-4 / RECOVERY_SPEED
     after = regained(reduced, gaps, thickness, duration)
@@ -236,7 +236,7 @@ def test_layers_regain_their_thickness_more_slowly() -> None:
     whole = regained(after, START_GAP * after, thickness, (thickness - layer) / LAYER_RECOVERY_SPEED + duration)
     assert whole is not None
     assert (whole == thickness).all()
-    # Nothing is left to regain, or no contact's cloth has followed.
+    # The thickness is full, or the cloth has not followed.
     assert regained(whole, START_GAP * whole, thickness, duration) is None
     assert regained(reduced, 0.5 * reduced, thickness, duration) is None
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs with obstacles: the same by every loop and any number of threads, and what is booked is what happened."""
+"""Runs with obstacles: equal in every loop with any number of threads; recorded wrenches are true."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
 
-#: Below the sheet: it comes into contact at once where it is pushed down.
+#: Below the sheet: contact begins at once with the downward motion.
 BELOW = {
     "plane": still((0.0, 0.0, -THICKNESS)),
     "box": still((0.05, 0.02, -0.1 - THICKNESS), Rotation.from_euler("z", 0.3).as_quat()),
@@ -27,7 +27,7 @@ every_shape = pytest.mark.parametrize("shape", SHAPES)
 
 
 def turning(shape):
-    """The same obstacle, rising and turning."""
+    """Return the path of an obstacle that rises and turns."""
     path = BELOW[shape].copy()
     path[4:7], path[7:10] = [0.1, -0.2, 0.5], [0.0, 0.3, 1.0]
     if shape != "plane":
@@ -106,7 +106,7 @@ def test_obstacle_impulse_equals_the_cloths_momentum_loss(shape, listed):
     (run,), _ = plan.runs(0.0, duration, (x, v), [steps], touches=True)
     lost = ((v - run.v) * model.masses).sum(axis=1)
     assert run.touches[0, :3] == pytest.approx(lost, rel=1e-9, abs=1e-12)
-    # About its moving place, at second order in the step.
+    # About its moving position, at second order in the step.
     spun = np.cross(x.T, (v * model.masses).T).sum(axis=0) - np.cross(run.x.T, (run.v * model.masses).T).sum(axis=0)
     halves = np.linspace(0.0, duration, 201)
     moments = np.zeros(3)
@@ -144,7 +144,7 @@ def test_a_table_bears_the_weight_of_a_sheet_that_lies_on_it(listed):
     weight = 9.81 * model.mass
     assert book.loads[0, :3] == pytest.approx([0.0, 0.0, -weight], abs=1e-3 * weight)
     assert book.loads[0, 3:] == pytest.approx(np.zeros(3), abs=1e-3 * weight)
-    # Under a metre per second squared of weight the push is a cube of the way in: 4 (1 - s)^3 = 2 d g / U^2, about.
+    # Under a weight of 1 m/s^2 the force is a cube of the depth: 4 (1 - s)^3 = 2 d g / U^2, approximately.
     s = plan.contact.gaps(1.0, state.x)[0, 1] / THICKNESS
     assert (1.0 - s) ** 3 * (1.0 + 3.0 * s) / s**2 == pytest.approx(2.0 * THICKNESS * 9.81 / 35.0**2, rel=1e-3)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Points and edges of obstacles against a cloth's triangles and edges: energy, forces, what is booked, bounds."""
+"""Obstacle features against a cloth's surface: energy, forces, recorded wrenches, bounds."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def columns(x):
 
 
 def of_particles(plan, x):
-    """Energy of the particles' own contact."""
+    """Return the energy of the particles' contact."""
     found, _ = laws.contact(TIME, x, np.zeros_like(x), plan.contact.force, plan.model.masses)
     return found.energy
 
@@ -61,7 +61,7 @@ def test_recorded_wrench_is_the_force_on_the_cloth(shape, seed):
     assert booked[:3] == pytest.approx(-found.sum(axis=0), abs=1e-11 * size)
     place = laws.pose(path, TIME)[0]
     assert booked[3:6] == pytest.approx(-np.cross(x - place, found).sum(axis=0), abs=1e-11 * size)
-    # What the obstacle's motion puts in is lost, goes to the cloth, or is held: by differences of time.
+    # The obstacle's work is dissipated, moves the cloth, or is stored: by differences of time.
     h = 1e-8
     ends = [plan.energies(TIME + s * h, columns(x + s * h * v), None)[1] for s in (1.0, -1.0)]
     grown = (ends[0] - ends[1]) / (2.0 * h)
@@ -114,7 +114,7 @@ def test_point_force_is_independent_of_the_triangulation():
     triangles, rest, x, masses = self_scenes.sheets(0.0, rows=5, columns=5)
     ball = Obstacle(name="ball", shape="sphere", size=(0.005,))
     faces = OwnSurface(triangles, rest, thickness=THICKNESS)
-    # Particles are out of its reach at the places that count, for the gap is 0.4 of the thickness.
+    # Particles are out of its reach at the positions that count, because the gap is 0.4 of the thickness.
     own = Contact([ball], thickness=THICKNESS, damping=0.0, faces=faces)
     plan = compile(Model(masses, [own]))
     s = 0.8
@@ -134,7 +134,7 @@ def test_features_are_corners_edges_centres_and_axes_of_shapes():
     assert np.sort(lengths) == pytest.approx(np.repeat([0.02, 0.03, 0.05], 4))
     assert (marble.points.tolist(), len(marble.edges), marble.radius) == ([[0.0, 0.0, 0.0]], 0, 0.006)
     assert (pin.points[:, 2].tolist(), pin.edges.tolist(), pin.radius) == ([-0.025, 0.025], [[0, 1]], 0.004)
-    # On the rims, chords within them by a twentieth of the thickness; and lines along the side.
+    # On the rims, chords inside them by a twentieth of the thickness; and lines along the side.
     assert np.hypot(*coin.points[:, :2].T) == pytest.approx(np.full(len(coin.points), 0.008))
     assert np.abs(coin.points[:, 2]) == pytest.approx(np.full(len(coin.points), 0.002))
     middles = 0.5 * (coin.points[coin.edges[:, 0]] + coin.points[coin.edges[:, 1]])
@@ -146,7 +146,7 @@ def test_features_are_corners_edges_centres_and_axes_of_shapes():
 
 @pytest.mark.parametrize("radius", [0.02, 0.2, 2.0])
 def test_ball_penetration_below_tenth_radius_needs_no_features(radius):
-    # Equilateral triangles about the ball, with corners at three quarters of the thickness, stretched by a tenth.
+    # Equilateral triangles around the ball, with corners at three quarters of the thickness, stretched by a tenth.
     near = radius + 0.75 * THICKNESS
     least = {}
     for longest in np.linspace(1e-3, 1.2 * radius, 400):

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs in which corners, edges and small balls come up to a coarse cloth between its particles."""
+"""Runs in which corners, edges and small balls meet a coarse cloth between its particles."""
 
 import os
 import subprocess
@@ -29,7 +29,7 @@ ON_EDGE = Rotation.from_euler("x", 90.0, degrees=True).as_quat()
 
 
 def below(obstacle, gap, where=(0.05, 0.03)):
-    """The path of what stands under a cell of a sheet in the plane z = 0, its highest point so far below it [m]."""
+    """Return the path of an obstacle under a cell of a sheet at z = 0, its highest point `gap` below the sheet [m]."""
     high, turn = {
         "block": (CORNER, CORNER_UP),
         "ball": (0.02, (0.0, 0.0, 0.0, 1.0)),
@@ -43,7 +43,7 @@ every = pytest.mark.parametrize("obstacle", [BLOCK, BALL, PIN, COIN], ids=lambda
 
 
 def exact(plan, state, duration):
-    """The motion of the same equations, by DOP853 far below every tolerance here."""
+    """Return the motion of the same equations by DOP853, far below every tolerance of these tests."""
     shape, size = state.x.shape, state.x.size
     a = np.empty(shape)
 
@@ -58,12 +58,12 @@ def exact(plan, state, duration):
 
 
 def furthest(x, y):
-    """Largest distance of a particle in two places."""
+    """Return the largest distance of a particle between two arrays."""
     return float(np.sqrt(((x - y) ** 2).sum(axis=0)).max())
 
 
 def follow(obstacle, path, frames, velocity=(0.0, 0.0, 0.0), *, tolerance=1e-3, **options):
-    """Run a sheet and return it with whether the obstacle came through it in any frame."""
+    """Run a sheet; return plan, state, and whether the obstacle passed through it in any frame."""
     model, places, triangles = coarse(obstacle, paths=[path], **options)
     plan, state, integrator = drop(model, places, velocity, tolerance=tolerance, work=0.0)
     through = False
@@ -213,7 +213,7 @@ def test_implicit_steps_penetrate_nothing():
         assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
 
 
-#: Runs a coarse sheet onto a corner, a coin and a mesh, and tells what it came to.
+#: Runs a coarse sheet onto a corner, a coin and a mesh, and prints the digests.
 _BITS = """
 import numpy as np, trimesh
 from support.contact_scenes import drop, still

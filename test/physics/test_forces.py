@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every force promises, on random states: its law, energy, balance, invariance, bounds, derivatives."""
+"""Common properties of every force on random states: law, energy, balance, invariance, bounds, derivatives."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def springs(rest=None, **options):
 
 
 def sheet(damping, parity, **options):
-    """All six families of 3 x 4 particles, each of its own numbers."""
+    """Return all six families of 3 x 4 particles, each with its own coefficients."""
     names = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
     families = [
         GridFamily(
@@ -68,7 +68,7 @@ def grips(stillness=False):
     return held
 
 
-#: Forces between particles that neither push nor turn the whole, as damped joints do where they are not closed.
+#: Internal forces without resultant and torque; damped joints have a torque if they are open.
 INTERNAL = {
     "springs": [springs(damping=RNG.uniform(0.1, 2.0, len(PAIRS)))],
     "undamped springs": [springs()],
@@ -89,7 +89,7 @@ EXTERNAL = {
     "grips": [grips()],
     "still air": [AirPanels(AROUND[:, :3], normal=2.0, tangential=0.3)],
 }
-#: Air that moves puts energy in, and its force turns with the panels: no potential, no symmetric stiffness.
+#: Moving air does work, and its force turns with the panels: no potential, no symmetric stiffness.
 MOVING_AIR = {
     "wind": [Wind([3.0, -1.0, 0.5], 0.7)],
     "blown triangles": [AirPanels(AROUND[:, :3], normal=2.0, tangential=0.3, wind=(3.0, -1.0, 0.5))],
@@ -157,7 +157,8 @@ def test_runs_are_the_leapfrog_of_the_laws(forces, steps, narrow):
     duration = 0.002 * steps
     expected = laws.leapfrog(model, T, duration, x, v, steps)
     runs, _ = compile(model).runs(T, duration, (x, v), [steps], narrow=narrow)
-    # Single precision has 6e-8 of the largest numbers: places and speeds of a few, accelerations of a thousand a step.
+    # Single precision resolves 6e-8 of the largest numbers: positions and speeds of a few units, accelerations of a
+    # thousand a step.
     for found, right in zip(runs[0].ends, expected, strict=True):
         assert found == pytest.approx(right, abs=(3e-6 if narrow else 1e-12) * np.abs(right).max())
 
@@ -179,7 +180,7 @@ def test_power_is_wind_power_minus_dissipation(forces, seed):
     plan = plan_of(forces)
     lost, given = plan.dissipation(T, x, v), plan.supply(T, x, v)
     still = np.zeros_like(x)
-    # What stays at rest is elastic, or the push of the wind on a cloth at rest.
+    # At rest the force is elastic, or that of the wind.
     resting = force(plan, x, still, T)
     pushed = laws.total(Model(MASSES, [f for f in forces if isinstance(f, (Wind, AirPanels))]), T, x, still).force
     power = float(np.sum((force(plan, x, v, T) - resting + pushed) * v))
@@ -198,7 +199,7 @@ def test_moving_air_does_work(forces):
 @seeds
 def test_elastic_force_is_the_negative_gradient_of_the_energy(forces, seed):
     x, _, _ = random_state(seed)
-    # The elastic part: what is left where nothing moves, grippers included.
+    # The elastic part: the force at rest, grippers included.
     plan = plan_of([grips(stillness=True)] if isinstance(forces[0], Grips) else forces)
     elastic = force(plan, x, t=T)
     slopes = gradient(lambda places: plan.energies(T, places, None)[1], x)
@@ -223,7 +224,7 @@ def test_internal_forces_turn_and_shift_with_the_body(forces, seed):
     plan = plan_of(forces)
     turn, shift, spin = Rotation.random(random_state=seed).as_matrix(), rng.standard_normal(3), rng.standard_normal(3)
     moved = turn @ x + shift[:, None]
-    # The body moves as well as it deforms: uniform motion plus a rotation, which damping must not see.
+    # The body deforms and moves: uniform motion plus a rotation, which damping must not see.
     moving = np.ascontiguousarray(turn @ v + rng.standard_normal((3, 1)) + np.cross(spin, moved.T).T)
     expected = turn @ force(plan, x, v)
     assert force(plan, moved, moving) == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())

@@ -16,12 +16,12 @@ T = 1 / 60
 
 
 def planned(t, *given):
-    """A frame's path, the twist at its end and its turn."""
+    """Return a frame's path, the twist at its end and its rotation vector."""
     return [part[0] for part in planned_paths(t, T, *(array[None] for array in given))[:3]]
 
 
 def at(row, t):
-    """Place, velocity, rotation matrix and angular velocity, by the engine."""
+    """Return position, velocity, rotation matrix and angular velocity, by the engine."""
     out = np.empty(18)
     check(library().cloth_pose(row.ctypes.data, t, out.ctypes.data))
     return out[:3], out[3:6], out[6:15].reshape(3, 3), out[15:]
@@ -32,7 +32,7 @@ def random_pose(rng):
 
 
 def follow(targets, start):
-    """Rows of consecutive frames through the targets, and the twist at the end."""
+    """Return rows of consecutive frames through the targets, and the twist at the end."""
     pose, twist, turn, rows = start, np.zeros(6), np.zeros(6), []
     for k, target in enumerate(targets):
         row, twist, turn = planned(k * T, pose, twist, turn, target)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction between layers: its forces at one moment, with anchors of the caller's choice."""
+"""Friction between layers: forces at one moment, with chosen anchors."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ MU = (0.6, 0.4)
 
 
 def stacked(friction=MU, *, heights=(0.0, 0.7 * THICKNESS), rough=2e-4, damping=10.0, **options):
-    """The plan of layers with nothing but contact, positions (3, n) and masses."""
+    """Return the plan of layers with contact alone, positions (3, n) and masses."""
     triangles, rest, x, masses = own.sheets(*heights, rough=rough, shift=(0.0061, 0.0037), seed=4)
     surface = OwnSurface(triangles, rest, thickness=THICKNESS, friction=friction)
     force = Contact(thickness=THICKNESS, damping=damping, surface=surface)
@@ -23,7 +23,7 @@ def stacked(friction=MU, *, heights=(0.0, 0.7 * THICKNESS), rough=2e-4, damping=
 
 
 def laid(plan, x):
-    """Let what follows start with anchors where particles are; return them."""
+    """Set anchors at the particles' positions; return them."""
     plan.contact.lay(None)
     anchors = plan.contact.settle(0.0, x, np.zeros_like(x), np.zeros((1, *plan.contact.anchors_shape)), [1.0])
     return plan.contact.lay(anchors)
@@ -36,7 +36,7 @@ def forces(plan, x, v, masses):
 
 
 def friction(x, v, *, moved=0.0, anchored=True, seed=3):
-    """Forces with friction less those without, after particles moved away from their anchors by some noise [m]."""
+    """Return forces with friction minus those without, after particles moved from their anchors by some noise [m]."""
     plan, _, masses = stacked()
     if anchored:
         laid(plan, x)
@@ -107,7 +107,7 @@ def test_damping_and_sliding_only_take_energy():
 
 
 def test_friction_stays_within_the_cone_and_follows_both_sides():
-    # The middle layer is pushed by both others, whose pushes cancel: friction does not.
+    # The normal forces on the middle layer cancel; friction does not.
     heights = (0.0, 0.98 * THICKNESS, 1.96 * THICKNESS)
     plan, x, masses = stacked(heights=heights, rough=0.0)
     without, _, _ = stacked((0.0, 0.0), heights=heights, rough=0.0)
@@ -119,7 +119,7 @@ def test_friction_stays_within_the_cone_and_follows_both_sides():
     push = b[2, 50:].sum()
     assert rubbed[25:50].sum() < 0.0
     assert (anchors[:, 3, 25:50] > 0.0).any(axis=1).all()
-    # Damping takes what the cone has room for.
+    # Damping uses the rest of the cone.
     assert abs(rubbed[25:50].sum()) == pytest.approx(2 * MU[1] * push, rel=0.05)
 
 

@@ -83,7 +83,7 @@ def test_zero_length_spring_is_linear_and_passes_through_zero(k_d0):
 
     order, errors = observed_order(error, [400, 800, 1600])
     assert abs(order - 2.0) < 0.05, errors
-    # Straight through s = 0: no direction is lost there.
+    # Straight through s = 0: the direction is not lost there.
     state = State([[0, 0, 0], [0.1, 0, 0]])
     advance(
         Model([mass, mass], [joint((0, 1), stiffness=stiffness, k_d0=0.0, mass=mass)], anchors=[0]),
@@ -95,7 +95,7 @@ def test_zero_length_spring_is_linear_and_passes_through_zero(k_d0):
 
 
 def chain_matrices(chain):
-    """Stiffness K and damping C of the longitudinal motion, assembled apart from the product's code."""
+    """Return stiffness K and damping C of the longitudinal motion, assembled independently of the package."""
     n, law = chain.particle_count, chain.law
     difference = np.zeros((n - 1, n))
     difference[np.arange(n - 1), np.arange(n - 1)] = -1.0
@@ -223,7 +223,7 @@ def test_the_refinement_table_of_a_sheet():
 
 
 def slow_mode(chain):
-    """Frequency and damping rate of the slowest mode of a chain anchored at both ends, assembled apart."""
+    """Return frequency and damping rate of the slowest mode of a chain with anchored ends, assembled independently."""
     stiffness, damping = (matrix[1:-1, 1:-1] for matrix in chain_matrices(chain))
     mass = chain.law.mass
     k, c = (np.linalg.eigvalsh(matrix)[0] for matrix in (stiffness, damping))
@@ -250,7 +250,7 @@ def test_refinement_converges_frequency_but_loses_k_d0_damping():
 
 @pytest.mark.parametrize("particle_count", [2, 3, 17, 200])
 def test_a_hanging_chains_tip_is_exact_at_any_resolution(particle_count):
-    """With half a mass at the tip the stretch is M g L / (2 k_s) whatever the number of springs."""
+    """With half a mass at the tip the stretch is M g L / (2 k_s) for any number of springs."""
     total, length, k_s, g = 0.6, 1.2, 30.0, 9.81
     springs = particle_count - 1
     law = SpringLaw(mass=total / springs, rest_length=length / springs, stiffness=k_s)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles that are closed meshes: particles, their edges and points, and balls beside spheres."""
+"""Closed meshes as obstacles: particles, their edges and points, and balls compared with spheres."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def mesh(made, name="it", **options):
 
 
 def angular():
-    """A body with edges and corners that bulge and that are hollow: two bricks in the form of an L."""
+    """A body with convex and concave edges and corners: two bricks in the form of an L."""
     outline = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.1], [0.1, 0.1], [0.1, 0.3], [0.0, 0.3]])
     count = len(outline)
     vertices = np.concatenate([np.column_stack([outline, np.full(count, z)]) for z in (-0.05, 0.05)])
@@ -38,7 +38,7 @@ every_body = pytest.mark.parametrize("body", BODIES)
 
 
 def about(body, seed=0, damping=10.0, outside=True):
-    """A force with one moving mesh, its plan, and particles about its faces, edges and corners."""
+    """Return a force with one moving mesh, its plan, and particles near its faces, edges and corners."""
     rng = np.random.default_rng(seed)
     obstacle, path = BODIES[body], moving(seed)
     own = contact(obstacle, paths=[path], damping=damping)
@@ -93,7 +93,7 @@ def test_forces_and_derivatives_fit_the_energy(body):
 
 
 def test_features_of_a_mesh_are_the_edges_that_bulge():
-    # Of an L: its six corners above and six below, all but the hollow edge, and no edge within a flat side.
+    # Features of an L: six corners above and six below, all edges but the concave one, and no edge within a flat side.
     found = features(BODIES["angle"], THICKNESS)
     ends = found.points[found.edges]
     hollow = np.abs(ends[..., :2]).max(axis=(1, 2)) < 1e-12
@@ -104,7 +104,7 @@ def test_features_of_a_mesh_are_the_edges_that_bulge():
 
 
 def falls(obstacle, path, frames=8, **options):
-    """A coarse sheet that falls on an obstacle at 2 m/s, and whether anything came through in any frame."""
+    """Drop a coarse sheet on an obstacle at 2 m/s; return the state, and whether anything passed through."""
     model, places, triangles = coarse(obstacle, paths=[path], **options)
     plan, state, integrator = drop(model, places, (0.0, 0.0, -2.0), tolerance=1e-5)
     through = False

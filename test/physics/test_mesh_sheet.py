@@ -19,7 +19,7 @@ def regular(count=12):
 
 
 def irregular(shake, count=20, seed=0):
-    """A grid with its inner particles moved by up to `shake` of a cell, triangulated anew."""
+    """Return a grid with its inner particles moved by up to `shake` of a cell, triangulated again."""
     plane = np.stack(np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count)), axis=-1).reshape(-1, 2)
     inner = ((plane > 0) & (plane < 1)).all(axis=1)
     rng = np.random.default_rng(seed)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles: what is refused, and distances that don't depend on how they are calculated."""
+"""Obstacles: refusals, and distances that do not depend on the method."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_nearest_surface_point_lies_one_gap_along_the_normal(shape: str) -> None
     assert np.abs((normal * normal).sum(axis=1) - 1.0).max() < 1e-12
     on_it = points - gap[:, None] * normal
     assert np.abs(obstacle.distance(on_it)[0]).max() < 1e-12
-    # Nothing of the surface is nearer: the gap changes by no more than the way does, as that of any distance.
+    # No surface point is nearer: the gap changes by no more than the displacement, like any distance.
     other = np.random.default_rng(2).permutation(len(points))
     away = np.sqrt(((points - points[other]) ** 2).sum(axis=1))
     assert (np.abs(gap - gap[other]) <= away + 1e-12).all()

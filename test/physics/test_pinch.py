@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pinching: pads that a drive closes on a sheet, stepped with it, and what they hold by friction."""
+"""Pinching: jaws that a drive closes on a sheet, and their grip by friction."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ grids_and_lists = pytest.mark.parametrize("listed", [False, True])
 
 
 def advance(plan, state, integrator, frames, first=0, book=None):
-    """Advance by frames; return what the last one did."""
+    """Advance by frames; return the report of the last one."""
     for k in range(first, first + frames):
         done = integrator.advance(plan, state, k * FRAME, FRAME, book)
     return done
@@ -36,14 +36,14 @@ def test_jaws_close_at_their_speed_until_their_force(listed):
     advance(plan, state, integrator, 4)
     way, rate = state.memory[PINCHED][0]
     assert rate == pytest.approx(-0.08, rel=1e-6)
-    # It gets to that speed within a millisecond or two.
+    # It reaches that speed within a millisecond or two.
     assert way == pytest.approx(0.01 - 4 * FRAME * 0.08, abs=0.08 * 2e-3)
     book = Book(plan.gripper_count, obstacle_count=2)
     advance(plan, state, integrator, 30, 4, book)
     way, rate = state.memory[PINCHED][0]
     assert abs(rate) < 1e-12
     assert 0.5 * THICKNESS < way < THICKNESS
-    # What the cloth does to each pad, outward.
+    # Force of the cloth on each jaw, outward.
     assert book.loads[:, 1] == pytest.approx([0.7, -0.7], rel=1e-9)
     close(force, closed=False)
     advance(plan, state, integrator, 30, 34)
@@ -65,7 +65,7 @@ def test_empty_jaws_stop_at_each_other():
 
 
 def test_jaw_acceleration_is_that_of_the_formulas():
-    """The force of each pad as of a box at its place, the drive's line, and stops out of reach."""
+    """Each jaw has the force on a box at its position; drive force is linear in speed; stops are out of reach."""
     own = pads(0.7, friction=(0.6, 0.4), speed=0.2)
     plan, state, _, force = hanging(own)
     close(force)
@@ -85,7 +85,7 @@ def test_jaw_acceleration_is_that_of_the_formulas():
     expected = (outward - 2.0 * 0.7 * (1.0 + rate / 0.2)) / own.inertia
     found = plan.contact.pad_accelerations(0.0, state.x, state.v)
     assert outward > 0.1
-    # Friction acts along the surface: it does not move a pad along its axis.
+    # Friction acts along the surface: it does not move a jaw along its axis.
     assert found == pytest.approx([expected], rel=1e-9)
 
 
@@ -168,7 +168,7 @@ def test_twice_the_holding_force_prevents_slip_and_creep():
 
 @pytest.mark.parametrize(("axis", "share"), [(0, 3.0), (1, 2.0), (2, 2.0)])
 def test_sheet_carried_at_1_m_per_s_does_not_slip(axis, share):
-    """Sideways, in the sheet's plane, its inertia turns it about the pads, which loads their ends alone."""
+    """In a motion within its plane the sheet's inertia turns it about the jaws, which loads only their ends."""
     plan, state, integrator, force = held(share)
     gravity(plan, 9.81)
     advance(plan, state, integrator, 60, HELD)
@@ -254,7 +254,7 @@ def test_sheet_mass_matches_the_tests_constant():
 
 @pytest.mark.parametrize("share", [0.1, 1.0, 10.0])
 def test_step_limit_includes_jaws_that_move_with_the_sheet(share):
-    """The bound is above the largest eigenvalue of sheet and pads together, for pads of any inertia."""
+    """The bound is above the largest eigenvalue of sheet and jaws together, for jaws of any inertia."""
     between = 2 * COLUMNS
     masses = hanging()[0].model.masses[:between].sum()
     plan, state, _, force = hanging(pads(friction=(0.0, 0.0), inertia=share * masses), anchored=False)
@@ -275,6 +275,6 @@ def test_step_limit_includes_jaws_that_move_with_the_sheet(share):
     energy = plan.contact.energy_ahead(0.0, 0.0, x, still_)
     bound = plan.contact.limits(energy)[0] + plan.rates(x)[0]
     assert largest < 1.001 * bound
-    # A particle between two pads is in two contacts. The limit of one is hardly more than half of the eigenvalue.
+    # A particle between two jaws is in two contacts. The limit of one is hardly more than half of the eigenvalue.
     alone = plan.contact.limits(plan.contact.held(way))[0]
     assert largest > 1.9 * alone

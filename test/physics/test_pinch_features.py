@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pads that close on a cell of a coarse cloth, between its particles: their points and edges hold it."""
+"""Jaws that close on a cell of a coarse cloth, between its particles, by their points and edges."""
 
 import math
 
@@ -29,14 +29,15 @@ FORCE = 0.4
 
 
 def pads(**options):
-    """Pads that are smaller than a cell of 125 mm."""
+    """Return jaws that are smaller than a cell of 125 mm."""
     values = {"size": (0.04, 0.01, 0.03), "friction": (0.0, 0.0), "inertia": 0.06, "opening": 0.02, "force": FORCE}
     return Pads(gripper="hand", speed=0.1, **values | options)
 
 
 def between(own=None, *, faces=True, listed=False, place=MIDDLE, way=None, anchored=True, **options):
-    """A sheet without weight whose corners are anchored, between pads that close, or several, each in its place: plan,
-    state, integrator, contact.
+    """Return plan, state, integrator and contact of a weightless sheet between closing jaws.
+
+    The sheet's corners are anchored. Several jaws have a position each.
     """
     hands = own if isinstance(own, tuple) else (own or pads(),)
     middles = [place] if isinstance(place, tuple) else place
@@ -60,7 +61,7 @@ def advance(plan, state, integrator, frames, first=0, book=None):
 
 
 def through(own, state, place=MIDDLE):
-    """Triangles that a pad's edges pass through."""
+    """Return the triangles that a jaw's edges pass through."""
     way = state.memory[PINCHED][0, 0]
     sheet = GridSheet(height=0.5, width=0.5, rows=5, columns=5, layout="alternating")
     found = []
@@ -106,7 +107,7 @@ def test_closed_gripper_driven_through_the_sheet_carries_it(speed):
 
 
 def test_force_on_jaws_is_the_energy_slope():
-    """Of half the way between the faces and of the sheet's positions; pads stand askew."""
+    """The slope is that by the half opening and by the sheet's positions; the jaws are tilted."""
     plan, state, _, force = between(anchored=False)
     turn = (Rotation.from_quat(UP) * Rotation.from_euler("xyz", [4.0, 20.0, 3.0], degrees=True)).as_quat()
     force.move(np.array([still(MIDDLE, turn)] * 2))
@@ -128,7 +129,7 @@ def test_force_on_jaws_is_the_energy_slope():
     assert plan.contact.pad_accelerations(0.0, x, at_rest)[0] == pytest.approx(drive - slope / own.inertia, rel=1e-6)
     a = np.empty_like(x)
     plan.accelerations(0.0, x, at_rest, a)
-    # What the cloth feels, the pads feel the other way: forces, and torques about the gripper.
+    # Forces on the jaws are opposite to those on the cloth, and so are torques about the gripper.
     felt, own_forces = plan.contact.rates(0.0, x, at_rest).sum(axis=0), (plan.model.masses * a).T
     torques = np.cross(state.positions - MIDDLE, own_forces)
     assert np.abs(torques.sum(axis=0)).max() > 1e-4
@@ -144,7 +145,7 @@ def test_force_on_jaws_is_the_energy_slope():
 
 @pytest.mark.parametrize("inertia", [2e-3, 0.02, 0.2])
 def test_step_limit_includes_jaws_that_move_with_a_cell(inertia):
-    """The bound is above the largest eigenvalue of sheet and pads together, for pads of any inertia."""
+    """The bound is above the largest eigenvalue of sheet and jaws together, for jaws of any inertia."""
     plan, state, _, _ = between(pads(inertia=inertia), anchored=False)
     x, at_rest, way = state.x, np.zeros_like(state.x), 0.3 * THICKNESS
     count = x.size
@@ -201,7 +202,7 @@ def test_implicit_steps_press_cells_of_two_grippers():
 
 def test_fallback_starts_from_the_jaws_at_frame_start():
     plan, state, *_ = between(way=0.7 * THICKNESS, place=(0.0, 0.0, 0.0))
-    # As steps that were given up leave them: with the particle that they hold inside.
+    # As abandoned steps leave them: with the grasped particle inside.
     plan.contact.lay_pads(np.array([[-0.004, 0.0]]))
     assert finish(plan, state, 0.0, FRAME, None, instead_of="explicit", most=math.inf).flagged
     assert np.isfinite(plan.energy(FRAME, state.x, state.v))
@@ -227,7 +228,7 @@ def test_jaws_inside_a_cell_are_refused():
 
 
 def test_absent_jaws_cost_nothing():
-    """What a frame is said to cost decides how it is stepped: it must not depend on what was asked for before."""
+    """The estimated cost of a frame decides its steps: it must not depend on earlier calls."""
     plan, state, _, force = between(way=0.8 * THICKNESS)
     assert plan.contact.work(0.0, FRAME, state) > 0.0
     force.drive(np.array([[False, False]]))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a plan promises: a sheet is its springs listed; costs add up; what is noted is what happened."""
+"""Plans: grids equal listed springs, costs add up, and integrals of runs are true."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def made(values):
 
 
 def pair(values):
-    """The same simulation with its springs in one sweep over the sheet's rows, and listed."""
+    """Return the simulation with grid springs, and with listed springs."""
     swept, plain = made(values), made(values)
     plain.plan = compile(listed(plain.model))
     for simulation in (swept, plain):
@@ -50,13 +50,13 @@ def pair(values):
 
 
 def grip(simulation, corner):
-    """Both grippers close on the corner; they hold some of the same particles."""
+    """Close both grippers on the corner; they grasp some of the same particles."""
     simulation.advance([Target("one", corner), Target("two", corner - 0.05)])
     simulation.advance([Grasp("one", True), Grasp("two", True)])
 
 
 def carry(simulation, corner, k):
-    """Both move on, and the first turns."""
+    """Move both grippers on, and turn the first."""
     away, angle = 0.002 * k * np.array([1.0, -1.0, 0.5]), 0.02 * k
     turned = (0.0, np.sin(angle), 0.0, np.cos(angle))
     return simulation.advance([Target("one", corner + away, turned), Target("two", corner - 0.05 + away)])
@@ -87,13 +87,13 @@ def test_grid_equals_listed_springs_to_rounding(values):
 
 @every_grid
 def test_carried_grid_moves_as_listed_springs(values):
-    # Bounds of listed springs are sharper, so steps of their own would differ.
+    # Bounds of listed springs are sharper, therefore their own steps would differ.
     swept, plain = pair(values | {"step": 2e-5})
     corner, frames = swept.positions[-1], []
     for simulation in (swept, plain):
         grip(simulation, corner)
         assert np.intersect1d(*(simulation.grippers.held(g) for g in (0, 1))).size
-        # No longer: a crumpled sheet without damping multiplies rounding by five a frame.
+        # For no longer: a crumpled sheet without damping amplifies rounding by five per frame.
         frames.append([carry(simulation, corner, k) for k in range(1, 4)])
     assert [frame.advance.steps for frame in frames[0]] == [frame.advance.steps for frame in frames[1]]
     assert swept.positions == pytest.approx(plain.positions, abs=1e-9)
@@ -109,7 +109,7 @@ def test_runs_are_the_same_alone_and_together(values):
     grip(simulation, simulation.positions[-1])
     plan, state = simulation.plan, simulation.state
     before = state.x.copy(), state.v.copy()
-    # As lively a motion as explicit steps follow here.
+    # As fast a motion as explicit steps can follow here.
     first = 3 + int(2e-3 * np.sqrt(plan.rates(state.x)[0]) + 2e-3 * plan.rates(state.x)[1])
     steps, weights = [first, 2 * first, 5 * first], [0.3, -1.1, 1.8]
     together, (x, v, told) = plan.runs(0.1, 2e-3, before, steps, weights=weights, powers=True)
@@ -177,7 +177,7 @@ def test_non_finite_state_leaves_no_trace_in_the_plan(values):
 
 @every_scene
 def test_run_integrals_equal_integrals_of_the_rates(values):
-    """Wrenches, work, loss and what air gives, against a quadrature by itself along much finer steps."""
+    """Wrenches, work, dissipation and wind work against an independent quadrature along much finer steps."""
     simulation = made({**values, "integrator": "extrapolated", "tolerance": 1e-9})
     corner = simulation.positions[-1]
     grip(simulation, corner)
@@ -200,7 +200,7 @@ def test_run_integrals_equal_integrals_of_the_rates(values):
     assert booked.work == pytest.approx(exact.work, abs=1e-4 * (abs(exact.work) + 1e-6))
     assert booked.lost == pytest.approx(exact.lost, rel=1e-3, abs=1e-12)
     assert booked.given == pytest.approx(exact.given, rel=1e-3, abs=1e-12)
-    # And so the energy balance closes.
+    # Therefore the energy balance closes.
     turned = abs(exact.work) + abs(exact.lost) + abs(exact.given)
     gained = plan.energy(t + duration, run.x, run.v) - plan.energy(t, start.x, start.v)
     assert gained == pytest.approx(booked.work + booked.given - booked.lost, abs=1e-3 * turned + 1e-9)
@@ -216,7 +216,7 @@ def test_costs_add_up(name):
     move = CONSTANTS.operation * MOVE
     assert cost() == pytest.approx(move)
     every = [force for force in model.forces if not isinstance(force, Grips)]
-    # Panels on a grid's cells cost less beside it than alone.
+    # Panels on a grid's cells cost less with the grid than alone.
     sheet = [force for force in every if isinstance(force, GridSprings)]
     panels = [force for force in every if isinstance(force, AirPanels)]
     apart = sum(cost(force) - move for force in every if force not in panels)

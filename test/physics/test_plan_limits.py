@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a plan ends: long runs in little memory, copies and arrays that it refuses, a sheet without springs."""
+"""Limits of plans: memory of long runs, refused copies and arrays, a sheet without springs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MEGABYTE = 2**20
 
 
 def peak():
-    """Most memory that this process had since the mark was set back [bytes]."""
+    """Return the peak memory of this process since the mark was reset [bytes]."""
     (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")]
     return 1024 * int(line.split()[1])
 
@@ -79,7 +79,7 @@ def test_grid_accelerations_equal_those_of_listed_springs(columns):
     for force, out in zip((springs, springs.listed), found, strict=True):
         compile(Model(masses, [force, Gravity((0.0, 0.0, -9.81))], anchors=[0])).accelerations(0.0, x, v, out)
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=1e-12)
-    # They may be written over what they are calculated from.
+    # The output may overwrite the input.
     over = x.copy()
     compile(Model(masses, [springs, Gravity((0.0, 0.0, -9.81))], anchors=[0])).accelerations(0.0, over, v, over)
     np.testing.assert_array_equal(over, found[0])

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of listed springs and hinges: the order inside is seen nowhere, and any processor gives the same bits."""
+"""Plans of listed springs and hinges: invisible inner order, same bits on any processor."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 def test_local_order_is_invisible_outside():
-    """A sheet and the same with its particles renumbered move alike, each in its own numbers."""
+    """A sheet and a copy with permuted particles move alike, each in its own order."""
     vertices = [line for line in MESH.decode().splitlines() if line[0] == "v"]
     faces = [line.split()[1:] for line in MESH.decode().splitlines() if line[0] == "f"]
     order = np.random.default_rng(9).permutation(len(vertices))
@@ -50,7 +50,7 @@ def test_local_order_is_invisible_outside():
     assert ends[0][2] == pytest.approx(ends[1][2], abs=1e-9)
 
 
-#: Moves a scene while a gripper carries it, and prints what the state became.
+#: Moves a scene with a gripper that carries it, and prints the state's digest.
 DIGEST = """
 import json, sys
 sys.path.insert(0, sys.argv[2])
@@ -127,7 +127,7 @@ def test_many_hinges_give_the_sum_of_their_forces(kind, damping):
         return out
 
     together = force(slice(None))
-    # In lists of other lengths: what stands beside a hinge in a vector is not the same.
+    # In lists of other lengths: the other hinges in a vector differ.
     apart = sum(force(slice(k, k + 1)) for k in range(7)) + sum(force(slice(k, k + 64)) for k in range(7, 903, 64))
     scale = np.abs(together).max()
     assert scale > 0.1

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A force of one's own, in numpy, beside those of the engine: the same motion, the same books, its own exceptions."""
+"""Python forces together with engine forces: same motion, same energy balance, exceptions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PERIOD = 1 / 60
 
 
 class NumpySprings(Force):
-    """S1 and S4 as docs/springs.md has them, written in numpy."""
+    """S1 and S4 of docs/springs.md in numpy."""
 
     damped = True
 
@@ -64,7 +64,7 @@ class NumpySprings(Force):
 
     def add_stiffness(self, x, blocks):
         _, _, length, unit = self.geometry(x, np.zeros_like(x))
-        # Compression counts as tension does: it destabilises, and a step must follow that too.
+        # Compression counts like tension: it destabilises, and a step must resolve that, too.
         tension = np.minimum(np.abs(self.k * (1.0 - self.rest / np.maximum(length, 1e-12))), 9.0 * self.k)
         across = np.where(self.joint, self.k, tension)
         self.add(blocks, unit, 2.0 * self.k, 2.0 * across)
@@ -81,7 +81,7 @@ class NumpySprings(Force):
                 np.add.at(blocks[row], ends, entry)
 
     def add_jacobian_product(self, t, x, v, dx, dv, out):
-        # By a difference: what it is compared with is exact.
+        # By a difference: the reference is exact.
         ends = []
         for sign in (1.0, -1.0):
             ends.append(np.zeros_like(out))
@@ -90,13 +90,13 @@ class NumpySprings(Force):
 
 
 def in_numpy(model, name):
-    """The same model, one of its forces in numpy."""
+    """Return the model with one of its forces in numpy."""
     forces = [NumpySprings(force) if force.name == name else force for force in listed(model).forces]
     return Model(model.masses, forces, anchors=model.anchors)
 
 
 def pair(name, force="structural", **options):
-    """The same simulation by the engine, and with one force in numpy."""
+    """Return the simulation by the engine, and with one force in numpy."""
     common = {"cloth.resolution": [7, 9], "grippers": ["one"], "gripper.radius": 0.2, "integrator": "leapfrog"}
     scene = Scene.from_parameters({**common, **SCENES[name], **options}, files=FILES)
     engine, own = Simulation(scene), Simulation(scene)
@@ -134,7 +134,7 @@ def test_numpy_force_equals_the_engine_force(name, force):
 
 @every_sheet
 def test_carried_sheet_moves_and_pulls_the_same(name, force):
-    # Bounds may differ, and steps that follow from them.
+    # Bounds may differ, and so may steps.
     engine, own = pair(name, force, step=2e-5)
     corner, frames = engine.positions[-1], []
     for simulation in (engine, own):
@@ -152,7 +152,7 @@ def test_carried_sheet_moves_and_pulls_the_same(name, force):
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_every_integrator_closes_its_energy_balance(integrator):
     for plan in [simulation.plan for simulation in pair("default", "shear")]:
-        # From flat: a motion as smooth as it begins.
+        # From flat: a smooth motion.
         state = Simulation(Scene.from_parameters({"cloth.resolution": [7, 9]})).state
         stepper = make_integrator(integrator, tolerance=1e-6)
         balance, open_by = EnergyBalance(plan, state), 0.0
@@ -166,7 +166,7 @@ def test_every_integrator_closes_its_energy_balance(integrator):
 
 
 class Wind(Force):
-    """Gives the same power to each particle that moves along x, and takes some of it back."""
+    """A force with constant power on each particle that moves along x, and with some damping."""
 
     name = "a wind of one's own"
 
@@ -203,12 +203,12 @@ def test_force_receives_the_time_of_the_step():
     clock = Clock()
     plan = compile(Model(np.ones(2), [clock]))
     plan.runs(3.0, 0.5, (np.zeros((3, 2)), np.zeros((3, 2))), [5])
-    # The start stands for the steps before it; then the middle of each.
+    # The start replaces the steps before it; then the middle of each.
     assert clock.times == pytest.approx([3.0, 3.05, 3.15, 3.25, 3.35, 3.45])
 
 
 class Trouble(Force):
-    """Raises after so many evaluations."""
+    """A force that raises after a number of evaluations."""
 
     name = "trouble"
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Powers, roots and sums of our own, and that no library's arithmetic is used where bits are promised."""
+"""Deterministic powers, roots and sums; no library arithmetic reaches reproducible bits."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ FOREIGN = {
     *("einsum", "dot", "vdot", "inner", "matmul", "tensordot", "norm", "eigh", "eigvalsh", "svd", "inv"),
     *("lstsq", "det", "qr", "sum", "mean", "average", "prod", "cumsum", "cumprod", "fsum", "interp", "std", "var"),
 }
-#: Uses of these functions that do no harm: refusals of meshes and messages about them, the side of a mesh that a point
-#: is on, exact fractions, whole numbers, sums of arrays one by one, and squares, which numpy computes as a product.
+#: Harmless uses of these functions: refusals of meshes and their messages, the side of a mesh of a point, exact
+#: fractions, whole numbers, sums of arrays one by one, and squares, which numpy computes as a product.
 HARMLESS = {
     ("physics/sheets/meshes.py", "norm"),
     ("physics/sheets/meshes.py", "sum"),
@@ -65,7 +65,7 @@ def test_powers_are_products() -> None:
 
 
 def test_sums_are_rounded_after_each_number() -> None:
-    # Python 3.12's own sum makes 1.0 of it.
+    # Python 3.12's sum gives 1.0.
     assert in_order([1e16, 1.0, -1e16]) == 0.0
     assert in_order([1.0, -1e16], 1e16) == 0.0
     assert in_order(iter([0.1] * 10)) == 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1 + 0.1

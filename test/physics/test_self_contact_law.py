@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cloth's contact with itself: its energy by every pair, forces, what flat layers do, bounds and derivatives."""
+"""Self-contact: energy of every pair, forces, flat layers, bounds and derivatives."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ THICKNESS = 4e-3
 
 
 def layers(**options):
-    """Two rough layers deep in contact: the triangles, the plan, places (3, n) and masses."""
+    """Return two rough layers deep in contact: the triangles, the plan, positions (3, n) and masses."""
     given = {"rough": 5e-4, "shift": (0.0031, 0.0057), **options}
     triangles, rest, x, masses = own.sheets(0.0, 0.6 * THICKNESS, **given)
     return triangles, compile(own.alone(triangles, rest, masses, THICKNESS)), np.ascontiguousarray(x.T), masses
@@ -58,8 +58,8 @@ def test_forces_keep_linear_and_angular_momentum(seed):
 
 
 def test_a_flat_layer_has_no_ripples():
-    # A layer slides over another one, across edges and particles: it is pushed as by one plane. The lower one weighs
-    # nothing, so that its border, which moves along below the upper one, does not count.
+    # A layer slides over another one, across edges and particles: the force is that of one plane. The lower one has no
+    # weight; therefore its border, which moves along below the upper one, does not count.
     triangles, rest, lower, _ = own.sheets(0.0, rows=9, columns=9)
     more, _, upper, _ = own.sheets(0.7 * THICKNESS, rows=4, columns=4)
     count = len(lower)
@@ -156,8 +156,8 @@ def test_bounds_are_above_the_largest_eigenvalue(seed):
         for i in range(x.shape[1]):
             a, b = row * x.shape[1] + i, column * x.shape[1] + i
             bound[a, b] = bound[b, a] = blocks[entry, i]
-    # The bound covers the stiffness along each pair's direction. The stiffness from that direction's turning is left
-    # out: it is small beside the other, and of either sign.
+    # The bound covers the stiffness along each pair's direction. It ignores the stiffness of that direction's rotation,
+    # which is small and of either sign.
     largest = np.linalg.eigvalsh(stiffness).max()
     assert np.linalg.eigvalsh(bound - stiffness).min() > -1e-2 * largest
     assert largest < np.linalg.eigvalsh(bound).max() < 4.0 * largest

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a cloth that touches itself: the same by every loop, with any list of pairs, and nothing passes anything."""
+"""Runs with self-contact: equal in every loop, with any list of pairs, without intersections."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ both_loops = pytest.mark.parametrize("listed", [False, True])
 
 
 def start(model, places, velocities, **options):
-    """The plan, the state and the integrator of a sheet at places with velocities (n, 3)."""
+    """Return the plan, the state and the integrator of a sheet at positions with velocities (n, 3)."""
     plan, _, integrator = drop(model, places, **options)
     return plan, State(places, velocities), integrator
 
@@ -147,7 +147,7 @@ def test_energy_balance_includes_contact_dissipation():
         integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
         residual = balance.close((k + 1) * FRAME, state)
     assert residual <= 1e-3 * balance.turned_over
-    # Beside what threads lose by their own damping.
+    # In addition to the threads' own damping.
     assert balance.lost > 0.0
 
 
@@ -194,7 +194,7 @@ def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, ahead):
     x, v = arrays(places, velocities)
     omega2, damping = plan.contact.own_ahead(0.0, 0.2, x, v)
     assert (omega2 > 0.0) == (damping > 0.0) == ahead
-    # The run itself sees them either way, and they pass nothing.
+    # The run resolves them either way, and they do not pass.
     (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000])
     assert run.own[0] > 0.0
     assert 0.0 < run.gap < 0.025
@@ -204,7 +204,7 @@ def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, ahead):
 @both_loops
 @pytest.mark.parametrize("speed", [0.02, 3.0])
 def test_frame_without_near_pairs_skips_contact_with_same_bits(listed, speed):
-    # At 0.02 m/s it is certain beforehand that nothing can get near, and runs leave contact out. At 3 m/s it is not.
+    # At 0.02 m/s no contact is possible, and runs skip it. At 3 m/s it is possible.
     model, places, _ = folded(8, radius=0.06, thickness=3e-3, listed=listed, gravity=False)
     velocities = np.zeros_like(places)
     velocities[:, 0] = speed * np.sin(20.0 * places[:, 1])
@@ -224,7 +224,7 @@ def test_frame_without_near_pairs_skips_contact_with_same_bits(listed, speed):
 
 
 class Push(Force):
-    """A force in numpy: some particles are accelerated downwards."""
+    """A Python force that accelerates some particles downwards."""
 
     name = "push"
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S5 and S6: what a grid of springs is as a sheet, measured on the product's own energies against theory."""
+"""S5 and S6: moduli of a grid of springs, measured on the package's energies, against theory."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_moduli_of_each_layout_agree_with_theory(layout, shape):
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_moduli_and_poisson_ratio_are_those_requested(layout):
     sheet, threads, springs = sheet_and_springs(layout, shape=(6, 8), bend=15.0)
-    # Within 2 %: springs two apart leave the border cells with one instead of two of them.
+    # Within 2 %: in border cells there is one of the springs two apart instead of two.
     compliance = np.linalg.inv(moduli(sheet, springs))
     assert 1 / compliance[0, 0] == pytest.approx(Y, rel=0.02)
     assert 1 / compliance[1, 1] == pytest.approx(Y, rel=0.02)
@@ -87,7 +87,7 @@ def test_square_cells_follow_the_closed_forms():
 
 
 def test_a_network_is_isotropic_only_at_a_third():
-    """At g = E_e, Poisson's ratio is 1/3 and every direction is as stiff."""
+    """At g = E_e, Poisson's ratio is 1/3 and every direction has the same stiffness."""
     modulus = 900.0
     shear = 3 / 8 * modulus
     sheet = GridSheet(height=1.0, width=1.0, rows=6, columns=6, layout="both")
@@ -124,7 +124,7 @@ def test_impossible_moduli_are_refused():
 
 
 def stiffness_matrix(sheet, springs):
-    """In-plane stiffness of the rest shape, from the springs' own Jacobian products, (2n, 2n), particle-major."""
+    """Return the in-plane stiffness of the rest shape, from Jacobian products, (2n, 2n), particle-major."""
     x = np.ascontiguousarray(sheet.positions().T)
     n, zero = x.shape[1], np.zeros_like(x)
     plan, columns = alone(*springs, count=n), []
@@ -137,7 +137,7 @@ def stiffness_matrix(sheet, springs):
 
 
 def finite_elements(count, c, weight):
-    """Displacements of a hanging unit sheet by bilinear finite elements: the continuum, assembled apart, (n, n, 2)."""
+    """Return displacements of a hanging unit sheet by bilinear finite elements, assembled independently, (n, n, 2)."""
     h = 1.0 / (count - 1)
     local = np.zeros((8, 8))
     for a in (-1, 1):

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `simulate` takes and refuses, and motions without any force that could bound a step."""
+"""`simulate`: arguments, refusals, and motions without a force that bounds the step."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_unstable_motion_reports_its_bounds() -> None:
 
 @pytest.mark.parametrize(("forces", "fallen"), [([], 0.0), ([Gravity()], 0.5 * 9.81 * 0.05**2)])
 def test_single_particle_moves_without_a_step_limit(forces: list[Force], fallen: float) -> None:
-    # Within the default tolerance in so many frames, and far below it.
+    # Within the default tolerance in this number of frames, and far below it.
     motion = simulate(Model([1.0], forces), State([[0.0, 0.0, 0.0]]), 0.05)
     np.testing.assert_allclose(motion.positions[-1], [[0.0, 0.0, -fallen]], rtol=0, atol=1e-6)
 

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.solid_repair import is_closed
 from cloth_sim_ros.scene import mesh_file
 
-#: A turn about no axis of the coordinates: points in the middle of an edge are rounded.
+#: A rotation about no coordinate axis: points in the middle of an edge are rounded.
 TURN = trimesh.transformations.euler_matrix(0.3, 0.7, 1.1)
 
 

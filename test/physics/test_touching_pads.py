@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pads that follow an implicit step: between the stops they stay on the side of the cloth on which they stood."""
+"""Jaws in an implicit step: between the stops they stay on their side of the cloth."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,9 @@ PADS = Pads(gripper="hand", size=(0.1, 0.01, 0.1), force=1.0, speed=0.1, frictio
 
 
 def follow(rate, cloth, *, passes=False):
-    """Half the way between pads after a step that began with a rate [m/s], cloth being where half the way is between
-    two numbers [m]. `passes`: it is so thin that nothing but crossing it tells of it.
+    """Return the half opening after a step that began with a jaw speed [m/s].
+
+    The cloth lies between two half openings [m]. `passes`: it is so thin that only a crossing test detects it.
     """
     force = Contact([], thickness=0.002, pads=[PADS])
     force.drive(np.array([[True, True]]))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Wind: drag relative to moving air, and air on the surface, against what is known of them."""
+"""Wind: drag relative to moving air, and air on the surface, against known results."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.forces.air_panels import AirPanels
 from cloth_sim_ros.scene.parameters import ParameterError
 
 TRIANGLES = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [0, 4, 8]]
-#: Nothing but springs and what a test adds; free.
+#: A free sheet with springs and the test's forces alone.
 BARE = {
     "cloth.resolution": (6, 7),
     "cloth.orientation": (0.0, 0.0, 0.0, 1.0),
@@ -95,7 +95,7 @@ def test_flat_falling_sheet_reaches_its_terminal_speed():
     cloth = Simulation(Scene.from_parameters(values))
     for _ in range(60):
         cloth.advance()
-    # density g = normal_drag (speed + 1): after one second the rest is exp(-20).
+    # density g = normal_drag (speed + 1): after one second exp(-20) remains.
     speed = 0.2 * 9.81 / 4.0 - 1.0
     mean = np.average(cloth.velocities, axis=0, weights=cloth.model.masses)
     assert mean == pytest.approx([0.0, 0.0, -speed], abs=1e-5)
@@ -148,14 +148,13 @@ def test_heavy_drag_counts_in_the_step_limit():
     values |= {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "tolerance": 0.0}
     cloth = Simulation(Scene.from_parameters(values))
     _, rate = cloth.plan.rates(cloth.state.x)
-    # A third of each triangle's drag at its corners, as the masses are: everywhere normal_drag / density.
-    # A sheet's bounds are calculated in single precision.
+    # A third of each triangle's drag acts at its corners, like the masses: everywhere normal_drag / density.
     assert rate >= (1.0 - 1e-6) * 1000.0 / 0.2
     _, calm = Simulation(Scene.from_parameters(values | {"wind.normal_drag": 0.0})).plan.rates(cloth.state.x)
     assert rate < 2.0 * 1000.0 / 0.2 + calm
     for _ in range(20):
         cloth.advance()
-    # No speed beyond the wind's: what is too long a step overshoots, and grows.
+    # No speed exceeds the wind's: too long a step overshoots, and grows.
     assert np.abs(cloth.velocities).max() < 5.0 * 1.01
 
 
@@ -163,7 +162,7 @@ def test_a_grid_sheet_feels_the_air_evenly():
     cloth = Simulation(Scene.from_parameters(BARE | {"wind.normal_drag": 2.0, "wind.velocity": (0.0, 0.0, 5.0)}))
     acceleration = np.zeros_like(cloth.state.x)
     cloth.plan.accelerations(0.0, cloth.state.x, cloth.state.v, acceleration)
-    # normal_drag wind / density, at corners and edges as within.
+    # normal_drag wind / density, at corners, edges and inside.
     assert acceleration[2] == pytest.approx(2.0 * 5.0 / 0.2, rel=1e-12)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What obstacles and grippers are booked to have done: where they move far in one step, and in the last half step."""
+"""Work of obstacles and grippers over large steps, and in the last half step."""
 
 import math
 
@@ -19,7 +19,7 @@ FRAME = 1.0 / 32.0
 
 
 def driven(shape, place, speed, turn=(0.0, 0.0, 0.0)):
-    """A free sheet about the origin, and an obstacle that moves at a speed [m/s] and turns [rad/s]."""
+    """Return a free sheet around the origin, and an obstacle that moves at a speed [m/s] and turns [rad/s]."""
     path = still(place, (0.5, 0.5, 0.5, 0.5) if shape == "capsule" else (0.0, 0.0, 0.0, 1.0))
     path[4:7], path[17:20] = speed, turn
     model, places = flat_sheet(8, 8, contact(shape, paths=[path]), size=0.5, gravity=False, drag=False)
@@ -37,7 +37,7 @@ def driven(shape, place, speed, turn=(0.0, 0.0, 0.0)):
     ],
 )
 def test_fallback_steps_record_the_work_of_an_obstacle(shape, place, speed, turn):
-    """It goes further in one of eight steps than contact reaches; the law's force has no limit in between."""
+    """In one of eight steps it moves further than contact reaches; the law's force has no limit in between."""
     plan, state = driven(shape, place, speed, turn)
     book = Book(plan.gripper_count, obstacle_count=1)
     before, momentum = plan.energy(0.0, state.x, state.v), plan.model.masses * state.v
@@ -45,17 +45,17 @@ def test_fallback_steps_record_the_work_of_an_obstacle(shape, place, speed, turn
     assert done.flagged
     gained = (plan.model.masses * state.v - momentum).sum(axis=1)
     assert gained[2] > 0.3 * plan.model.mass * speed[2]
-    # Such steps are taken before their iteration has converged: what they book is of the order of what they did.
+    # The iteration of such steps has not converged: the recorded work has the order of the true one.
     booked = -FRAME * book.loads[0, 2]
     assert 0.2 * gained[2] < booked < 50.0 * gained[2]
-    # What was given and is not there was lost; never the other way round.
+    # Missing energy was dissipated; energy never appears.
     given = plan.energy(FRAME, state.x, state.v) - before
     assert given <= book.work * (1.0 + 1e-9)
     assert book.work <= 2.0 * booked * max(np.abs(speed))
 
 
 def test_contact_in_the_last_half_step_is_recorded():
-    """No middle of a step sees the plate in reach: all that it gave is there in the end, as energy of contact."""
+    """The plate is out of reach at the middle of every step: its work remains as contact energy in the end."""
     steps, speed = 64, 5.0
     h = FRAME / steps
     reached = THICKNESS + speed * (FRAME - 0.4 * h)
@@ -69,7 +69,7 @@ def test_contact_in_the_last_half_step_is_recorded():
 
 
 def test_abandoned_step_leaves_obstacles_in_place(monkeypatch):
-    """While velocities are sought they are ahead; what goes wrong then must not leave them there."""
+    """During the search for velocities obstacles are ahead in time; a failure then must not leave them there."""
     plan, state = driven("box", (0.0, 0.0, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 10.0))
     before = plan.contact.gaps(FRAME, state.x)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces by themselves: in a plan of their own, their values as results rather than added to arrays."""
+"""Plans of single forces, with results as return values instead of added to arrays."""
 
 import numpy as np
 
@@ -9,12 +9,12 @@ from cloth_sim_ros.physics.plan import compile
 
 
 def alone(*forces, count=None, masses=None):
-    """The plan of a model of these forces and free particles, of 1 kg each unless said otherwise."""
+    """Return the plan of a model of these forces and free particles, of 1 kg each by default."""
     return compile(Model(np.ones(count) if masses is None else masses, forces))
 
 
 def force(plan, x, v=None, t=0.0):
-    """Forces [N], shape (3, n); at rest where no velocities are given."""
+    """Return forces [N], shape (3, n); at rest by default."""
     f = np.zeros_like(x)
     plan.add_force(t, x, np.zeros_like(x) if v is None else v, f)
     return f
@@ -54,7 +54,7 @@ def full(block):
 
 
 def of_blocks(plan, x):
-    """What the largest eigenvalues of `blocks` come to, over masses: squared frequency and damping rate."""
+    """Return the largest eigenvalues of `blocks` over masses: squared frequency and damping rate."""
     return [
         float((np.linalg.eigvalsh(bound[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]].T)[:, -1] * plan.model.inverse_masses).max())
         for bound in blocks(plan, x)

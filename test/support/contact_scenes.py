@@ -29,14 +29,14 @@ THICKNESS = 2e-3
 
 
 def still(place=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0)):
-    """The path of an obstacle that does not move."""
+    """Return the path of an obstacle at rest."""
     row = np.zeros(26)
     row[1:4], row[13:17] = place, orientation
     return row
 
 
 def moving(seed):
-    """A path with everything in it."""
+    """Return a path with all coefficients."""
     rng = np.random.default_rng(seed)
     row = rng.normal(size=26)
     row[0] = 0.0
@@ -45,7 +45,7 @@ def moving(seed):
 
 
 def contact(*shapes, paths=None, thickness=THICKNESS, damping=10.0):
-    """The force of obstacles, by their shapes' names or themselves."""
+    """Return the contact force of obstacles, given by their shapes' names or as objects."""
     obstacles = [SHAPES[shape] if isinstance(shape, str) else shape for shape in shapes]
     force = Contact(obstacles, thickness=thickness, damping=damping)
     if paths is not None:
@@ -54,7 +54,7 @@ def contact(*shapes, paths=None, thickness=THICKNESS, damping=10.0):
 
 
 def near(obstacle, path, t, count, rng, thickness=THICKNESS, deepest=0.2, farthest=1.3):
-    """Points (3, n) at random places about an obstacle, from deep in contact to out of it."""
+    """Return points (3, n) at random positions near an obstacle, from deep in contact to outside."""
     from support.laws import pose
 
     points = rng.normal(size=(4 * count, 3)) * 0.3
@@ -79,7 +79,7 @@ def near(obstacle, path, t, count, rng, thickness=THICKNESS, deepest=0.2, farthe
 
 
 def flat_sheet(rows, columns, *forces, size=1.0, gravity=True, drag=True, listed=False, anchors=(), **material):
-    """The model of a free grid that lies flat, no air across it, and its positions (n, 3) about the origin, z = 0."""
+    """Return the model of a free flat grid, without air, and its positions (n, 3) around the origin, z = 0."""
     values = {"cloth.resolution": [rows, columns], "cloth.size": [size * (rows - 1) / (columns - 1), size], **material}
     own = Scene.from_parameters({"cloth.anchors": [""], "wind.normal_drag": 0.0, **values}).plan().model
     kept = [
@@ -94,7 +94,7 @@ def flat_sheet(rows, columns, *forces, size=1.0, gravity=True, drag=True, listed
 
 
 def drop(model, places, velocity=(0.0, 0.0, 0.0), **options):
-    """The plan, the state and the integrator of a sheet that starts at places (n, 3) with one velocity."""
+    """Return the plan, the state and the integrator of a sheet that starts at positions (n, 3) with one velocity."""
     plan = compile(model)
     speeds = np.broadcast_to(np.asarray(velocity, dtype=float), places.shape).copy()
     speeds[model.inverse_masses == 0.0] = 0.0

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sheets that points and edges of obstacles come up to between their particles, and the energy of that in numpy."""
+"""Sheets that meet points and edges of obstacles between their particles, and the contact energy in numpy."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ SMALL = {
 
 
 def world(obstacle, path, t=TIME, thickness=THICKNESS):
-    """Points of an obstacle at a time, shape (points, 3), its edges and its radius."""
+    """Return the points of an obstacle at a time, shape (points, 3), its edges and its radius."""
     found = features(obstacle, thickness)
     place, _, rotation, _ = laws.pose(path, t)
     return found.points @ rotation.T + place, found.edges, found.radius
 
 
 def sides_of(triangles):
-    """Triangles about each edge."""
+    """Return the triangles of each edge."""
     sides = {}
     for number, t in enumerate(triangles):
         for k in range(3):
@@ -51,7 +51,7 @@ def sides_of(triangles):
 
 
 def near_pairs(obstacle, path, triangles, x, thickness):
-    """Points with triangles, edges with edges, that may be nearer than the thickness; points, edges, and the radius."""
+    """Return points with triangles and edges with edges that may be nearer than the thickness, and the radius."""
     points, edges, radius = world(obstacle, path, thickness=thickness)
     sides = list(sides_of(triangles))
     reach = radius + 2.0 * thickness + np.linalg.norm(x[triangles] - x[np.roll(triangles, 1, axis=1)], axis=2).max()
@@ -66,7 +66,7 @@ def near_pairs(obstacle, path, triangles, x, thickness):
 
 
 def least_gap(obstacle, path, triangles, x):
-    """The least gap [m] of an obstacle's points and edges to triangles and edges at x (n, 3), where it is small."""
+    """Return the least gap [m] of an obstacle's points and edges to triangles and edges at x (n, 3), if it is small."""
     faced, crossed, radius = near_pairs(obstacle, path, triangles, x, THICKNESS)
     gaps = [on_triangle(p, *x[t]) for p, t in faced] + [on_segments(*e, *x[list(s)]) for e, s in crossed]
     return min(gaps, default=np.inf) - radius
@@ -91,10 +91,10 @@ def energy(obstacle, path, triangles, x, masses, thickness=THICKNESS):
 
 
 def facing(obstacle, seed=0, *, gap=0.25, damping=10.0, path=None, anchors=()):
-    """A sheet that an obstacle comes up to: the least gap of its points and edges is a part of the thickness.
+    """Return a sheet near an obstacle: the least gap of its points and edges is a fraction of the thickness.
 
     Returns:
-        The plan of this contact alone, triangles, places (n, 3), masses and the obstacle's path.
+        The plan of this contact alone, triangles, positions (n, 3), masses and the obstacle's path.
     """
     rng = np.random.default_rng(seed)
     triangles, rest, x, masses = self_scenes.sheets(0.0, rows=4, columns=4, seed=seed, rough=1e-3)
@@ -106,7 +106,7 @@ def facing(obstacle, seed=0, *, gap=0.25, damping=10.0, path=None, anchors=()):
     across = np.linalg.qr(np.column_stack([way, rng.normal(size=(3, 2))]))[0]
     across[:, 0] = way
     flat = (x - x.mean(axis=0) + [0.004, -0.003, 0.0]) @ across[:, [1, 2, 0]].T + place
-    # In from outside, never by more than the gap.
+    # Inward, never by more than the gap.
     high = 0.12
     for _ in range(200):
         step = min(least_gap(obstacle, path, triangles, flat + high * way) - gap * THICKNESS, THICKNESS)
@@ -121,7 +121,7 @@ def facing(obstacle, seed=0, *, gap=0.25, damping=10.0, path=None, anchors=()):
     return compile(Model(masses, [own], anchors=anchors)), triangles, x, masses, path
 
 
-#: Turns a box's corner, or a tetrahedron's vertex, at (1, 1, 1) up.
+#: Rotation of a box's corner, or a tetrahedron's vertex, at (1, 1, 1) upward.
 CORNER_UP = Rotation.align_vectors([[0.0, 0.0, 1.0]], [[1.0, 1.0, 1.0]])[0].as_quat()
 #: A corner of it is 0.1732 m from its middle.
 BLOCK = Obstacle(name="block", shape="box", size=(0.2, 0.2, 0.2))
@@ -129,7 +129,7 @@ CORNER = 0.1 * 3.0**0.5
 
 
 def coarse(*obstacles, paths, n=5, size=0.5, faces=True, thickness=THICKNESS, damping=10.0, **values):
-    """The model of a sheet of n x n particles that lies flat, places (n, 3), and its triangles."""
+    """Return the model of a flat sheet of n x n particles, positions (n, 3), and its triangles."""
     sheet = GridSheet(height=size, width=size, rows=n, columns=n, layout="alternating")
     surface = OwnSurface(sheet.triangles(), sheet.positions(), thickness=thickness)
     own = Contact(obstacles, thickness=thickness, damping=damping, faces=surface if faces else None)
@@ -139,7 +139,7 @@ def coarse(*obstacles, paths, n=5, size=0.5, faces=True, thickness=THICKNESS, da
 
 
 def come_through(obstacle, path, t, triangles, x):
-    """Triangles at x (n, 3) that an edge of an obstacle passes through, or that its ball or capsule is within."""
+    """Return triangles at x (n, 3) that an obstacle's edge intersects, or that lie inside its ball or capsule."""
     points, edges, radius = world(obstacle, path, t)
     found = []
     for number, corners in enumerate(triangles):
@@ -160,5 +160,5 @@ def come_through(obstacle, path, t, triangles, x):
 
 
 def _side(p, way, u, v):
-    """On which side of lines from p along `way` the edge from u to v goes by."""
+    """Return the signed side on which the edge from u to v passes lines from p along the segments."""
     return (np.cross(u - p, v - p) * way).sum(axis=1)

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every law once more, in plain numpy and by other formulas than the engine's: what its results are compared with.
+"""Independent numpy versions of every force law, as references for the engine.
 
-Positions and velocities are (3, n), as the engine has them.
+They use other formulas than the engine. Positions and velocities are (3, n), as in the engine.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from cloth_sim_ros.physics.forces.wind import Wind
 
 
 class Values(NamedTuple):
-    """What a force is worth in one state."""
+    """Results of a force in one state."""
 
     force: np.ndarray
     energy: float = 0.0
@@ -64,7 +64,7 @@ LEADS = {
 
 
 def grid_springs(x, v, rows, columns, families):
-    """Springs of a sheet, counted off cell by cell."""
+    """Springs of a sheet, enumerated cell by cell."""
     pairs, rest, stiffness, damping = [], [], [], []
     for family in families:
         down, right = LEADS[family.name]
@@ -96,9 +96,9 @@ def volume(p):
 
 
 def edge_edge(p, i, j, k, m):
-    """Signed distance of the lines i-j and k-m of four points (4, 3), its gradient (4, 3), and |a x b|.
+    """Return the signed distance of the lines i-j and k-m of four points (4, 3), its gradient (4, 3), and |a x b|.
 
-    Each end takes its share by the feet of the common normal, not clamped.
+    Each end's share follows from the feet of the common normal, which are not clamped.
     """
     a, b = p[j] - p[i], p[m] - p[k]
     cross = np.cross(b, a)
@@ -166,7 +166,7 @@ def hinge_springs(length, x, v, hinges, rest, stiffness, damping):
 
 
 def air_panels(x, v, panels, normal, tangential, wind):
-    """F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners; none where there is no area."""
+    """Return F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners; zero without an area."""
     f, lost, given = np.zeros_like(x), 0.0, 0.0
     for panel in panels:
         p = x.T[panel]
@@ -184,7 +184,7 @@ def air_panels(x, v, panels, normal, tangential, wind):
 
 
 def pose(path, t):
-    """Place, velocity, rotation matrix and its rate of a gripper at a time [s]."""
+    """Return position, velocity, rotation matrix and its rate of a gripper at a time [s]."""
     s = t - path[0]
     powers, slopes = s ** np.arange(4), np.array([0.0, 1.0, 2.0 * s, 3.0 * s**2])
     places, turns = path[1:13].reshape(4, 3), np.concatenate([np.zeros((1, 3)), path[17:26].reshape(3, 3)])
@@ -199,7 +199,7 @@ def _cross_matrix(r):
 
 
 def grips(t, x, v, force):
-    """S4 to points of grippers; secondly, of each gripper, force, torque, power on the cloth and power lost."""
+    """Return S4 to points of grippers; then force, torque, power on the cloth and dissipated power of each gripper."""
     f, energy = np.zeros_like(x), 0.0
     booked = np.zeros((force.gripper_count, 8))
     for gripper, path in enumerate(force.paths):
@@ -220,9 +220,9 @@ STOPPING_SPEED = 35.0
 
 
 def contact(t, x, v, force, masses):
-    """Push of obstacles; secondly, of each obstacle, force, torque, power on the cloth and power lost.
+    """Return forces of obstacles; then force, torque, power on the cloth and dissipated power of each obstacle.
 
-    The energy of a mass is U^2/2 (1 - s)^4 / s, its slope taken term by term of 1/s - 4 + 6 s - 4 s^2 + s^3.
+    The energy of a mass is U^2/2 (1 - s)^4 / s; its slope is calculated term by term of 1/s - 4 + 6 s - 4 s^2 + s^3.
     """
     f, energy, d = np.zeros_like(x), 0.0, force.thickness
     booked = np.zeros((len(force.obstacles), 8))
@@ -263,13 +263,13 @@ def friction(way, normal, slip, push, rough, frequency):
     if slides:
         stretch = stretch / np.linalg.norm(stretch) * most / frequency**2
     spring, damped = frequency**2 * stretch, 0.2 * frequency * speed
-    # As much damping as leaves the sum within the cone: |spring + part damped|^2 = most^2.
+    # As much damping as keeps the sum within the cone: |spring + part damped|^2 = most^2.
     part = max(np.roots([damped @ damped, 2.0 * spring @ damped, spring @ spring - most**2]).real)
     return -spring - min(max(part, 0.0), 1.0) * damped, stretch, slides
 
 
 def values(force, t, x, v, masses):
-    """What one of the engine's forces is worth, by the laws above."""
+    """Return the results of one of the engine's forces, by the laws above."""
     if isinstance(force, Contact):
         return contact(t, x, v, force, masses)[0]
     if isinstance(force, Grips):
@@ -295,13 +295,13 @@ def values(force, t, x, v, masses):
 
 
 def total(model, t, x, v):
-    """The sum over a model's forces; anchored particles feel them too."""
+    """Return the sum over a model's forces, also on anchored particles."""
     each = [values(force, t, x, v, model.masses) for force in model.forces]
     return Values(sum(e.force for e in each), *(sum(e[k] for e in each) for k in (1, 2, 3)))
 
 
 def leapfrog(model, t, duration, x, v, steps):
-    """Positions and velocities after the steps of docs/time_stepping.md, forces by the laws above."""
+    """Return positions and velocities after the steps of docs/time_stepping.md, with forces by the laws above."""
 
     def accelerations(now, places, speeds):
         return total(model, now, places, speeds).force * model.inverse_masses

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sheets that hang between the pads of a gripper."""
+"""Sheets that hang between the jaws of a gripper."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ MASS = 0.2 * SIZE * SPACING * (ROWS - 1)
 
 
 def pads(force=1.0, *, speed=0.05, friction=(0.5, 0.5), opening=0.02, **options):
-    """Pads that are wider than the sheet, and reach over its two upper rows."""
+    """Return jaws that are wider than the sheet, and reach over its two upper rows."""
     values = {"size": (2.0 * SIZE, 0.01, 3.0 * SPACING), **options}
     values.setdefault("inertia", inertia(MASS, force, speed or 1.0))
     return Pads(gripper="hand", force=force, speed=speed, friction=friction, opening=opening, **values)
 
 
 def hanging(own=None, *, listed=False, anchored=True, **options):
-    """Plan, state, integrator and contact of a sheet that hangs between open pads, its upper row at the origin."""
+    """Return plan, state, integrator and contact of a sheet between open jaws, its upper row at the origin."""
     own = own or pads()
     force = Contact([], thickness=THICKNESS, pads=[own])
     model, places = flat_sheet(
@@ -44,28 +44,28 @@ def hanging(own=None, *, listed=False, anchored=True, **options):
         **options.pop("sheet", {}),
     )
     down = np.stack([places[:, 1], np.zeros(len(places)), -(places[:, 0] - places[:, 0].min())], axis=1)
-    # Pads end halfway between two rows.
+    # Jaws end halfway between two rows.
     force.move(np.array([still(), still()]))
     plan, state, integrator = drop(model, down, **{"tolerance": 1e-5, **options})
     return plan, state, integrator, force
 
 
 def close(force, closed=True):
-    """Let the drive close, or open."""
+    """Close or open the jaws."""
     force.drive(np.array([[True, closed]]))
 
 
 def gravity(plan, strength, drag=0.2):
-    """Lay gravity downward [m/s^2] and drag [1/s] into a plan."""
+    """Set gravity downward [m/s^2] and drag [1/s] of a plan."""
     uniform = [*([Gravity((0.0, 0.0, -strength))] if strength else []), Drag(drag)]
     kept = [force for force in plan.model.forces if force.name not in ("gravity", "drag")]
     plan.change_uniform([*kept, *uniform], uniform)
 
 
 def held(share, mu=0.5, **options):
-    """A sheet that hangs from pads alone: their force is a share of the least that bears it, m g / (2 mu).
+    """Return a sheet that hangs from jaws alone, with a fraction of the least force that bears it, m g / (2 mu).
 
-    Its weight comes on it within half a second, through thick air, so that it does not fall into the pads.
+    Its weight grows within half a second, in thick air; therefore it does not fall into the jaws.
     """
     own = pads(share * MASS * 9.81 / (2.0 * mu), friction=(mu, mu))
     material = {"gravity": False, "air.drag": 5.0}

@@ -98,13 +98,13 @@ SCENES: dict[str, dict[str, Any]] = {
 
 
 def listed(model: Model) -> Model:
-    """The same model, each spring of a sheet by itself."""
+    """Return the model with each spring of a sheet separate."""
     forces = [force.listed if isinstance(force, GridSprings) else force for force in model.forces]
     return Model(model.masses, forces, anchors=model.anchors)
 
 
 def stir(simulation: Simulation, seed: int = 3) -> None:
-    """A crumpled, moving start."""
+    """Set a crumpled, moving start."""
     rng = np.random.default_rng(seed)
     free = simulation.model.inverse_masses > 0
     simulation.state.x[:, free] += 0.003 * rng.standard_normal((3, int(free.sum())))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cloths on their way into themselves, frame by frame, and what tells whether they pass through: ipctk's exact test."""
+"""Motions of cloths into themselves, frame by frame, with ipctk's exact intersection test."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 class Oracle:
-    """ipctk's test of a scene's surface, and how near it came to itself in the frames that were looked at."""
+    """ipctk's intersection test of a scene's surface, and the least gap of the observed frames."""
 
     def __init__(self, wanted: Scene) -> None:
         rest, self.triangles = wanted.sheet.positions(), wanted.sheet.triangles()
@@ -40,11 +40,11 @@ class Oracle:
         self.least, self.met = math.inf, 0
 
     def passes(self, x: Array) -> bool:
-        """Whether the surface passes through itself at x (n, 3)."""
+        """Return true if the surface intersects itself at x (n, 3)."""
         return bool(ipctk.has_intersections(self._mesh, np.asfortranarray(x)))
 
     def look(self, simulation: Simulation) -> bool:
-        """Whether it does so now; the contacts and the least gap [m] are added up."""
+        """Return true if the surface intersects itself now; add up the contacts and the least gap [m]."""
         contact = simulation.plan.contact
         assert contact is not None
         count, gap = contact.own_gaps(simulation.state.x)
@@ -73,7 +73,7 @@ def scene(rows: int, columns: int, size: tuple[float, float], **values: object) 
 
 
 def start(wanted: Scene, places: Array, velocities: Array) -> Simulation:
-    """A simulation that starts at places with velocities (n, 3)."""
+    """Return a simulation that starts at positions with velocities (n, 3)."""
     state = Simulation(wanted).state.copy()
     given = State(places, velocities)
     state.x, state.v = given.x, given.v
@@ -92,7 +92,7 @@ def fold(rng: np.random.Generator, n: int = 16, frames: int = 40) -> SelfRun:
 
 
 def three_layers(rng: np.random.Generator, n: int = 12, frames: int = 60) -> SelfRun:
-    """Flat, up around, back, up around the other way, flat: the middle lines of the arcs."""
+    """Flat, up around, back, up around the other way, flat; the arcs' middle lines."""
     size, radius = 0.3, 0.012
     flat = (size - 2.0 * math.pi * radius) / 3.0
     s = np.repeat(np.linspace(0.0, size, n), n)
@@ -110,7 +110,7 @@ def three_layers(rng: np.random.Generator, n: int = 12, frames: int = 60) -> Sel
 
 
 def fall_on_an_edge(rng: np.random.Generator, n: int = 12, frames: int = 20) -> SelfRun:
-    """At 20 m/s, with ripples, so that it folds over itself and does not only become narrower."""
+    """Falls at 20 m/s with ripples; therefore it folds over itself instead of becoming narrower."""
     across, up = np.repeat(np.linspace(0.0, 0.3, n), n), np.tile(np.linspace(0.0, 0.3, n), n)
     ripples = 3e-3 * np.sin(rng.uniform(60.0, 100.0) * up) + 1e-3 * np.sin(rng.uniform(20.0, 60.0) * across)
     places = np.column_stack([across, ripples, up + 0.05])
@@ -120,7 +120,7 @@ def fall_on_an_edge(rng: np.random.Generator, n: int = 12, frames: int = 20) -> 
 
 
 def twist(rng: np.random.Generator, turns: float = 4.0) -> SelfRun:
-    """A strip without weight, its upper end held, its lower end turned and let come nearer."""
+    """A weightless strip with a fixed upper end; its lower end turns and may come nearer."""
     held = {"cloth.anchors": ["top"], "grippers": ["hand"], "gripper.radius": 0.11, "gravity": [0.0, 0.0, 0.0]}
     simulation = Simulation(scene(12, 6, (0.3, 0.15), **held))
     x = simulation.positions
@@ -139,7 +139,7 @@ def twist(rng: np.random.Generator, turns: float = 4.0) -> SelfRun:
 
 
 def crush(rng: np.random.Generator, n: int = 12) -> SelfRun:
-    """A fold between two plates that come together until three and a half thicknesses are left for its two layers."""
+    """A fold between two plates that approach until three and a half thicknesses remain for its two layers."""
     plates = {"obstacles": ["table", "press"], "press.shape": "box", "press.size": [0.8, 0.8, 0.02]}
     high, low, speed = 0.12, 3.5 * THICKNESS - 0.003, rng.uniform(0.2, 1.0)
     wanted = scene(n, n, (0.3, 0.3), **{**TABLE, **plates, "press.position": [0.0, 0.0, high + 0.01]})

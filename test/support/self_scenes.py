@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sheets that touch themselves, and the energy of that contact written down again in numpy, from its sources."""
+"""Sheets that touch themselves, and an independent numpy version of the contact energy."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ U = 35.0
 
 
 def sheets(*heights, rows=5, columns=5, spacing=0.02, seed=0, rough=0.0, shift=(0.0, 0.0)):
-    """Triangles, rest and present positions (n, 3) and masses of separate flat layers at some heights [m], each shifted
-    against the one before and roughened by some noise [m].
+    """Return separate flat layers: triangles, positions at rest and at present (n, 3), and masses.
+
+    The layers are at given heights [m]. Each is shifted against the one before and roughened by some noise [m].
     """
     rng = np.random.default_rng(seed)
     plane = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1).reshape(-1, 2) * spacing
@@ -34,13 +35,14 @@ def sheets(*heights, rows=5, columns=5, spacing=0.02, seed=0, rough=0.0, shift=(
 
 
 def own_contact(triangles, rest, thickness, *, damping=10.0, **options):
-    """The force of a surface on itself."""
+    """Return the self-contact force of a surface."""
     surface = OwnSurface(triangles, rest, thickness=thickness)
     return Contact(thickness=thickness, damping=damping, surface=surface, **options)
 
 
 def folded(n, *, size=0.3, thickness=4e-3, radius=0.024, speed=2.0, listed=False, obstacles=(), paths=None, **values):
-    """The model of a square sheet of n x n particles, folded over half a cylinder; places and velocities (n, 3).
+    """Return the model of a square sheet of n x n particles, folded over half a cylinder; positions and velocities (n,
+    3).
 
     Its upper half comes down at a speed [m/s].
     """
@@ -137,13 +139,14 @@ def energy(triangles, x, masses, thickness):
 
 
 def alone(triangles, rest, masses, thickness, **options):
-    """The model of nothing but a surface's contact with itself."""
+    """Return the model of a surface's self-contact alone."""
     return Model(masses, [own_contact(triangles, rest, thickness, damping=options.pop("damping", 10.0))], **options)
 
 
 def intersections(triangles, x):
-    """Pairs of an edge and a triangle without a common corner that pass through each other at x (n, 3), told by exact
-    arithmetic with fractions.
+    """Return pairs of an edge and a triangle without a common corner that intersect at x (n, 3).
+
+    The arithmetic is exact, with fractions.
     """
     exact = [tuple(Fraction(float(c)) for c in row) for row in x]
     edges = {tuple(sorted((int(t[k]), int(t[(k + 1) % 3])))) for t in triangles for k in range(3)}

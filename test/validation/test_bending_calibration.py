@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the bending modulus to springs: hinge shapes, the plate that comes out, S7's limits and their cure."""
+"""Bending calibration: hinge shapes, moduli of the plate, and the limits of S7."""
 
 import math
 
@@ -28,7 +28,7 @@ KINDS = ("crossed", "altitude")
 
 
 def energy_of(forces, positions):
-    """Of particles (n, 3) [J]."""
+    """Return the energy [J] of particles (n, 3)."""
     return alone(*forces, count=len(positions)).energies(0.0, np.ascontiguousarray(positions.T), None)[1]
 
 
@@ -94,7 +94,7 @@ def test_single_triangulation_has_the_modulus_in_free_strips(layout, spacing):
     plate = plate_of(grid_patch(layout, spacing=spacing))
     assert (plate.along_x, plate.along_y) == pytest.approx((1.0, 1.0), rel=1e-9)
     if spacing == (1.0, 1.0):
-        # what docs/bending.md says: a checkerboard has a Poisson's ratio, one family of diagonals twists
+        # as documented in docs/bending.md: a checkerboard has a Poisson's ratio, one family of diagonals twists
         twist = {"left": -1 / 3, "right": 1 / 3}.get(layout, 0.0)
         assert plate.twist == pytest.approx(twist, abs=1e-9)
         assert plate.poisson == pytest.approx(0.0 if twist else -1 / 3, abs=1e-9)
@@ -140,7 +140,7 @@ def force(forces, x):
 def test_opposite_springs_have_no_preferred_side_when_coplanar():
     rest = rest_shape("equilateral", math.radians(60))
     (opposite,) = bending_terms("opposite", PAIR, rest, spring_stiffness=1.0)
-    # coplanar: all the force lies in the plane, although the rest is folded
+    # coplanar: the force lies in the plane, although the rest shape is folded
     assert np.abs(force([opposite], flattened())).max() > 0.01
     assert force([opposite], flattened())[2] == pytest.approx(0.0, abs=1e-15)
     # bent the wrong way: at rest
@@ -210,7 +210,7 @@ def test_added_membrane_stiffness_follows_from_the_energy():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_critical_damping_of_two_equal_free_ends_is_root_two(kind):
-    # a pair whose wings alone can move by its gradient: the decrement of the hinge's own mode tells k_d0
+    # only the wings of this pair can move, along the gradient: the decrement of the hinge's mode gives k_d0
     rest, mass, k_d0 = rest_shape("checkerboard edge", 0.4), np.array([0.2, 0.3, 0.4, 0.5]), 0.7
     _, springs = bending_terms(kind, PAIR, rest, hinge_constants=[1.0], damping=k_d0, masses=mass)
     x = np.ascontiguousarray(rest.T)

@@ -34,6 +34,6 @@ def test_a_strip_hangs_as_the_elastica_does(model, degrees):
 
 @pytest.mark.parametrize("model", ["crossed", "altitude"])
 def test_a_wider_strip_hangs_the_same(model):
-    # the grid's hinges have no Poisson's ratio, so the width does not matter
+    # the grid's hinges have no Poisson's ratio, therefore the width does not matter
     exact = heavy_elastica(math.radians(40))
     assert deviation(model, exact, 20, rows=5) == pytest.approx(deviation(model, exact, 20, rows=2), rel=0.05)

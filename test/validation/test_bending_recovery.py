@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""S9 brings ten thousand spoiled pairs of triangles back to their rest shape; S7 alone does not, nor always S8."""
+"""Recovery of ten thousand perturbed triangle pairs by S9; S7 alone fails, and sometimes S8."""
 
 import math
 
@@ -24,7 +24,7 @@ def test_altitude_springs_recover_every_start(degrees, edge_stiffness):
             total += came.starts
             if came.missed:
                 missed.append((name, kind, came.missed))
-            # nothing switches: in the last tenth of every motion the energy only falls, up to rounding
+            # there is no switch: in the last tenth of every motion the energy only falls, up to rounding
             assert came.latest_energy_rise < 1e-15
     assert total >= 10_000
     assert missed == []
