@@ -35,7 +35,9 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
         ValueError: if there are no arrays, or more or fewer weights than arrays.
     """
     if not arrays or len(arrays) != len(weights):
-        raise ValueError(f"{len(weights)} weights for {len(arrays)} arrays; give one an array, at least one")
+        raise ValueError(
+            f"{len(weights)} weights for {len(arrays)} arrays; give each array one weight, and at least one array"
+        )
     out = np.empty_like(arrays[0])
     places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
     factors = np.array(weights, dtype=np.float64)

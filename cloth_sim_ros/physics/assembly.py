@@ -62,7 +62,7 @@ class Assembly:
             if isinstance(force, Grips):
                 if found.grips is not None:
                     raise ValueError(
-                        f"two forces hold particles, '{found.grips.name}' and '{force.name}'; make them one"
+                        f"two forces hold particles, '{found.grips.name}' and '{force.name}'; merge them into one"
                     )
                 found.grips = force
             parts = force.parts(model.particle_count)
@@ -77,7 +77,7 @@ class Assembly:
                 elif isinstance(part, Surrounded):
                     if found.contact is not None:
                         raise ValueError(
-                            f"two forces have obstacles, '{found.contact.name}' and '{force.name}'; make them one"
+                            f"two forces have obstacles, '{found.contact.name}' and '{force.name}'; merge them into one"
                         )
                     found.contact = part.contact
                 else:

@@ -40,7 +40,7 @@ def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]
         if gap <= 0.0:
             raise ValueError(
                 f"the cloth is {-gap:.4g} m deep inside obstacle '{obstacle.name}' at {t:.6g} s, and contact "
-                "has no force there; move the one or the other"
+                "has no force there; move the cloth or the obstacle"
             )
 
 

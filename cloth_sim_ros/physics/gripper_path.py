@@ -49,7 +49,7 @@ def unit(orientation: Sequence[float]) -> tuple[float, float, float, float]:
 def _no_quaternion(orientation: Any) -> ValueError:
     return ValueError(
         f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; "
-        "no turn is 0, 0, 0, 1"
+        "the identity is 0, 0, 0, 1"
     )
 
 

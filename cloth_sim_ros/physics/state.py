@@ -190,7 +190,7 @@ class State:
             thickness = _thickness(arrays.pop(_THICKNESS, None))
             for name in arrays:
                 if not name.startswith(_MEMORY):
-                    raise ValueError(f"array '{name}' is none of a state's")
+                    raise ValueError(f"array '{name}' does not belong to a state")
             memory = {name.removeprefix(_MEMORY): array for name, array in arrays.items()}
             left_out = tuple(name for name in BEFORE if memory.pop(name, None) is not None)
             state_memory.check(memory, x.shape[1])

@@ -93,8 +93,8 @@ class TouchingFeatures(Uncopyable):
             return
         where = [round(0.5 * sum(pair), 6) for pair in zip(x[:, a].tolist(), x[:, b].tolist(), strict=True)]
         raise ValueError(
-            f"obstacle '{names[k]}' comes through the cloth between particles {a} and {b}, near {where}; move the one "
-            "or the other"
+            f"obstacle '{names[k]}' comes through the cloth between particles {a} and {b}, near {where}; move the "
+            "cloth or the obstacle"
         )
 
 

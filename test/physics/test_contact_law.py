@@ -168,7 +168,7 @@ def test_invalid_contact_is_refused(values, message):
 def test_two_contact_forces_and_wrong_paths_are_refused():
     one, two = contact("plane"), contact(Obstacle(name="other", shape="plane"))
     two.name = "more"
-    with pytest.raises(ValueError, match="make them one"):
+    with pytest.raises(ValueError, match="merge them into one"):
         compile(Model([1.0], [one, two]))
     plan = alone(one, count=1)
     for paths, message in ((np.zeros((2, 26)), "paths have shape"), (np.full((1, 26), np.nan), "must be finite")):

@@ -74,7 +74,7 @@ class NumpySprings(Force):
         self.add(blocks, unit, 2.0 * self.damping, np.where(self.joint, 2.0 * self.damping, 0.0))
 
     def add(self, blocks, unit, along, across):
-        """To both ends: along the spring and across it."""
+        """Add to both ends: along the spring and across it."""
         for row, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
             entry = (along - across) * unit[i] * unit[j] + (across if i == j else 0.0)
             for ends in (self.near, self.far):

@@ -83,7 +83,7 @@ def test_a_single_array_is_no_state():
         ("memory.grip.particles", lambda a: a * 1.0, "it must be int64"),
         ("memory.grip.offsets", lambda a: a[1:], "memory 'grip.offsets' has shape"),
         ("memory.grip.offsets", lambda a: a * np.nan, "it must be finite"),
-        ("elsewhere", lambda a: np.zeros(1), "none of a state's"),
+        ("elsewhere", lambda a: np.zeros(1), "does not belong to a state"),
     ],
 )
 def test_an_array_that_does_not_fit_is_refused_by_name(name, change, words):
