@@ -108,7 +108,7 @@ def test_a_block_that_is_neither_run_nor_marked_is_refused(run_docs: ModuleType)
         run_docs.blocks_of("words\n\n```yaml\na: 1\n```\n", "page")
 
 
-def test_blocks_do_not_see_what_the_check_itself_was_given(run_docs: ModuleType, tmp_path: Path) -> None:
+def test_blocks_run_in_a_clean_user_environment(run_docs: ModuleType, tmp_path: Path) -> None:
     # make hands its variables on in the environment: the pages' own `make run` would take ARGS for its own.
     makefile = tmp_path / "Makefile"
     makefile.write_text(f"all:\n\t@{sys.executable} -c 'import json, os; print(json.dumps(dict(os.environ)))'\n")

@@ -137,7 +137,7 @@ def test_without_a_network_a_working_environment_is_kept(project: Path) -> None:
     assert pip_calls(project) == 2
 
 
-def test_an_environment_whose_making_broke_off_is_made_anew(project: Path) -> None:
+def test_interrupted_environment_is_created_again(project: Path) -> None:
     assert make(project, PIP_STATUS="1").returncode == 1
     assert (project / "env" / "unfinished").exists()
     # Made anew means with venv, whose pip is a real one: it stops here, for the project's own sources are not there.
@@ -147,7 +147,7 @@ def test_an_environment_whose_making_broke_off_is_made_anew(project: Path) -> No
     assert not (project / "env" / "has_demo").exists()
 
 
-def test_without_a_compiler_one_sentence_says_so_before_pip_begins(project: Path, tmp_path: Path) -> None:
+def test_missing_compiler_is_reported_before_pip_starts(project: Path, tmp_path: Path) -> None:
     # Nothing on the PATH, and so neither a compiler nor apt-get.
     made = make(project, PATH=str(tmp_path), CXX="")
     assert made.returncode == 1
@@ -175,7 +175,7 @@ def test_as_root_with_apt_the_compiler_is_installed(project: Path, tmp_path: Pat
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root installs packages")
-def test_apt_that_fails_is_told(project: Path, tmp_path: Path) -> None:
+def test_failed_apt_is_reported(project: Path, tmp_path: Path) -> None:
     write_script(tmp_path / "packages" / "apt-get", "exit 100")
     made = make(project, PATH=str(tmp_path / "packages"), CXX="")
     assert made.returncode == 1
@@ -183,7 +183,7 @@ def test_apt_that_fails_is_told(project: Path, tmp_path: Path) -> None:
     assert pip_calls(project) == 0
 
 
-def test_an_environment_that_was_moved_or_lost_its_python_is_in_doubt(
+def test_moved_environment_or_missing_python_is_not_sound(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(project / "scripts")

@@ -62,7 +62,7 @@ def test_mesh_cloth_hangs_over_its_held_middle(tmp_path: Path) -> None:
     assert run("mesh_cloth.py", tmp_path / "table_cloth.obj", cwd=tmp_path) == output
 
 
-def test_read_session_tells_grasps_and_digests(tmp_path: Path) -> None:
+def test_read_session_prints_grasps_and_digests(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     pytest.importorskip("rosbags")
     output = run("read_session.py", SESSION, cwd=tmp_path)
@@ -70,7 +70,7 @@ def test_read_session_tells_grasps_and_digests(tmp_path: Path) -> None:
     assert re.search(r"digest [0-9a-f]{32}\n", output)
 
 
-def test_own_force_carries_the_weight(tmp_path: Path) -> None:
+def test_custom_force_carries_the_weight(tmp_path: Path) -> None:
     output = run("own_force.py", cwd=tmp_path)
     (expected,) = numbers(r"sink by m g / k = (\S+) mm", output)
     assert numbers(r"lowest bead (\S+) mm", output)[-1] == pytest.approx(-expected, abs=0.02)
@@ -83,7 +83,7 @@ def test_mppi_brings_the_corner_to_the_mark(tmp_path: Path) -> None:
     assert distances[-1] < 0.03
 
 
-def test_towel_is_a_scene_in_which_everything_counts() -> None:
+def test_every_towel_parameter_has_an_effect() -> None:
     path = ROOT / "examples" / "towel.yaml"
     assert path.name == "towel.yaml"
     scene = Scene.from_file(path, node="towel")

@@ -99,7 +99,7 @@ def test_chunk_that_compresses_a_thousandfold_is_read(opening: bytes, tmp_path: 
         assert "never declared" in (reader.missing or "")
 
 
-def test_false_heads_are_not_read_once_each(opening: bytes, tmp_path: Path, find_executable: Find) -> None:
+def test_fake_chunk_headers_are_not_read_repeatedly(opening: bytes, tmp_path: Path, find_executable: Find) -> None:
     (tmp_path / "heads.mcap").write_bytes(opening + bombs.false_heads(2 << 20))
     assert "cannot be read" in refused([find_executable("cloth_session"), "info", "heads.mcap"], tmp_path)
 

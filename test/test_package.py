@@ -132,7 +132,7 @@ def test_name_and_version_agree_everywhere(setup_arguments: dict[str, object]) -
     assert re.search(rf"^{re.escape(str(version))} \(", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)
 
 
-def test_every_room_is_a_package(setup_arguments: dict[str, object]) -> None:
+def test_every_subpackage_is_a_package(setup_arguments: dict[str, object]) -> None:
     folders = {path.parent for path in (ROOT / "cloth_sim_ros").rglob("*.py")}
     expected = {str(folder.relative_to(ROOT)).replace(os.sep, ".") for folder in folders}
     assert expected == set(setup_arguments["packages"])  # type: ignore[call-overload]
@@ -156,7 +156,7 @@ def test_every_data_file_is_declared(setup_arguments: dict[str, object]) -> None
     assert present | {"package.xml"} == declared
 
 
-def test_commands_are_there_and_lead_to_functions(setup_arguments: dict[str, object]) -> None:
+def test_console_scripts_lead_to_functions(setup_arguments: dict[str, object]) -> None:
     scripts = setup_arguments["entry_points"]["console_scripts"]  # type: ignore[index,call-overload]
     found = set()
     for script in scripts:

@@ -106,7 +106,7 @@ def skip_without(room: str) -> None:
 
 
 @pytest.mark.parametrize("room", WALLS)
-def test_room_loads_only_what_it_may(room: str) -> None:
+def test_subpackage_loads_only_allowed_modules(room: str) -> None:
     skip_without(room)
     allowed, forbidden = WALLS[room]
     loaded = loaded_by(modules_of(room))
@@ -115,7 +115,7 @@ def test_room_loads_only_what_it_may(room: str) -> None:
     assert not loaded & forbidden
 
 
-def test_of_rclpy_only_what_is_public_is_used() -> None:
+def test_only_public_rclpy_api_is_used() -> None:
     # Handles of the layer below, and whatever it calls private, change from one distribution to the next.
     for path in sorted((ROOT / "cloth_sim_ros" / "ros").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -131,12 +131,12 @@ def test_of_rclpy_only_what_is_public_is_used() -> None:
 @pytest.mark.parametrize(
     "command", ["session.main", "replay.main", "verify.main", "batch.main", "session.moved_bench", "ros.gripper_main"]
 )
-def test_a_command_answers_before_it_loads_what_is_heavy(command: str) -> None:
+def test_command_help_loads_no_heavy_module(command: str) -> None:
     skip_without(command.split(".")[0])
     assert not loaded_by([f"cloth_sim_ros.{command}"]) & LATE
 
 
-def test_node_loads_on_a_robot_that_lacks_what_pip_installs() -> None:
+def test_node_loads_without_pip_only_packages() -> None:
     # Recording, replay, mesh files and transforms are then refused with the reason, when they are asked for.
     pytest.importorskip("rclpy")
     loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
@@ -147,7 +147,7 @@ def test_replay_loads_without_ros_and_without_scipy() -> None:
     loaded_by(modules_of("replay"), absent=ROS | {"scipy"})
 
 
-def test_importing_the_package_loads_next_to_nothing() -> None:
+def test_import_of_the_package_loads_few_modules() -> None:
     loaded = loaded_by(["cloth_sim_ros"])
     heavy = ROS | LATE | FILES | {"numpy", "scipy"}
     assert not loaded & heavy
@@ -193,7 +193,7 @@ def test_the_package_and_its_tests_need_no_measuring_folder() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
+def test_lazy_imports_respect_the_layers(path: Path) -> None:
     # What is imported late is not in sys.modules above, and binds the rooms no less.
     room = room_of(path)
     imported = imports_of(path)
@@ -209,7 +209,7 @@ def test_imports_within_functions_keep_the_walls_too(path: Path) -> None:
         assert neighbours <= WALLS[room][0]
 
 
-def test_rooms_do_not_import_through_the_users_door() -> None:
+def test_subpackages_do_not_import_the_public_api() -> None:
     # `from cloth_sim_ros import Simulation` loads a name from whichever room has it, which the tests above don't see.
     public = {f"cloth_sim_ros.{name}" for name in [*cloth_sim_ros.__all__, "_PLACES"]}
     paths = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
@@ -217,7 +217,7 @@ def test_rooms_do_not_import_through_the_users_door() -> None:
     assert not {name: names for name, names in found.items() if names}
 
 
-def test_rooms_named_here_are_the_ones_there_are() -> None:
+def test_every_subpackage_is_listed() -> None:
     folders = {path.name for path in PACKAGE.iterdir() if path.is_dir() and (path / "__init__.py").is_file()}
     assert folders == set(ROOMS)
     assert [path.name for path in PACKAGE.glob("*.py")] == ["__init__.py"]

@@ -52,7 +52,7 @@ def test_chain_of_the_package_starts_without_air_across_it() -> None:
     assert scene.wind.normal_drag == 0.0
 
 
-def test_swing_dies_as_the_air_takes_it() -> None:
+def test_swing_decays_by_air_drag() -> None:
     """The recorded cloth, let go at an angle: its swing falls by normal drag / density, of which half is the rate."""
     values = {
         "cloth.size": [0.3, 0.3],

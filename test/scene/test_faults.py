@@ -91,7 +91,7 @@ def test_frame_that_tf2_refuses_is_refused(name: str, remedy: str) -> None:
     assert frame_ids.fault(name).endswith(remedy)
 
 
-def test_every_parameter_of_a_frame_is_judged() -> None:
+def test_every_frame_parameter_is_checked() -> None:
     names = ["frame_id", "gripper.frame", "table.frame", "left.frame"]
     values = {name: "/map" for name in names} | {"cloth.mesh": "/map", "other.frame": "", "tf.publish": True}
     assert [sentence.partition(" ")[0] for sentence in frame_ids.faults(values)] == names

@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 TWO: dict[str, Any] = {"grippers": ["left", "right"], "gripper.frame": "{gripper}_tool"}
 
 
-def test_own_value_replaces_that_of_the_section(tmp_path: Path) -> None:
+def test_gripper_value_overrides_section_value(tmp_path: Path) -> None:
     scene = Scene.from_parameters({**TWO, "left.frame": "tcp", "right.max_speed": 2.0, "right.mode": "pinch"})
     assert [scene.of_gripper(name, "frame") for name in scene.gripper_names] == ["tcp", "{gripper}_tool"]
     assert [scene.of_gripper(name, "max_speed") for name in scene.gripper_names] == [10.0, 2.0]
@@ -27,7 +27,7 @@ def test_own_value_replaces_that_of_the_section(tmp_path: Path) -> None:
     assert Scene.from_file(path) == scene
 
 
-def test_an_obstacles_frame_stays_its_own() -> None:
+def test_obstacle_frame_is_no_gripper_parameter() -> None:
     scene = Scene.from_parameters({**TWO, "obstacles": ["ball"], "ball.shape": "box", "ball.frame": "head"})
     assert scene.described["ball"].frame == "head"
     assert not scene.individual
@@ -43,13 +43,13 @@ def test_an_obstacles_frame_stays_its_own() -> None:
         ({"left.radius": 1.0}, "unknown parameter 'left.radius'"),
     ],
 )
-def test_what_no_gripper_can_have_is_refused(values: dict[str, Any], words: str) -> None:
+def test_invalid_gripper_parameters_are_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=re.escape(words)):
         Scene.from_parameters({**TWO, **values})
 
 
 @pytest.mark.parametrize("values", [{"left.frame": "tcp"}, {"left.mode": "pinch"}])
-def test_what_is_set_at_start_stays(values: dict[str, Any]) -> None:
+def test_start_parameters_are_read_only(values: dict[str, Any]) -> None:
     scene = Scene.from_parameters(TWO)
     [name] = values
     with pytest.raises(ParameterError, match=f"{name} can't change while the cloth runs"):

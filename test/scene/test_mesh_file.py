@@ -93,7 +93,7 @@ def test_triangles_wound_against_the_others_are_turned():
     assert (normals(mesh.positions, mesh.surface.triangles)[:, 2] > 0).all()
 
 
-def test_loose_vertices_are_left_out_even_without_a_place():
+def test_unused_vertices_are_dropped_even_if_not_finite():
     points, triangles = grid()
     points = np.insert(points, 6, [np.nan, 0, 0], axis=0)
     mesh = checked_mesh(points, triangles + (triangles >= 6))
@@ -175,12 +175,12 @@ def spoiled(kind):
         ("empty", "no triangles"),
     ],
 )
-def test_what_can_not_be_mended_is_refused_with_the_place(kind, words):
+def test_irreparable_mesh_is_refused_with_location(kind, words):
     with pytest.raises(SurfaceError, match=words):
         checked_mesh(*spoiled(kind))
 
 
-def test_several_pieces_are_one_cloth_where_it_keeps_them_apart() -> None:
+def test_several_pieces_need_self_contact() -> None:
     points, triangles = spoiled("shells")
     assert checked_mesh(points, triangles, several=True).surface.pieces().max() == 1
     values = {"cloth.mesh": "two.obj", "cloth.anchors": ["0"], "bending.model": "none", "contact.thickness": 0.001}
@@ -234,14 +234,14 @@ def test_an_stl_file_of_the_wrong_length_is_refused(data, words):
         mesh_file.read(data, name="cloth.stl")
 
 
-def test_a_few_bytes_after_an_stl_files_end_are_left_out_and_said():
+def test_stl_trailing_bytes_are_dropped_with_warning():
     mesh = mesh_file.read(stl() + b"\r\n\0", name="cloth.stl")
     assert mesh.repairs == ("3 bytes after the last triangle left out",)
     assert len(mesh.surface.triangles) == COUNT
     assert len(mesh_file.read(stl(True) + b"\n\n", name="cloth.stl").surface.triangles) == COUNT
 
 
-def test_relative_obj_indices_count_from_where_they_stand():
+def test_relative_obj_indices_count_back_from_their_line():
     text = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 1 1 0\nf -1/1 -2 -3//4\n"
     mesh = mesh_file.read(text, name="cloth.obj")
     assert mesh.repairs == ()
@@ -264,7 +264,7 @@ def test_a_wrong_obj_line_is_named(face, words):
         mesh_file.read(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + face + b"\n", name="cloth.obj")
 
 
-def test_obj_comments_tabs_indents_marks_and_continued_lines_are_read():
+def test_obj_comments_tabs_bom_and_continuations_are_read():
     text = (
         b"\xef\xbb\xbfv 0 0 0 # first\r\n\tv\t1 0 0\r\n  v 0 \\\r\n 1 0#close\r\nv 1 1 0\r\n"
         b"f 1 2 \\\r\n3 # one\r\n\tf\t2 4 3 # path C:\\\r\n"
@@ -316,7 +316,7 @@ def test_concave_faces_are_cut_along_the_inner_diagonal(kind, shift):
     assert area[:2].sum() == pytest.approx(1.0)  # twice the hull's area 2 less the notch's 1.5
 
 
-def test_a_face_no_corner_sees_whole_is_refused_with_its_place():
+def test_face_without_visible_corner_is_refused_with_location():
     comb = [[0, 0, 0], [5, 0, 0], [5, 3, 0], [4, 1, 0], [3, 3, 0], [2, 1, 0], [1, 3, 0], [0.5, 1, 0], [0, 3, 0]]
     with pytest.raises(ValueError, match=r"face 0, of vertices \[0, 1, .*no corner sees all others"):
         mesh_file.read(ply(comb, [list(range(9))]), name="cloth.ply")
@@ -330,14 +330,14 @@ def test_a_face_no_corner_sees_whole_is_refused_with_its_place():
         (1e-9, 0.0, r"the whole mesh is 4.*e-09 m across, less than 1e-06 m"),
     ],
 )
-def test_sizes_of_no_cloth_are_refused_with_their_magnitude(scale, shift, words):
+def test_implausible_mesh_size_is_refused_with_magnitude(scale, shift, words):
     points, triangles = grid()
     with pytest.raises(SurfaceError, match=words):
         checked_mesh(points * scale + shift, triangles)
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "stl"])
-def test_errors_of_the_program_are_not_laid_on_the_file(monkeypatch, kind):
+def test_program_errors_are_not_reported_as_file_errors(monkeypatch, kind):
     def changed(data):
         raise TypeError("an argument too many")
 
@@ -346,12 +346,12 @@ def test_errors_of_the_program_are_not_laid_on_the_file(monkeypatch, kind):
         mesh_file.read(b"", name=f"cloth.{kind}")
 
 
-def test_a_reader_called_wrongly_is_no_broken_file():
+def test_wrong_reader_call_is_not_reported_as_broken_file():
     with pytest.raises(TypeError, match="no_such_option"):
         mesh_file._by_trimesh(lambda file: file, b"", no_such_option=True)
 
 
-def test_broken_files_of_any_kind_are_refused_as_such():
+def test_damaged_mesh_files_raise_only_value_errors():
     points, triangles = grid()
     mesh = trimesh.Trimesh(points, triangles, process=False)
     ascii_ply = trimesh.exchange.ply.export_ply(mesh, encoding="ascii")

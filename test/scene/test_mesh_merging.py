@@ -51,7 +51,7 @@ def values(**further: object) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
-def test_seam_off_by_sin_two_pi_is_closed(scale: float) -> None:
+def test_seam_with_rounding_gap_is_closed(scale: float) -> None:
     mesh = mesh_file.read(tube(scale=scale), name="tube.obj")
     assert len(mesh.positions) == AROUND * ALONG
     assert len(mesh.surface.boundary_loops()) == 2

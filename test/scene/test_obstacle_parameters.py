@@ -34,7 +34,7 @@ def test_a_scene_has_the_obstacles_that_it_names() -> None:
     assert scene.parameters()["ball.position"] == (0.0, 0.5, 0.25)
 
 
-def test_a_scene_of_a_file_is_the_same_when_it_is_written_and_read_again(tmp_path: Path) -> None:
+def test_scene_file_round_trip_is_exact(tmp_path: Path) -> None:
     scene = Scene.from_parameters(BASE)
     path = tmp_path / "scene.yaml"
     path.write_text(parameter_file.dump(scene.parameters()))
@@ -63,19 +63,19 @@ def test_a_scene_of_a_file_is_the_same_when_it_is_written_and_read_again(tmp_pat
         ({"ball.radius": 0.1}, r"unknown parameter 'ball.radius'"),
     ],
 )
-def test_what_makes_no_obstacle_is_refused(change: dict[str, Any], words: str) -> None:
+def test_invalid_obstacle_is_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
         Scene.from_parameters({**BASE, **change})
 
 
-def test_raw_springs_have_no_surface_to_keep_out(tmp_path: Path) -> None:
+def test_raw_springs_with_obstacles_are_refused(tmp_path: Path) -> None:
     (tmp_path / "chain.yaml").write_text("positions: [[0, 0, 1], [0, 0, 2]]\nmass: 1.0\nsprings: [[0, 1, 10.0]]\n")
     chain = Scene.from_file(Path(__file__).parents[2] / "config" / "chain.yaml")
     with pytest.raises(ParameterError, match=r"obstacles and contact\.self need a surface"):
         Scene.from_parameters({**chain.parameters(), "obstacles": ["floor"], "floor.shape": "plane"}, files=chain.files)
 
 
-def test_while_the_cloth_runs_obstacles_come_and_go_and_keep_their_shape() -> None:
+def test_obstacles_can_be_added_and_removed_but_not_reshaped() -> None:
     scene = Scene.from_parameters({**BASE, "box.shape": "box"})
     assert scene.changed({"obstacles": ["box", "table"]}).obstacle_names == ["box", "table"]
     assert scene.changed({"obstacles": [""]}).solids == []
@@ -89,7 +89,7 @@ def test_while_the_cloth_runs_obstacles_come_and_go_and_keep_their_shape() -> No
         scene.changed({"table.position": [0.0, 0.0, 1.0]})
 
 
-def test_what_has_no_effect_is_told() -> None:
+def test_ineffective_obstacle_parameters_are_reported() -> None:
     given = {**BASE, "tabel.shape": "plane", "table.shape": "plane", "contact.thickness": 0.002}
     told = sorted(without_effect(Scene.from_parameters(given), given))
     assert len(told) == 2

@@ -30,13 +30,13 @@ def test_a_group_that_is_given_twice_is_one() -> None:
     assert parameter_file.parse(text) == {"cloth.mesh": "a", "rate": 3.0, "cloth.springs": "b"}
 
 
-def test_the_section_that_begins_last_counts_the_nodes_own_or_not() -> None:
+def test_last_section_wins_even_over_the_node_name() -> None:
     assert parameter_file.parse(sections(("cloth_sim", "{rate: 1.0}"), ("/**", "{rate: 2.0}")))["rate"] == 2.0
     text = sections(("/**", "{rate: 1.0}"), ("cloth_sim", "{rate: 2.0}"), ("/**", "{rate: 3.0}"))
     assert parameter_file.parse(text)["rate"] == 2.0
 
 
-def test_a_section_is_that_of_a_full_name() -> None:
+def test_section_matches_full_node_name() -> None:
     text = sections(("/left/towel", "{rate: 1.0}"), ("/right/towel", "{rate: 2.0}"))
     assert parameter_file.parse(text, node="/left/towel") == {"rate": 1.0}
     assert parameter_file.parse(text, node="right/towel") == {"rate": 2.0}
@@ -48,7 +48,7 @@ def test_a_section_is_that_of_a_full_name() -> None:
     assert parameter_file.parse(sections(("other", "{rate: 1.0}"))) == {}
 
 
-def test_a_namesake_in_another_namespace_is_named() -> None:
+def test_same_node_name_in_other_namespace_is_reported() -> None:
     text = sections(("/left/towel", "{rate: 1.0}"), ("/right/towel", "{rate: 2.0}"))
     with pytest.raises(ParameterError) as caught:
         parameter_file.parse(text, node="towel", source="a.yaml")
@@ -96,13 +96,13 @@ def test_a_namesake_in_another_namespace_is_named() -> None:
         ("/**: {ros__parameters: {rate: [1.0", "is not YAML"),
     ],
 )
-def test_what_ros_refuses_or_reads_otherwise_than_it_stands_is_refused_with_the_line(text: str, words: str) -> None:
+def test_text_that_ros_misreads_is_refused_with_line(text: str, words: str) -> None:
     with pytest.raises(ParameterError) as caught:
         parameter_file.parse(text)
     assert words in str(caught.value)
 
 
-def test_other_yaml_that_is_nested_too_deeply_is_no_yaml() -> None:
+def test_too_deeply_nested_yaml_is_refused() -> None:
     import yaml
 
     with pytest.raises(yaml.YAMLError, match="nested too deeply"):
@@ -116,7 +116,7 @@ def test_a_key_that_is_given_twice_is_refused_with_its_line(text: str, line: int
     assert ros_yaml.load("s:\n  - x: 1\n  - x: 1\n") == {"s": [{"x": 1}, {"x": 1}]}
 
 
-def test_what_is_set_twice_is_written_out_twice() -> None:
+def test_repeated_values_are_written_without_aliases() -> None:
     names = ["left", "right"]
     text = parameter_file.dump({"grippers": names, "cloth.anchors": names})
     assert parameter_file.parse(text) == {"grippers": names, "cloth.anchors": names}
@@ -142,7 +142,7 @@ def test_what_is_set_twice_is_written_out_twice() -> None:
         ("oN", "oN"),
     ],
 )
-def test_a_plain_value_is_what_c_makes_of_it(text: str, value: object) -> None:
+def test_plain_value_is_parsed_as_in_c(text: str, value: object) -> None:
     found = ros_yaml.plain(text)
     assert (found, type(found)) == (value, type(value))
 
@@ -157,7 +157,7 @@ def test_a_device_that_never_ends_is_refused() -> None:
         Scene.from_file("/dev/zero")
 
 
-def test_a_shipped_file_that_names_another_is_found_from_anywhere(tmp_path: Path) -> None:
+def test_shipped_file_finds_its_mesh_from_any_folder(tmp_path: Path) -> None:
     path = Path(__file__).parents[2] / "config" / "stack.yaml"
     assert Scene.from_file(path).files.keys() == {"stack.obj"}
 
@@ -170,7 +170,7 @@ def test_a_shipped_file_that_names_another_is_found_from_anywhere(tmp_path: Path
         {"air.drag": -0.0, "cloth.size": (1, 2), "last": True, "cloth.anchors": ()},
     ],
 )
-def test_sections_laid_out_one_by_one_make_the_text_that_all_at_once_would(values: dict[str, Any]) -> None:
+def test_sectionwise_dump_equals_whole_dump(values: dict[str, Any]) -> None:
     tree: dict[str, Any] = {}
     for name, value in values.items():
         section, _, last = name.rpartition(".")

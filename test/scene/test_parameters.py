@@ -11,7 +11,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 
-def test_scalars_of_numpy_are_the_numbers_that_they_are() -> None:
+def test_numpy_scalars_become_python_numbers() -> None:
     values = {
         "rate": np.float64(50.0),
         "tolerance": np.float32(0.5),
@@ -34,6 +34,6 @@ def test_scalars_of_numpy_are_the_numbers_that_they_are() -> None:
         Scene.from_parameters({"rate": np.int64(60)})
 
 
-def test_a_whole_number_of_numpy_is_taken_for_one() -> None:
+def test_numpy_integer_is_accepted_as_integer() -> None:
     entry = next(entry for entry in Scene.declared() if entry.kind == "int")
     assert type(entry.check(np.int64(entry.default))) is int

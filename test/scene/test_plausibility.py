@@ -37,7 +37,7 @@ def test_default_scene_is_plausible() -> None:
     assert sentences() == []
 
 
-def test_mesh_in_millimetres_is_told_with_its_remedy() -> None:
+def test_mesh_in_millimetres_is_reported_with_remedy() -> None:
     (sentence,) = sentences(**MESH)
     assert sentence == (
         "the mesh 'square.obj' has an extent of 566 m and a mass of 3.2e+04 kg, beyond the usual 0.01 to 20 m: if its "
@@ -65,12 +65,12 @@ def test_scale_is_a_factor_of_the_files_coordinates() -> None:
         ({**MESH, "cloth.scale": 1e-6}, r"an extent of 0.000566 m .*set cloth.scale \(e.g. 1000\)"),
     ],
 )
-def test_implausible_extent_or_mass_is_told(values: dict[str, Any], words: str) -> None:
+def test_implausible_extent_or_mass_is_reported(values: dict[str, Any], words: str) -> None:
     (sentence,) = sentences(**values)
     assert re.search(words, sentence)
 
 
-def test_cloud_coarser_than_the_tolerance_is_told() -> None:
+def test_cloud_coarser_than_tolerance_is_reported() -> None:
     distant = {"cloth.position": [1e4, 0.0, 1.0], "tolerance": 1e-4}
     (sentence,) = sentences(**distant)
     assert sentence == (
@@ -82,7 +82,7 @@ def test_cloud_coarser_than_the_tolerance_is_told() -> None:
     assert sentences(**{**distant, "tolerance": 0.0}) == []
 
 
-def test_obstacle_in_millimetres_is_told_with_its_remedy() -> None:
+def test_obstacle_in_millimetres_is_reported_with_remedy() -> None:
     box = {"obstacles": ["box"], "box.shape": "mesh", "box.mesh": "box.obj", "box.position": [0.0, 0.0, -200.0]}
     (sentence,) = sentences(**box)
     assert sentence == (

@@ -63,7 +63,7 @@ def test_every_parameter_is_described_and_its_default_is_valid():
         ({"gravty": [0.0, 0.0, 0.0]}, "unknown parameter 'gravty'; did you mean 'gravity'"),
     ],
 )
-def test_what_makes_no_scene_is_refused_with_value_limit_and_remedy(values, words):
+def test_invalid_scene_is_refused_with_value_limit_and_remedy(values, words):
     with pytest.raises(ParameterError) as caught:
         Scene.from_parameters(values)
     assert words in str(caught.value)
@@ -87,7 +87,7 @@ def test_a_scene_survives_its_parameter_file_to_the_last_bit(values):
     assert Scene.from_parameters(parameter_file.parse(text)) == scene
 
 
-def test_a_nodes_own_section_goes_over_the_common_one():
+def test_node_section_overrides_wildcard_section():
     text = "/**:\n  ros__parameters: {rate: 30.0, air: {drag: 1.0}}\ncloth_sim:\n  ros__parameters: {rate: 20.0}\n"
     assert parameter_file.parse(text) == {"rate": 20.0, "air.drag": 1.0}
     assert parameter_file.parse(text, node="other")["rate"] == 30.0
@@ -118,7 +118,7 @@ def test_shipped_parameter_files_make_scenes(path):
         Scene.from_file(path).model()
 
 
-def test_what_a_scene_does_not_use_is_not_in_its_model():
+def test_unused_forces_are_not_in_the_model():
     bare = Scene.from_parameters(
         {
             "gravity": [0.0, 0.0, 0.0],
@@ -134,7 +134,7 @@ def test_what_a_scene_does_not_use_is_not_in_its_model():
     assert not bare.forces[0].damped
 
 
-def test_mass_is_density_times_area_and_the_sheet_hangs_by_its_top():
+def test_mass_is_density_times_area_and_top_edge_is_anchored():
     scene = Scene.from_parameters({"cloth.size": [0.7, 1.3], "cloth.resolution": [5, 11]})
     assert scene.model().masses.sum() == pytest.approx(0.2 * 0.7 * 1.3)
     positions = scene.initial_positions()
@@ -153,14 +153,14 @@ def test_mass_is_density_times_area_and_the_sheet_hangs_by_its_top():
         ("altitude", ["opposite", "altitude"]),
     ],
 )
-def test_a_bending_model_is_its_forces_and_no_more(model, names):
+def test_bending_model_adds_only_its_forces(model, names):
     modulus = 1e-4 if model in ("crossed", "altitude") else 0.0
     values = {"bending.model": model, "material.bending_modulus": modulus, "cloth.resolution": [5, 6]}
     forces = [force.name for force in Scene.from_parameters(values).model().forces]
     assert forces == ["structural", "shear", *names, "gravity", "drag", "air", "grips"]
 
 
-def test_a_viscosity_replaces_the_dimensionless_damping_and_converges():
+def test_viscosity_replaces_damping_and_converges():
     def damping(rows):
         values = {"material.viscosity": 0.5, "cloth.resolution": [rows, rows]}
         return Scene.from_parameters(values).model().force("structural").listed.damping.max()
@@ -169,6 +169,6 @@ def test_a_viscosity_replaces_the_dimensionless_damping_and_converges():
     assert damping(9) == pytest.approx(damping(5), rel=1e-12)
 
 
-def test_the_poisson_ratio_that_comes_out_is_told():
+def test_resulting_poisson_ratio_is_reported():
     assert Scene().poisson_ratio == Scene().threads().poisson_ratio == pytest.approx(0.099, abs=1e-3)
     assert Scene.from_parameters({"cloth.shear_layout": "left"}).poisson_ratio == 0.0

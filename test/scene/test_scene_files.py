@@ -25,7 +25,7 @@ def test_a_pipe_is_refused_without_waiting_for_its_writer(tmp_path):
     assert "is a device or a pipe" in done.stderr
 
 
-def test_the_limit_holds_whatever_size_a_file_claims(tmp_path, monkeypatch):
+def test_size_limit_ignores_claimed_size(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "MOST_BYTES", 1000)
     (tmp_path / "small").write_bytes(b"x" * 1000)
     (tmp_path / "large").write_bytes(b"x" * 1001)
@@ -38,7 +38,7 @@ def test_the_limit_holds_whatever_size_a_file_claims(tmp_path, monkeypatch):
             files.read({"cloth.mesh": "/proc/self/maps"}, {}, tmp_path)
 
 
-def test_a_file_that_holds_more_than_it_claims_is_read_whole():
+def test_file_larger_than_claimed_is_read_completely():
     name = "/proc/self/status"
     if not os.path.exists(name):
         pytest.skip("no file here claims less than it holds")

@@ -31,7 +31,7 @@ def scene(text=JOINT, **values):
     return Scene.from_parameters({**BARE, **FLAT, "cloth.springs": "s.yaml", **values}, files={"s.yaml": content})
 
 
-def test_a_springs_file_is_a_scene_with_masses_springs_joints_and_velocities():
+def test_springs_file_sets_masses_springs_joints_velocities():
     system = scene()
     model = system.model()
     assert [force.name for force in model.forces] == ["springs"]
@@ -125,7 +125,7 @@ def test_an_archive_whose_array_header_is_broken_is_refused(header):
         springs_file.parse(buffer.getvalue())
 
 
-def test_damage_anywhere_in_an_archive_is_a_value_error_or_does_no_harm():
+def test_damaged_archive_raises_value_error_or_is_harmless():
     whole = archive(positions=np.eye(3), masses=0.2, springs=[[0, 1], [1, 2]], stiffness=1.0)
     random = np.random.default_rng(5)
     refused = 0
@@ -155,7 +155,7 @@ def test_complex_tables_are_refused():
         ({"cloth.mesh": "m.obj"}, "both cloth.mesh"),
     ],
 )
-def test_what_does_not_go_with_raw_springs_is_refused(values, words):
+def test_options_unsuitable_for_raw_springs_are_refused(values, words):
     with pytest.raises(ParameterError, match=words):
         Scene.from_parameters(
             {**BARE, **FLAT, "cloth.springs": "s.yaml", **values}, files={"s.yaml": JOINT.encode(), "m.obj": b""}

@@ -52,7 +52,7 @@ def motion(values):
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_what_is_told_has_no_effect_and_what_is_not_told_has_one(kind):
+def test_reported_parameters_have_no_effect_and_others_have(kind):
     plain = motion(SCENES[kind])[1]
     for name, value in OTHER.items():
         try:
@@ -64,13 +64,13 @@ def test_what_is_told_has_no_effect_and_what_is_not_told_has_one(kind):
         assert (moved == plain) == any(sentence.startswith(f"{name} is set") for sentence in told), (name, told)
 
 
-def test_defaults_are_not_told():
+def test_defaults_are_not_reported():
     scene = Scene.from_parameters({"bending.model": "none"})
     assert without_effect(scene, scene.parameters()) == []
     assert dump(scene.parameters())
 
 
-def test_each_is_told_once():
+def test_each_parameter_is_reported_once():
     values = {**SCENES["springs"], "bending.stiffness": 7.0}
     scene = Scene.from_parameters(values, files=FILES)
     (sentence,) = without_effect(scene, values)

@@ -362,7 +362,7 @@ def test_states_of_other_obstacles_are_refused_or_whole() -> None:
         Simulation(Scene.from_parameters({**LYING, "contact.thickness": 5e-3}), read).advance()
 
 
-def test_whole_contacts_leave_no_trace() -> None:
+def test_full_thickness_leaves_no_state_entry() -> None:
     cloth, other = lying(), lying()
     for k in range(30):
         # What changes nothing of contact's geometry lets it as it is.
@@ -390,7 +390,7 @@ def test_cloth_stays_awake_while_contacts_recover() -> None:
     assert cloth.contact_recovery is not None
 
 
-def test_frames_that_are_tried_again_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_repeated_frames_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
     moved, other = recovering(), recovering()
     order = Move("table", (0.0, 0.0, -0.051))
     advance, calls = explicit.advance, []
@@ -441,7 +441,7 @@ PINCH: dict[str, Any] = {
 }
 
 
-def test_pads_that_open_throw_nothing() -> None:
+def test_opening_pads_do_not_accelerate_the_cloth() -> None:
     corner = (0.15, 0.0, 0.0)
     cloth = Simulation(Scene.from_parameters(PINCH))
     cloth.advance([Target("gripper", corner), Grasp("gripper", True)])
@@ -460,7 +460,7 @@ def test_pads_that_open_throw_nothing() -> None:
     assert cloth.held(0) == 0
 
 
-def test_pads_placed_beside_the_cloth_throw_nothing() -> None:
+def test_pads_placed_near_the_cloth_do_not_accelerate_it() -> None:
     cloth = Simulation(Scene.from_parameters({**PINCH, "gravity": [0.0, 0.0, 0.0]}))
     cloth.advance()
     before, thickness = cloth.state.digest(), cloth.scene.contact.thickness

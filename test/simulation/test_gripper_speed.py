@@ -56,7 +56,7 @@ def test_jump_is_followed_at_the_limit(jump: float) -> None:
     assert position(cloth) == pytest.approx(corner(cloth, jump))
 
 
-def test_default_limits_a_wrong_target_and_forgets_it() -> None:
+def test_default_limits_a_distant_target_and_forgets_it() -> None:
     cloth = cloth_at()
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
     assert position(cloth)[1] - corner(cloth)[1] == pytest.approx(MAX_SPEED / 60.0)
@@ -82,7 +82,7 @@ def test_velocity_is_continuous_at_the_limit() -> None:
     assert position(cloth) == pytest.approx(corner(cloth, 0.3))
 
 
-def test_half_turn_is_limited_by_what_is_held() -> None:
+def test_half_turn_speed_is_limited_by_grasped_particles() -> None:
     values = {"gripper.radius": 0.3, "cloth.size": [1.0, 1.0], "gripper.max_speed": 2.0}
     held, free = cloth_at(**values), cloth_at(closed=False, **values)
     particles = held.grippers.held(0)

@@ -63,7 +63,7 @@ def touching(simulation):
     raise AssertionError("layers never touched")
 
 
-def test_a_stack_below_the_angle_of_friction_stays_to_the_bit_of_its_anchors():
+def test_stack_below_friction_angle_keeps_anchors_exactly():
     below = stacks.stack(6, 9, STEEP - 0.5, (MU,))
     stacks.advance(below, 45)
     kept, x = stacks.anchors(below), below.state.x.copy()
@@ -73,25 +73,25 @@ def test_a_stack_below_the_angle_of_friction_stays_to_the_bit_of_its_anchors():
     assert np.abs(below.state.x - x).max() < 1e-6
 
 
-def test_a_stack_slides_where_coulomb_says_and_friction_in_motion_is_mu_n():
+def test_stack_slides_at_coulomb_limit_with_kinetic_friction():
     assert not stacks.slides(stacks.stack(6, 9, math.degrees(math.atan(0.98 * MU)), (MU,)))
     assert stacks.slides(stacks.stack(6, 9, math.degrees(math.atan(1.02 * MU)), (MU,)))
     assert abs(stacks.friction_off(6, 9, MU)) < 0.02
 
 
-def test_friction_is_right_where_work_runs_out():
+def test_friction_is_correct_when_work_limit_is_reached():
     # In most of its frames the tolerance takes more work than there is.
     assert abs(stacks.friction_off(7, 13, 1.0)) < 0.02
 
 
-def test_friction_only_takes_energy_and_the_balance_tells_how_much():
+def test_friction_only_dissipates_and_is_in_energy_balance():
     balance, worst, least = stacks.balanced(stacks.stack(6, 9, 40.0, (MU, 0.4)), 12)
     assert least > 0.0
     assert 0.5 * balance.lost < balance.rubbed <= balance.lost
     assert worst <= 1e-3 * balance.turned_over
 
 
-def test_what_slides_along_an_edge_does_not_change_sides_in_every_step():
+def test_sliding_along_an_edge_does_not_switch_sides_each_step():
     # Folded along its own lines, particles slide along edges and over corners; with the nearest triangle, whichever it
     # is, a single frame took 1.8 million evaluations, for no step was short enough.
     simulation = fold(tolerance=1e-4)
@@ -118,7 +118,7 @@ def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
     assert changed.digest() != simulation.state.digest()
 
 
-def test_without_friction_bits_are_those_of_a_scene_that_does_not_name_it():
+def test_zero_friction_gives_the_bits_of_no_friction():
     digests = []
     for friction in ({}, {"contact__friction": [0.0]}, {"contact__friction": [0.0, 0.0]}):
         simulation = fold(**{"contact__friction": [0.0, 0.0], **friction})
@@ -141,7 +141,7 @@ def test_friction_may_change_while_it_runs():
     assert len(touching(simulation).state.memory[ANCHORS]) == 3
 
 
-def test_what_can_not_be_is_refused():
+def test_invalid_friction_is_refused():
     with pytest.raises(ParameterError, match=r"contact\.friction has 3 entries, \[0\.1, 0\.1, 0\.1\]; give one number"):
         fold(contact__friction=[0.1, 0.1, 0.1])
     with pytest.raises(ParameterError, match=r"contact\.friction is 0\.2 at rest and 0\.3 in motion; the latter must"):
@@ -158,7 +158,7 @@ def test_what_can_not_be_is_refused():
         Simulation(simulation.scene, state).advance()
 
 
-def test_the_energy_watch_tells_what_layers_rub_apart():
+def test_energy_report_includes_layer_friction_work():
     simulation = touching(fold(diagnostics__energy=True))
     for _ in range(3):
         simulation.advance()

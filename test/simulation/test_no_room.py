@@ -54,7 +54,7 @@ def finite(cloth: Simulation) -> bool:
     return bool(np.isfinite(cloth.positions).all() and (gaps[:, 1] > 0.0).all())
 
 
-def test_an_obstacle_that_would_crush_the_cloth_stands_still_until_it_is_commanded_anew(tmp_path: Path) -> None:
+def test_crushing_obstacle_stops_until_new_target(tmp_path: Path) -> None:
     halted: list[tuple[str, ...]] = []
     maker = SessionMaker(
         tmp_path, Scene.from_parameters(LYING), watch=lambda _cloth, frame: halted.append(frame.halted)
@@ -79,7 +79,7 @@ def test_an_obstacle_that_would_crush_the_cloth_stands_still_until_it_is_command
     assert again.frames == 16
 
 
-def test_a_frame_tells_who_was_halted_and_nobody_else_is() -> None:
+def test_frame_lists_stopped_bodies_only() -> None:
     far = {
         "obstacles": ["table", "iron", "far"],
         "far.shape": "sphere",
@@ -92,7 +92,7 @@ def test_a_frame_tells_who_was_halted_and_nobody_else_is() -> None:
     assert set(halted) <= {(), ("iron",)}
 
 
-def test_a_gripper_whose_pads_would_go_through_a_table_with_the_cloth_stands_still() -> None:
+def test_gripper_stops_before_pushing_cloth_through_table() -> None:
     # All but a slit of the cloth is under the pads: none of it can get out from there.
     hand = {"grippers": ["hand"], "gripper.mode": "pinch"}
     hand |= {"gripper.opening": 0.012, "gripper.pad_size": [0.2, 0.1, 0.08]}
@@ -103,7 +103,7 @@ def test_a_gripper_whose_pads_would_go_through_a_table_with_the_cloth_stands_sti
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.03])
-def test_a_ball_that_squeezes_a_cell_to_nothing_amid_a_frame_stands_still(radius: float) -> None:
+def test_ball_that_squeezes_a_cell_within_a_frame_stops(radius: float) -> None:
     # Smaller than a cell: its own features keep it out, not the particles.
     values = {**LYING, "cloth.size": [0.3, 0.3], "cloth.resolution": [8, 8], "cloth.position": [0.0, 0.0, 0.05]}
     values |= {"contact.thickness": 0.003, "tolerance": 1e-3, "obstacles": ["table", "ball"], "table.shape": "box"}
@@ -118,7 +118,7 @@ def test_a_ball_that_squeezes_a_cell_to_nothing_amid_a_frame_stands_still(radius
     assert finite(cloth)
 
 
-def test_a_thickness_by_which_an_obstacle_would_come_through_is_refused() -> None:
+def test_thickness_that_lets_an_obstacle_intersect_is_refused() -> None:
     # A ball that particles keep out, between particles that are just outside it; nothing else keeps a thinner one's.
     values = {**LYING, "obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "cloth.resolution": [3, 3]}
     values |= {"cloth.size": [0.1, 0.1], "cloth.position": [0.025, 0.025, 0.0937], "contact.thickness": 0.003}
@@ -128,7 +128,7 @@ def test_a_thickness_by_which_an_obstacle_would_come_through_is_refused() -> Non
         cloth.check(SetParameters({"contact.thickness": 0.0002}))
 
 
-def test_changes_of_one_frame_are_checked_each_by_what_those_before_it_leave() -> None:
+def test_changes_of_one_frame_are_checked_in_order() -> None:
     # The second one asks where obstacles are that the first one brings.
     cloth = Simulation(Scene.from_parameters({**LYING, "ball.shape": "sphere", "ball.size": [0.01]}))
     more = SetParameters({"obstacles": ["table", "ball", "iron"], "ball.position": [0.0, 0.3, 0.1]})
@@ -136,7 +136,7 @@ def test_changes_of_one_frame_are_checked_each_by_what_those_before_it_leave() -
     assert cloth.scene.obstacle_names == ["table", "ball", "iron"]
 
 
-def test_a_thickness_that_would_leave_pads_beyond_their_stops_is_refused() -> None:
+def test_thickness_that_puts_pads_beyond_stops_is_refused() -> None:
     hand = {"grippers": ["hand"], "gripper.mode": "pinch", "gripper.opening": 0.02}
     cloth = Simulation(Scene.from_parameters({**LYING, **hand, "obstacles": ["table"]}))
     cloth.advance([Target("hand", (0.0, 0.0, 0.1))])
@@ -147,7 +147,7 @@ def test_a_thickness_that_would_leave_pads_beyond_their_stops_is_refused() -> No
     assert math.isfinite(cloth.advance().advance.step)
 
 
-def test_what_moved_too_far_for_an_implicit_step_does_not_come_through() -> None:
+def test_large_motion_in_an_implicit_step_does_not_intersect() -> None:
     # A ball under a cell, at 10 m/s: in an eighth of a frame it goes further than it is wide.
     sheet = Scene.from_parameters(
         {**LYING, "cloth.size": [0.4, 0.4], "obstacles": [""], "cloth.position": [0.0, 0.0, 0.0]}
@@ -166,7 +166,7 @@ def test_what_moved_too_far_for_an_implicit_step_does_not_come_through() -> None
     assert state.x[2].max() > 0.05
 
 
-def test_anchored_particles_within_an_obstacle_leave_the_matrix_finite() -> None:
+def test_anchors_inside_an_obstacle_keep_the_matrix_finite() -> None:
     sheet = Scene.from_parameters(
         {**LYING, "cloth.size": [0.4, 0.4], "obstacles": [""], "cloth.position": [0.0, 0.0, 0.0]}
     )

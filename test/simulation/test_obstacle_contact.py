@@ -45,7 +45,7 @@ def lying(rested: State) -> Simulation:
     return Simulation(Scene.from_parameters(LYING), rested)
 
 
-def test_a_cloth_that_lies_sleeps_and_its_weight_is_told(rested: State) -> None:
+def test_lying_cloth_sleeps_and_reports_its_weight(rested: State) -> None:
     cloth = lying(rested)
     frame = cloth.advance()
     assert cloth.asleep
@@ -59,7 +59,7 @@ def test_a_cloth_that_lies_sleeps_and_its_weight_is_told(rested: State) -> None:
     assert 0.0025 < gaps[0, 1] < 0.003
 
 
-def test_gaps_are_those_to_where_obstacles_stand_also_before_a_frame_and_while_paused(rested: State) -> None:
+def test_gaps_follow_obstacles_before_frames_and_while_paused(rested: State) -> None:
     cloth = Simulation(Scene.from_parameters({**LYING, "block.position": [0.0, 0.0, -0.001]}))
     gaps = cloth.gaps()
     assert gaps is not None
@@ -71,7 +71,7 @@ def test_gaps_are_those_to_where_obstacles_stand_also_before_a_frame_and_while_p
     assert gaps[0, 1] == pytest.approx(0.0039)
 
 
-def test_an_obstacle_that_moves_wakes_it_and_carries_it(rested: State) -> None:
+def test_moving_obstacle_wakes_and_carries_the_cloth(rested: State) -> None:
     cloth = lying(rested)
     cloth.advance()
     height = cloth.positions[:, 2].mean()
@@ -81,7 +81,7 @@ def test_an_obstacle_that_moves_wakes_it_and_carries_it(rested: State) -> None:
     assert cloth.positions[:, 2].mean() == pytest.approx(height + 0.06, abs=0.003)
 
 
-def test_the_work_of_a_moving_obstacle_is_booked(rested: State) -> None:
+def test_work_of_a_moving_obstacle_is_recorded(rested: State) -> None:
     cloth = Simulation(Scene.from_parameters({**LYING, "diagnostics.energy": True, "air.drag": 0.0}), rested)
     for k in range(30):
         cloth.advance([Move("block", (0.0, 0.0, 0.005 * (k + 1)))])
@@ -92,7 +92,7 @@ def test_the_work_of_a_moving_obstacle_is_booked(rested: State) -> None:
     assert abs(report.residual) < 1e-3 * report.work
 
 
-def test_contact_damping_takes_the_bounce() -> None:
+def test_contact_damping_reduces_the_bounce() -> None:
     def bounce(damping: float) -> float:
         values = {"cloth.position": [0.0, 0.0, 0.15], "contact.damping": damping, "air.drag": 0.0, "grippers": [""]}
         cloth = Simulation(Scene.from_parameters({**LYING, **values}))
@@ -107,7 +107,7 @@ def test_contact_damping_takes_the_bounce() -> None:
     assert bounce(10.0) < 0.6
 
 
-def test_one_that_is_taken_away_lets_it_fall(rested: State) -> None:
+def test_removed_obstacle_lets_the_cloth_fall(rested: State) -> None:
     cloth = lying(rested)
     cloth.advance([SetParameters({"obstacles": [""]})])
     assert not cloth.asleep
@@ -119,7 +119,7 @@ def test_one_that_is_taken_away_lets_it_fall(rested: State) -> None:
         cloth.advance([SetParameters({"obstacles": ["block"]})])
 
 
-def test_it_does_not_fall_through_at_any_speed() -> None:
+def test_cloth_does_not_pass_through_at_any_speed() -> None:
     values = {"cloth.position": [0.0, 0.0, 0.4], "gravity": [0.0, 0.0, -9.81], "wind.velocity": [0.0, 0.0, -20.0]}
     cloth = Simulation(Scene.from_parameters({**LYING, **values, "air.drag": 1.0}))
     cloth.state.v[2] = -20.0
@@ -132,7 +132,7 @@ def test_it_does_not_fall_through_at_any_speed() -> None:
     assert least > 0.0
 
 
-def test_a_block_pushed_through_it_takes_it_along(rested: State) -> None:
+def test_block_pushed_into_the_cloth_carries_it(rested: State) -> None:
     # Commanded to the far side at once, it follows at its speed, and the cloth stays before it.
     cloth = lying(rested)
     cloth.advance([Move("block", (0.0, 0.0, 0.5))])
@@ -143,7 +143,7 @@ def test_a_block_pushed_through_it_takes_it_along(rested: State) -> None:
         assert cloth.positions[:, 2].min() > top
 
 
-def test_the_same_commands_give_the_same_bits_from_any_frame_on(rested: State) -> None:
+def test_same_commands_from_any_frame_give_the_same_bits(rested: State) -> None:
     cloth = lying(rested)
     script = {3: [Move("block", (0.01, 0.0, 0.02))], 8: [SetParameters({"block.friction": [0.2]})], 12: [Reset()]}
     states, digests = [], []
@@ -176,7 +176,7 @@ def test_a_frame_that_fails_leaves_everything_as_it_was(rested: State) -> None:
     assert cloth.state.digest() == other.state.digest()
 
 
-def test_a_reset_is_refused_where_the_cloth_would_start_inside_an_obstacle(rested: State) -> None:
+def test_reset_into_an_obstacle_is_refused(rested: State) -> None:
     cloth = lying(rested)
     ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -2.0]}
     cloth.advance([SetParameters({"obstacles": ["block", "ball"], **ball})])
@@ -190,7 +190,7 @@ def test_a_reset_is_refused_where_the_cloth_would_start_inside_an_obstacle(reste
         cloth.advance([Reset()])
 
 
-def test_a_plan_of_a_scene_has_its_obstacles_where_the_scene_puts_them() -> None:
+def test_plan_has_obstacles_at_scene_poses() -> None:
     turn = [0.0, 0.3826834323650898, 0.0, 0.9238795325112867]
     values = {"cloth.anchors": [""], "cloth.position": [0.0, 0.0, 1.0], "obstacles": ["slope", "ball"]}
     shapes = {"slope.shape": "plane", "slope.position": [0.1, 0.2, -3.0], "slope.orientation": turn}
@@ -204,7 +204,7 @@ def test_a_plan_of_a_scene_has_its_obstacles_where_the_scene_puts_them() -> None
     assert np.array_equal(plan.contact.gaps(0.0, state.x), found)
 
 
-def test_a_library_user_whose_cloth_is_inside_an_obstacle_is_told_which() -> None:
+def test_cloth_inside_obstacle_is_refused_with_its_name() -> None:
     scene = Scene.from_parameters(
         {"cloth.anchors": [""], "obstacles": ["wall"], "wall.shape": "plane", "wall.position": [0.0, 0.0, 9.0]}
     )
@@ -212,7 +212,7 @@ def test_a_library_user_whose_cloth_is_inside_an_obstacle_is_told_which() -> Non
         scene.build_integrator().advance(scene.plan(), scene.starting_state(), 0.0, 1.0 / 60.0)
 
 
-def test_an_obstacle_that_starts_and_ends_at_rest_within_a_frame_is_felt_on_its_way() -> None:
+def test_obstacle_motion_within_one_frame_acts_on_the_cloth() -> None:
     # At either end of the frame it is far off, or as slow as the cloth: only on its way is it fast.
     values = {
         "cloth.resolution": [8, 8],

@@ -51,7 +51,7 @@ def meshed(content: bytes | None = None, **values: Any) -> Scene:
     return Scene.from_parameters({**MESH, **values}, files={"it.obj": own})
 
 
-def test_a_small_ball_carries_what_falls_on_it_between_particles() -> None:
+def test_ball_smaller_than_a_cell_carries_the_cloth() -> None:
     for scene in (Scene.from_parameters(OVER), meshed()):
         cloth = Simulation(scene)
         for _ in range(12):
@@ -63,7 +63,7 @@ def test_a_small_ball_carries_what_falls_on_it_between_particles() -> None:
         assert 0.0 < gaps[0, 1] < 0.002
 
 
-def test_what_comes_through_between_particles_is_refused_at_the_start_and_later() -> None:
+def test_intersection_between_particles_is_refused() -> None:
     through = {"it.position": [0.04, 0.03, 0.0]}
     with pytest.raises(ValueError, match=r"obstacle 'it' comes through the cloth between particles \d+ and \d+, near"):
         Simulation(Scene.from_parameters({**OVER, **through}))
@@ -90,7 +90,7 @@ def test_a_session_with_a_mesh_runs_again_without_its_file(tmp_path: Path) -> No
     assert verdict.frames == 20
 
 
-def test_a_mesh_that_is_no_solid_is_refused_with_the_place() -> None:
+def test_open_obstacle_mesh_is_refused_with_location() -> None:
     vertices, faces = BALL.vertices, BALL.faces
     for content, words in (
         (obj(vertices, faces[1:]), "obstacle 'it': the mesh is open: the edge from vertex"),
@@ -108,7 +108,7 @@ def test_a_mesh_that_is_no_solid_is_refused_with_the_place() -> None:
             meshed(**values)
 
 
-def test_a_mesh_in_stl_has_its_vertices_joined() -> None:
+def test_stl_obstacle_vertices_are_merged() -> None:
     data = BALL.export(file_type="stl")
     scene = Scene.from_parameters({**MESH, "it.mesh": "it.stl"}, files={"it.stl": data})
     (solid,) = scene.solids

@@ -55,7 +55,7 @@ def lying() -> Simulation:
     return cloth
 
 
-def test_a_sheet_on_a_slope_sticks_below_the_angle_of_friction_and_slides_above() -> None:
+def test_sheet_on_slope_slides_above_friction_angle_only() -> None:
     steep = float(np.degrees(np.arctan(MU)))
     below = inclined(steep - 2.0)
     for _ in range(60):
@@ -74,7 +74,7 @@ def test_a_sheet_on_a_slope_sticks_below_the_angle_of_friction_and_slides_above(
     assert (anchors(above)[0, 3] == 2.0).all()
 
 
-def test_without_friction_bits_are_those_of_a_scene_that_does_not_name_it() -> None:
+def test_zero_friction_gives_the_bits_of_no_friction() -> None:
     plain = {name: value for name, value in SMALL.items() if name != "box.friction"}
     digests = []
     for values in (plain, {**plain, "box.friction": [0.0]}, {**plain, "box.friction": [0.0, 0.0]}):
@@ -87,7 +87,7 @@ def test_without_friction_bits_are_those_of_a_scene_that_does_not_name_it() -> N
     assert len(set(digests)) == 1
 
 
-def test_anchors_stay_with_their_obstacle_and_go_with_it() -> None:
+def test_friction_anchors_belong_to_their_obstacle() -> None:
     cloth = lying()
     kept = anchors(cloth)[0].copy()
     ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0], "obstacles": ["ball", "box"]}
@@ -102,14 +102,14 @@ def test_anchors_stay_with_their_obstacle_and_go_with_it() -> None:
     assert ANCHORS not in cloth.state.memory
 
 
-def test_one_of_two_obstacles_lets_go() -> None:
+def test_removing_one_obstacle_keeps_anchors_of_the_other() -> None:
     cloth = lying()
     ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0], "ball.friction": [0.2]}
     cloth.advance([SetParameters({**ball, "box.friction": [0.0], "obstacles": ["box", "ball"]})])
     assert not anchors(cloth).any()
 
 
-def test_friction_that_ends_lets_go_and_begins_anew() -> None:
+def test_disabling_friction_releases_anchors() -> None:
     cloth = lying()
     cloth.advance([SetParameters({"box.friction": [0.0]})])
     assert ANCHORS not in cloth.state.memory
@@ -123,7 +123,7 @@ def test_friction_that_ends_lets_go_and_begins_anew() -> None:
     assert np.abs(held - x[:, :2]).max() < 0.5 * np.abs(lying().positions - x).max()
 
 
-def test_a_reset_lets_go() -> None:
+def test_reset_releases_anchors() -> None:
     cloth = lying()
     cloth.advance([Reset()])
     fresh = inclined(0.0)
@@ -131,7 +131,7 @@ def test_a_reset_lets_go() -> None:
     assert np.array_equal(anchors(cloth), anchors(fresh))
 
 
-def test_a_frame_that_is_refused_leaves_anchors_alone() -> None:
+def test_refused_frame_keeps_anchors() -> None:
     cloth = lying()
     before = cloth.state.digest()
     with pytest.raises(ValueError, match="ball"):

@@ -35,7 +35,7 @@ def simulation(**values: Any) -> Simulation:
     return Simulation(Scene.from_parameters({**BASE, **values}))
 
 
-def test_an_obstacle_is_at_its_target_at_the_end_of_the_frame_and_stands_there() -> None:
+def test_obstacle_reaches_target_at_frame_end_and_stays() -> None:
     cloth = simulation()
     assert cloth.obstacles is not None
     turn = (0.0, 0.0, 0.28, 0.96)
@@ -49,7 +49,7 @@ def test_an_obstacle_is_at_its_target_at_the_end_of_the_frame_and_stands_there()
     assert cloth.obstacles.settled
 
 
-def test_a_far_target_is_followed_no_faster_than_an_obstacle_may_be() -> None:
+def test_far_target_is_followed_at_the_speed_limit() -> None:
     cloth = simulation()
     assert cloth.obstacles is not None
     cloth.advance([Move("ball", (1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 0.0))])
@@ -75,7 +75,7 @@ def test_a_far_target_is_followed_no_faster_than_an_obstacle_may_be() -> None:
         (SetParameters({"obstacles": ["block"], "block.position": [0.1, 0.0, 1.1]}), "is inside obstacle 'block'"),
     ],
 )
-def test_what_can_not_take_effect_is_refused_and_changes_nothing(event: Event, words: str) -> None:
+def test_invalid_event_is_refused_and_changes_nothing(event: Event, words: str) -> None:
     cloth = simulation()
     before = cloth.state.digest()
     with pytest.raises(EventError, match=words):
@@ -83,12 +83,12 @@ def test_what_can_not_take_effect_is_refused_and_changes_nothing(event: Event, w
     assert cloth.state.digest() == before
 
 
-def test_a_cloth_that_starts_inside_an_obstacle_is_refused_with_the_place() -> None:
+def test_cloth_starting_inside_obstacle_is_refused_with_location() -> None:
     with pytest.raises(ValueError, match=r"inside obstacle 'ball': particle 14 at .* is 0.01 m deep"):
         simulation(**{"ball.position": [-0.1, 0.09, 1.1], "cloth.position": [0.0, 0.0, 1.0]})
 
 
-def test_what_is_anchored_may_be_inside_an_obstacle_until_it_is_let_go() -> None:
+def test_anchored_particle_may_be_inside_obstacle_until_freed() -> None:
     # The clamped edge of a hung cloth.
     cloth = simulation(**{"ball.position": [0.1, 0.0, 1.5]})
     cloth.advance()
@@ -99,7 +99,7 @@ def test_what_is_anchored_may_be_inside_an_obstacle_until_it_is_let_go() -> None
     cloth.advance([SetParameters({"cloth.anchors": ["3"]})])
 
 
-def test_obstacles_come_and_go_and_those_that_stay_keep_their_poses() -> None:
+def test_remaining_obstacles_keep_their_poses() -> None:
     cloth = simulation()
     cloth.advance([Move("post", (0.1, -1.0, 1.0))])
     moving = cloth.state.memory["obstacle.turn"][1].copy()
@@ -116,7 +116,7 @@ def test_obstacles_come_and_go_and_those_that_stay_keep_their_poses() -> None:
     assert cloth.obstacles.poses().tolist() == [[0, -1, 1, 0, 0, 0, 1]]
 
 
-def test_a_reset_puts_them_back_and_leaves_those_there_that_came_later() -> None:
+def test_reset_restores_poses_and_keeps_added_obstacles() -> None:
     cloth = simulation()
     cloth.advance([Move("ball", (0.05, 1.0, 1.0)), SetParameters({"obstacles": ["ball", "block"]})])
     cloth.advance([Move("block", (0.05, 0.0, -1.0))])
@@ -126,7 +126,7 @@ def test_a_reset_puts_them_back_and_leaves_those_there_that_came_later() -> None
     assert cloth.obstacles.poses()[:, :3].tolist() == [[0.0, 1.0, 1.0], [0.0, 0.0, -1.0]]
 
 
-def test_what_is_saved_goes_on_to_the_same_bits() -> None:
+def test_saved_state_continues_to_the_same_bits() -> None:
     cloth = simulation()
     cloth.advance([Move("ball", (0.6, 1.0, 1.0), (0.0, 0.6, 0.0, 0.8))])
     again = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
@@ -142,20 +142,20 @@ def test_a_state_of_another_number_of_obstacles_is_refused() -> None:
         Simulation(Scene.from_parameters({**BASE, "obstacles": ["ball"]}), cloth.state)
 
 
-def test_the_newest_move_of_each_counts_and_survives_a_recording() -> None:
+def test_newest_move_per_obstacle_counts_and_is_recorded() -> None:
     moves: list[Event] = [Move("b", (1.0, 0.0, 0.0)), Move("a", (2.0, 0.0, 0.0)), Move("b", (0.1, 0.2, 0.3))]
     assert ordered(moves) == [moves[1], moves[2]]
     assert [from_dict(to_dict(move)) for move in moves] == moves
 
 
-def test_a_scene_without_obstacles_knows_nothing_of_them() -> None:
+def test_scene_without_obstacles_has_no_obstacle_state() -> None:
     cloth = Simulation(Scene.from_parameters({"cloth.resolution": [6, 6]}))
     cloth.advance()
     assert cloth.obstacles is None
     assert not any(name.startswith(("obstacle", "contact")) for name in cloth.state.memory)
 
 
-def test_parameters_that_need_each_other_may_come_one_after_the_other_in_one_frame() -> None:
+def test_dependent_parameters_may_be_set_in_one_frame() -> None:
     cloth = simulation()
     one_by_one: list[Event] = [
         SetParameters({"peg.shape": "capsule"}),

@@ -52,7 +52,7 @@ def started(values: dict[str, Any]) -> Simulation:
 
 
 @pytest.mark.parametrize("values", SCENES.values(), ids=SCENES)
-def test_what_is_kept_moves_as_what_is_built_anew(values: dict[str, Any]) -> None:
+def test_reused_plan_gives_the_motion_of_a_new_plan(values: dict[str, Any]) -> None:
     kept = started(values)
     for change in CHANGES:
         # From the state and the scene alone, as a session runs again.
@@ -66,7 +66,7 @@ def test_what_is_kept_moves_as_what_is_built_anew(values: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize("values", SCENES.values(), ids=SCENES)
-def test_what_acts_on_all_alike_rebuilds_no_list(monkeypatch: pytest.MonkeyPatch, values: dict[str, Any]) -> None:
+def test_uniform_force_change_rebuilds_no_spring_list(monkeypatch: pytest.MonkeyPatch, values: dict[str, Any]) -> None:
     simulation = started(values)
     plan = simulation.plan
     if values.get("integrator") != "implicit":
@@ -78,7 +78,7 @@ def test_what_acts_on_all_alike_rebuilds_no_list(monkeypatch: pytest.MonkeyPatch
         assert simulation.plan is plan
 
 
-def test_a_change_that_was_asked_about_is_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_queried_change_is_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, built = started(SCENES["hinges"]), []
     whole = assembly.Assembly.hand_over
     monkeypatch.setattr(assembly.Assembly, "hand_over", lambda self, handle: (built.append(1), whole(self, handle))[1])
@@ -87,7 +87,7 @@ def test_a_change_that_was_asked_about_is_built_once(monkeypatch: pytest.MonkeyP
     assert len(built) == 1
 
 
-def test_a_gust_is_no_reason_to_judge_steps_anew_and_a_storm_is() -> None:
+def test_storm_but_not_gust_triggers_a_new_error_estimate() -> None:
     simulation = started({"cloth.resolution": [9, 8]})
     for _ in range(40):
         simulation.advance()
@@ -110,7 +110,7 @@ def test_a_gust_is_no_reason_to_judge_steps_anew_and_a_storm_is() -> None:
         simulation.state.restore(restore)
 
 
-def test_a_change_that_fails_leaves_the_plan_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_change_keeps_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, other = started(SCENES["panels"]), started(SCENES["panels"])
 
     def fails(*_: object, **__: object) -> None:

@@ -44,7 +44,7 @@ def pinching(*, frames: int = 20, **values: Any) -> Simulation:
     return cloth
 
 
-def test_a_grasp_is_pending_until_the_pads_have_come_to_rest() -> None:
+def test_pinch_grasp_is_pending_until_pads_rest() -> None:
     cloth = Simulation(Scene.from_parameters(PINCH))
     first = cloth.advance([Target("gripper", CORNER), Grasp("gripper", True)])
     assert [grasp.pending for grasp in first.grasps] == [True]
@@ -78,7 +78,7 @@ def test_a_sheet_that_hangs_from_its_pads_weighs_on_the_gripper() -> None:
     assert frame.loads.shape == (0, 6)
 
 
-def test_a_change_of_force_lets_it_slip() -> None:
+def test_lower_grip_force_lets_the_sheet_slip() -> None:
     cloth = pinching()
     cloth.advance([SetParameters({"cloth.anchors": [""], "gripper.force": 0.02})])
     for _ in range(60):
@@ -117,7 +117,7 @@ def test_a_reset_opens_pads_and_takes_them_away() -> None:
         assert not cloth.advance().pinches
 
 
-def test_a_snapshot_in_the_middle_of_closing_goes_on_with_the_same_bits() -> None:
+def test_snapshot_during_closing_continues_to_the_same_bits() -> None:
     cloth = pinching(frames=8)
     assert not cloth.state.memory[SETTLED].any()
     twin = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
@@ -184,7 +184,7 @@ def test_pads_that_would_come_through_a_cell_are_refused() -> None:
         (lambda memory: memory.update({ANCHORS: np.zeros((3, 4, 36))}), "of 3 obstacles and pads"),
     ],
 )
-def test_states_that_no_pinch_left_are_refused(change: Any, words: str) -> None:
+def test_inconsistent_pinch_states_are_refused(change: Any, words: str) -> None:
     state = pinching(frames=2).state.copy()
     state.memory["obstacle.pose"] = np.zeros((0, 7))
     for what, width in (("target", 7), ("twist", 6), ("turn", 6)):
@@ -202,7 +202,7 @@ def test_a_state_of_another_mode_is_refused() -> None:
         Simulation(attaching, pinched)
 
 
-def test_what_has_no_effect_is_said() -> None:
+def test_ineffective_pinch_parameters_are_reported() -> None:
     given = {"gripper.force": 3.0, "gripper.radius": 0.1}
     sentences = without_effect(Scene.from_parameters(given), given)
     assert sentences == ["gripper.force is set and has no effect: no gripper pinches (gripper.mode)"]
@@ -235,7 +235,7 @@ def test_one_gripper_pinches_while_another_attaches() -> None:
         ({"gripper.opening": 0.0}, "gripper.opening is 0.0 m; it must be above 0.0 m"),
     ],
 )
-def test_modes_and_pads_that_can_not_be_are_refused(values: dict[str, Any], words: str) -> None:
+def test_invalid_modes_and_pads_are_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=re.escape(words)):
         Scene.from_parameters({**PINCH, **values})
 

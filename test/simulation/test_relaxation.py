@@ -44,11 +44,11 @@ def test_the_tolerance_in_force_is_a_multiple_of_the_scenes() -> None:
     ],
     ids=["centimetre", "beyond it by itself", "none", "fixed step"],
 )
-def test_how_far_a_tolerance_can_be_relaxed(values: dict[str, Any], in_force: float | None) -> None:
+def test_relaxed_tolerance_is_bounded(values: dict[str, Any], in_force: float | None) -> None:
     assert simulation(**values).advance([Relax(10.0)]).tolerance == in_force
 
 
-def test_it_outlives_a_reset_and_a_change_of_the_tolerance() -> None:
+def test_relaxation_survives_reset_and_tolerance_change() -> None:
     cloth = simulation()
     cloth.advance([Relax(4.0)])
     assert cloth.advance([Reset()]).tolerance == pytest.approx(4e-6)
@@ -75,7 +75,7 @@ def test_a_saved_state_starts_with_the_scenes_own_tolerance() -> None:
     assert started.advance().tolerance == 1e-6
 
 
-def test_what_fails_leaves_the_tolerance_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_frame_keeps_the_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = simulation()
 
     def fail(*_: Any) -> None:
@@ -103,7 +103,7 @@ def test_a_state_file_with_another_factor_is_refused() -> None:
         State.from_bytes(cloth.state.to_bytes())
 
 
-def test_parameters_that_only_show_something_change_no_bit() -> None:
+def test_display_parameters_change_no_bit() -> None:
     plain, watched = simulation(), simulation()
     for number in range(6):
         plain.advance()

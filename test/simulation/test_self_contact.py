@@ -38,7 +38,7 @@ def fold(wanted):
 
 
 @pytest.mark.parametrize("own", [True, False])
-def test_a_sheet_that_comes_down_on_itself_passes_through_itself_only_where_it_may(own):
+def test_sheet_intersects_itself_only_without_self_contact(own):
     simulation, watch = fold(scene(contact__self=own)), fold(scene())
     met = passed = 0
     for _ in range(30):
@@ -61,7 +61,7 @@ def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
     assert simulation.state.digest() == again.state.digest()
 
 
-def test_without_obstacles_there_is_nothing_else_to_tell():
+def test_self_contact_without_obstacles_reports_no_wrench():
     alone = scene(obstacles=[""])
     simulation = fold(alone)
     frame = simulation.advance()
@@ -72,7 +72,7 @@ def test_without_obstacles_there_is_nothing_else_to_tell():
     assert any("contact.self is false" in sentence for sentence in without_effect(off, ["contact.thickness"]))
 
 
-def test_what_can_not_be_is_refused():
+def test_invalid_self_contact_is_refused():
     with pytest.raises(ParameterError, match=r"contact\.thickness is 0\.02 m, more than half .* shortest edge"):
         scene(obstacles=[""], contact__thickness=0.02)
     with pytest.raises(ParameterError, match=r"contact\.self is 1, of type int; it must be bool"):
@@ -81,14 +81,14 @@ def test_what_can_not_be_is_refused():
         fold(scene()).scene.changed({"contact.self": False})
 
 
-def test_the_parameter_goes_with_the_others():
+def test_self_contact_combines_with_other_parameters():
     values = scene().parameters()
     assert values["contact.self"] is True
     assert Scene.from_parameters(values).contact.self_
     assert not np.isnan(values["contact.thickness"])
 
 
-def test_a_cloth_that_starts_through_itself_is_refused_with_the_place(tmp_path):
+def test_self_intersecting_start_is_refused_with_location(tmp_path):
     places = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), (2, 0.5, 1), (0.3, 0.5, -0.5)]
     lines = [f"v {x} {y} {z}" for x, y, z in places] + ["f 1 2 3", "f 2 4 3", "f 2 5 4", "f 2 6 5"]
     path = tmp_path / "through.obj"
@@ -117,7 +117,7 @@ def test_a_cloth_that_starts_through_itself_is_refused_with_the_place(tmp_path):
         (9e-5, ""),
     ],
 )
-def test_a_cloth_that_starts_too_near_to_itself_is_refused_with_the_place(gap, words):
+def test_start_too_close_to_itself_is_refused_with_location(gap, words):
     # The half beyond the middle row lies mirrored on the other one.
     flat = {"obstacles": [""], "cloth__orientation": [0.0, 0.0, 0.0, 1.0]}
     places = Simulation(scene(**flat)).positions
@@ -132,7 +132,7 @@ def test_a_cloth_that_starts_too_near_to_itself_is_refused_with_the_place(gap, w
     Simulation(scene(**flat, contact__self=False), State(places))
 
 
-def test_a_state_made_by_hand_is_refused_where_it_passes_through_itself():
+def test_self_intersecting_state_is_refused():
     flat = {"obstacles": [""], "cloth__orientation": [0.0, 0.0, 0.0, 1.0]}
     places = Simulation(scene(**flat)).positions
     places[0] = places[66] + [0.008, -0.004, 0.01]
@@ -142,7 +142,7 @@ def test_a_state_made_by_hand_is_refused_where_it_passes_through_itself():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_whether_a_surface_passes_through_itself_is_what_every_edge_and_triangle_say(seed):
+def test_self_intersection_check_equals_brute_force(seed):
     triangles, rest, x, masses = sheets(0.0, 0.0, shift=(0.003, 0.004), rough=[1e-3, 1e-9, 3e-3][seed], seed=seed)
     x[25:, 2] += [3e-3, 1e-3, 1e-3][seed]
     plan = compile(alone(triangles, rest, masses, 4e-3))

@@ -15,7 +15,7 @@ from support import self_runs
 from support.self_scenes import folded, intersections
 
 
-def test_the_oracles_see_what_passes():
+def test_oracles_detect_intersections():
     wanted = self_runs.scene(12, 12, (0.3, 0.3))
     _, places, velocities = folded(12)
     oracle, upper = self_runs.Oracle(wanted), velocities[:, 2] < 0.0
@@ -38,7 +38,7 @@ def test_the_oracles_see_what_passes():
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
-def test_nothing_passes_through_itself(run, options, met):
+def test_frames_do_not_self_intersect(run, options, met):
     made = run(np.random.default_rng(1), **options)
     simulation, oracle = made.simulation, self_runs.Oracle(made.simulation.scene)
     for events in made.events:
@@ -48,7 +48,7 @@ def test_nothing_passes_through_itself(run, options, met):
     assert not intersections(oracle.triangles, simulation.positions)
 
 
-def test_the_soak_tells_what_passes(monkeypatch, capsys):
+def test_soak_reports_intersections(monkeypatch, capsys):
     arguments = ["--steps", "1", "--scenes", "crush between plates"]
     assert soak_contact.main(arguments) == 0
     assert "0 in which a cloth passes through itself" in capsys.readouterr().out

@@ -58,7 +58,7 @@ def test_time_is_an_integer_times_the_period():
     assert frame.time == 7 * (1 / 60.0)
 
 
-def test_a_run_repeats_to_the_last_bit_and_continues_from_a_snapshot():
+def test_run_repeats_and_continues_from_snapshot_bit_for_bit():
     first, second = Simulation(small()), Simulation(small())
     events = list(script(first, 24))
     digests = []
@@ -89,13 +89,13 @@ def test_events_survive_their_text_form_to_the_last_bit():
         from_dict({"kind": "grasp", "gripper": "left", "force": 3})
 
 
-def test_events_of_a_frame_are_ordered_newest_targets_then_grasps_then_the_rest():
+def test_events_are_ordered_targets_then_grasps_then_others():
     one, two, other = Target("b", (0, 0, 0)), Target("b", (1, 0, 0)), Target("a", (2, 0, 0))
     close, release = Grasp("b", True), Grasp("b", False)
     assert ordered([Pause(True), close, one, release, other, two]) == [other, two, close, release, Pause(True)]
 
 
-def test_watching_changes_no_bit():
+def test_reading_a_simulation_changes_no_bit():
     watched, plain = Simulation(small()), Simulation(small())
     for batch in script(watched, 12):
         frame = watched.advance(batch)
@@ -104,7 +104,7 @@ def test_watching_changes_no_bit():
     assert watched.state.digest() == plain.state.digest()
 
 
-def test_a_held_corner_goes_where_it_is_led_and_falls_when_let_go():
+def test_grasped_corner_follows_gripper_and_falls_when_released():
     simulation = Simulation(small(gripper__radius=0.08))
     start = corner(simulation)
     grasp = simulation.advance([Target("left", start), Grasp("left", True)]).grasps[0]
@@ -123,7 +123,7 @@ def test_a_held_corner_goes_where_it_is_led_and_falls_when_let_go():
     assert not frame.wrenches.any()
 
 
-def test_a_gripper_turns_what_it_holds():
+def test_gripper_rotates_grasped_particles():
     simulation = Simulation(small(gripper__radius=0.16, gravity=[0.0, 0.0, 0.0]))
     start = corner(simulation)
     simulation.advance([Target("left", start), Grasp("left", True)])
@@ -137,7 +137,7 @@ def test_a_gripper_turns_what_it_holds():
     assert simulation.positions[held] - start == pytest.approx(turned, abs=0.02)
 
 
-def test_closing_says_what_is_held_or_why_nothing():
+def test_closing_reports_grasped_particles_or_the_reason():
     simulation = Simulation(small())
     nowhere, _ = simulation.advance([Grasp("left", True), Grasp("right", False)]).grasps
     assert (nowhere.held, "nowhere" in nowhere.reason) == (0, True)
@@ -177,7 +177,7 @@ def test_while_paused_commands_take_effect_without_time_passing():
     assert simulation.advance([Pause(False)]).index == 3
 
 
-def test_reset_restores_cloth_and_grippers_but_not_the_frame_number():
+def test_reset_restores_cloth_and_grippers_not_frame_number():
     simulation = Simulation(small())
     start = simulation.positions
     for batch in script(simulation, 9):
@@ -205,7 +205,7 @@ def test_reset_restores_cloth_and_grippers_but_not_the_frame_number():
         (SetParameters({"material.densty": 1.0}), "did you mean 'material.density'"),
     ],
 )
-def test_a_refused_event_says_why_and_leaves_everything_as_it_was(event, words):
+def test_refused_event_gives_reason_and_changes_nothing(event, words):
     simulation = Simulation(small())
     simulation.advance()
     before = simulation.state.digest()
@@ -266,7 +266,7 @@ def test_a_frame_that_fails_leaves_state_and_scene_as_they_were(monkeypatch):
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_frames_replace_the_arrays_of_a_state_and_write_into_none(integrator):
+def test_frames_replace_state_arrays_and_never_write_them(integrator):
     simulation = Simulation(small(integrator=integrator, tolerance=1e-3))
     for batch in [*script(simulation, 12, seed=4), [Pause(True), Reset()]]:
         held = simulation.state.share()
@@ -276,7 +276,7 @@ def test_frames_replace_the_arrays_of_a_state_and_write_into_none(integrator):
         assert simulation.state.digest() != digest
 
 
-def test_a_gripper_led_steadily_moves_at_a_steady_velocity():
+def test_steady_targets_give_a_constant_gripper_velocity():
     simulation = Simulation(small())
     for k in range(5):
         simulation.advance([Target("left", (0.01 * k, 0.0, 0.0))])
@@ -285,7 +285,7 @@ def test_a_gripper_led_steadily_moves_at_a_steady_velocity():
     assert not simulation.state.memory["gripper.twist"].any(), "without a new target it comes to rest"
 
 
-def test_the_energy_balance_closes_and_watching_it_changes_no_bit():
+def test_energy_balance_closes_and_changes_no_bit():
     watched, plain = Simulation(small(**{"diagnostics.energy": True})), Simulation(small())
     for batch in list(script(watched, 30, seed=2)):
         kept = [event for event in batch if isinstance(event, Target | Grasp)]
@@ -300,13 +300,13 @@ def test_the_energy_balance_closes_and_watching_it_changes_no_bit():
     assert report.total == pytest.approx(watched.energy(), rel=1e-9)
 
 
-def test_a_numpy_truth_closes_a_gripper():
+def test_numpy_bool_closes_a_gripper():
     simulation = Simulation(small())
     grasp = simulation.advance([Target("left", corner(simulation)), Grasp("left", np.True_)]).grasps[0]
     assert (grasp.closed, grasp.held) == (True, 1)
 
 
-def test_a_fixed_step_that_a_grip_makes_too_large_stops_with_its_limit_named():
+def test_fixed_step_above_grip_limit_fails_with_limit():
     simulation = Simulation(small(step=0.9e-3, **{"gripper.stiffness": 1e5}))
     before = simulation.state.digest()
     with pytest.raises(UnstableError, match=r"step 0.0009 s is above the stability limit"):

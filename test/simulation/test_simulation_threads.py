@@ -57,7 +57,7 @@ def in_threads(job: Callable[[int], None], count: int = THREADS) -> None:
         raise errors[0]
 
 
-def test_frames_of_several_threads_are_frames_of_one() -> None:
+def test_frames_from_several_threads_are_sequential() -> None:
     scene = Scene.from_parameters({"cloth.resolution": [8, 8]})
     alone, shared = Simulation(scene), Simulation(scene)
     expected = {alone.frame: alone.positions}
@@ -83,7 +83,7 @@ def test_frames_of_several_threads_are_frames_of_one() -> None:
     assert shared.state.digest() == alone.state.digest()
 
 
-def test_positions_read_beside_frames_are_of_a_frame() -> None:
+def test_concurrently_read_positions_belong_to_one_frame() -> None:
     # Frames of 0.2 s, each of several intervals, after which the state stands at none of the sequence.
     scene = Scene.from_parameters({"cloth.resolution": [8, 8], "rate": 5.0, "tolerance": 1e-5})
     alone, shared = Simulation(scene), Simulation(scene)
@@ -102,7 +102,7 @@ def test_positions_read_beside_frames_are_of_a_frame() -> None:
     in_threads(go, 2)
 
 
-def test_events_of_several_threads_take_effect_whole() -> None:
+def test_events_from_several_threads_are_applied_atomically() -> None:
     scene = Scene.from_parameters(HELD)
     shared = Simulation(scene)
     middle = tuple(shared.positions[27].tolist())
@@ -176,7 +176,7 @@ def test_positions_may_be_read_by_a_force() -> None:
     assert read[0].shape == (36, 3)
 
 
-def test_a_call_that_fails_lets_others_go_on() -> None:
+def test_failed_call_releases_the_lock() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [4, 4]}))
     with pytest.raises(ValueError, match="no gripper 'nobody'"):
         simulation.advance([Grasp("nobody", True)])

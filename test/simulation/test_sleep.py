@@ -51,7 +51,7 @@ def sleeping(snapshot):
     return Simulation(Scene.from_parameters(CALM), State.from_bytes(snapshot))
 
 
-def test_a_sheet_at_rest_sleeps_where_it_is_and_its_frames_go_on(sleeping):
+def test_resting_sheet_sleeps_and_frames_continue(sleeping):
     before, frame_before = sleeping.positions, sleeping.frame
     frames = [sleeping.advance() for _ in range(5)]
     assert [frame.index for frame in frames] == [frame_before + k for k in range(1, 6)]
@@ -62,7 +62,7 @@ def test_a_sheet_at_rest_sleeps_where_it_is_and_its_frames_go_on(sleeping):
     assert not sleeping.velocities.any()
 
 
-def test_what_sleep_leaves_out_is_less_than_the_tolerance(snapshot):
+def test_motion_omitted_by_sleep_is_below_tolerance(snapshot):
     asleep = State.from_bytes(snapshot)
     moving = Simulation(Scene.from_parameters({**CALM, "tolerance": 1e-9}), asleep)
     for _ in range(20 * 30):
@@ -71,7 +71,7 @@ def test_what_sleep_leaves_out_is_less_than_the_tolerance(snapshot):
     assert 1e-12 < away < 0.2 * CALM["tolerance"]
 
 
-def test_falling_asleep_is_no_jump():
+def test_falling_asleep_is_continuous():
     moving = simulation()
     while not moving.asleep:
         before, speeds = moving.positions, np.linalg.norm(moving.velocities, axis=1)
@@ -90,7 +90,7 @@ def test_falling_asleep_is_no_jump():
     ],
     ids=["grasp", "gravity", "any parameter", "reset"],
 )
-def test_it_wakes_in_the_very_frame_in_which_it_is_touched(sleeping, events):
+def test_sheet_wakes_in_the_frame_of_the_event(sleeping, events):
     low = sleeping.positions[-1]
     events = [Target("left", low) if isinstance(event, Target) else event for event in events]
     before = sleeping.positions
@@ -102,7 +102,7 @@ def test_it_wakes_in_the_very_frame_in_which_it_is_touched(sleeping, events):
         assert np.linalg.norm(sleeping.positions - before, axis=1).max() < 0.5 * 1.1 / 30.0**2
 
 
-def test_what_does_not_touch_it_lets_it_sleep(sleeping):
+def test_unrelated_events_do_not_wake_the_sheet(sleeping):
     for events in (
         [Target("left", (5.0, 0.0, 0.0)), Target("right", (0.0, 6.0, 0.0), (0.0, 0.0, 1.0, 1.0))],
         [Target("left", (4.0, 0.0, 0.0))],
@@ -122,7 +122,7 @@ def test_what_does_not_touch_it_lets_it_sleep(sleeping):
     assert sleeping.advance().index == frame + 3
 
 
-def test_a_held_sheet_pulls_on_while_asleep_and_wakes_when_its_gripper_moves(sleeping):
+def test_sleeping_sheet_pulls_and_wakes_when_gripper_moves(sleeping):
     low = sleeping.positions[-1]
     sleeping.advance([Target("left", low), Grasp("left", True)])
     for k in range(30):
@@ -192,7 +192,7 @@ def test_without_a_tolerance_nothing_sleeps(change, snapshot):
     assert not watched.asleep
 
 
-def test_a_turning_point_is_no_rest():
+def test_turning_point_does_not_count_as_rest():
     # Every particle stands still at once, as at the top of a swing, and is pulled.
     scene = Scene.from_parameters({**CALM, "rate": 1000.0})
     rule = sleep.Sleep(scene.plan(), tolerance=1e-3, period=1e-3)
@@ -203,7 +203,7 @@ def test_a_turning_point_is_no_rest():
     assert not sleep.is_asleep(state)
 
 
-def test_motion_that_nothing_stops_does_not_sleep():
+def test_undamped_motion_does_not_sleep():
     # A free sheet without weight or air: slow as it is, it goes on for ever.
     still = {"gravity": [0.0, 0.0, 0.0], "wind.normal_drag": 0.0}
     free = {**CALM, **still, "cloth.anchors": [""], "grippers": [""]}
@@ -220,7 +220,7 @@ def test_motion_that_nothing_stops_does_not_sleep():
         assert drifting.positions[:, 1] - start.x[1] == pytest.approx(way, abs=0.25 * CALM["tolerance"])
 
 
-def test_a_sheet_that_lies_in_nothing_sleeps_after_a_second():
+def test_sheet_without_forces_sleeps_after_a_second():
     still = simulation(gravity=[0.0, 0.0, 0.0], air__drag=0.0, wind__normal_drag=0.0)
     for _ in range(31):
         assert not still.asleep
@@ -228,7 +228,7 @@ def test_a_sheet_that_lies_in_nothing_sleeps_after_a_second():
     assert still.asleep
 
 
-def test_energy_books_what_the_stop_takes():
+def test_energy_report_includes_kinetic_energy_lost_to_sleep():
     watched = simulation(**{"diagnostics.energy": True})
     until_asleep(watched)
     report = watched.energy_report
@@ -243,7 +243,7 @@ def test_energy_books_what_the_stop_takes():
     assert (stopped.total, stopped.dissipated, stopped.residual) == pytest.approx((-kinetic, kinetic, 0.0), rel=1e-12)
 
 
-def test_a_broken_memory_of_sleep_is_refused(snapshot):
+def test_invalid_sleep_memory_is_refused(snapshot):
     state = State.from_bytes(snapshot)
     state.memory["control.sleep"] = np.zeros(3)
     with pytest.raises(ValueError, match=r"memory 'control.sleep' is of type float64 and shape \(3,\); .* \(5,\)"):

@@ -180,7 +180,7 @@ def test_the_same_events_give_the_same_bits(name: str) -> None:
     assert taken.state.digest() == digest
 
 
-def test_futures_branch_from_one_snapshot_without_touching_it() -> None:
+def test_rollouts_from_a_snapshot_do_not_change_it() -> None:
     simulation = Simulation(Scene.from_parameters(HUNG))
     run(simulation, carried(HUNG))
     taken = simulation.snapshot()
@@ -206,7 +206,7 @@ def test_a_snapshot_copies_no_array() -> None:
     assert (taken.positions == simulation.positions).all()
 
 
-def test_reset_returns_to_the_start_of_the_snapshots_scene() -> None:
+def test_reset_after_restore_uses_the_snapshot_scene() -> None:
     lies = Simulation(Scene.from_parameters(LYING)).state.to_bytes()
     scene = Scene.from_parameters({**LYING, "initial_state": "lies.npz"}, files={"lies.npz": lies})
     simulation = Simulation(scene)
@@ -220,7 +220,7 @@ def test_reset_returns_to_the_start_of_the_snapshots_scene() -> None:
     assert simulation.scene.obstacle_names == ["table"]
 
 
-def test_a_snapshot_whose_arrays_cannot_be_written_is_restored() -> None:
+def test_snapshot_with_read_only_arrays_is_restored() -> None:
     simulation = Simulation(Scene.from_parameters(HUNG))
     run(simulation, carried(HUNG))
     buffers: list[pickle.PickleBuffer] = []
@@ -245,7 +245,7 @@ def test_a_snapshot_of_another_scene_is_refused() -> None:
         more.restore(taken)
 
 
-def test_a_frame_that_fails_leaves_the_grips_of_the_plan_as_they_were() -> None:
+def test_failed_frame_keeps_the_grips_of_the_plan() -> None:
     simulation = Simulation(Scene.from_parameters({**HUNG, "step": 2e-3}))
     run(simulation, carried(HUNG))
     taken = simulation.snapshot()

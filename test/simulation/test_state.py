@@ -32,7 +32,7 @@ def archive(arrays):
     return buffer.getvalue()
 
 
-def test_a_saved_state_comes_back_whole():
+def test_saved_state_round_trip_is_exact():
     state = saved()
     back = State.from_bytes(state.to_bytes())
     assert back.digest() == state.digest()
@@ -143,7 +143,7 @@ def scene_of(name, state=None, **values):
 
 @pytest.mark.parametrize("had", CLOTHS)
 @pytest.mark.parametrize("has", CLOTHS)
-def test_a_state_of_another_cloth_with_as_many_particles_is_refused(had, has):
+def test_state_of_another_cloth_of_equal_size_is_refused(had, has):
     first = Simulation(scene_of(had))
     first.advance()
     if had == has:
@@ -162,7 +162,7 @@ def test_a_state_of_a_turned_grid_is_refused_with_the_reason():
         Scene.from_parameters(values, files={"s.npz": state.to_bytes()})
 
 
-def test_a_draped_cloth_may_go_on_as_a_stiffer_one_with_other_diagonals():
+def test_state_may_continue_with_other_material_and_layout():
     state = saved()
     values = {**SMALL, "grippers": ["left", "right"], "initial_state": "s.npz"}
     values |= {"cloth.shear_layout": "left", "material.stretch_modulus": 5000.0, "cloth.size": [1.1, 1.1]}
@@ -171,7 +171,7 @@ def test_a_draped_cloth_may_go_on_as_a_stiffer_one_with_other_diagonals():
     loaded.advance()
 
 
-def test_a_state_that_does_not_know_its_cloth_is_judged_by_its_particles():
+def test_state_without_cloth_id_is_matched_by_particle_count():
     state = saved()
     values = {**SMALL, "cloth.resolution": [5, 4], "grippers": ["left", "right"], "initial_state": "s.npz"}
     loaded = Simulation(Scene.from_parameters(values, files={"s.npz": archive(state.arrays())}))
@@ -187,7 +187,7 @@ def test_a_state_that_does_not_know_its_cloth_is_judged_by_its_particles():
         (np.array([-4, -5, 0]), "-4 rows"),
     ],
 )
-def test_a_state_file_with_a_senseless_cloth_is_refused(cloth, words):
+def test_state_file_with_invalid_cloth_id_is_refused(cloth, words):
     with pytest.raises(ValueError, match=f"array 'cloth' .*{words}"):
         State.from_bytes(archive({**saved().arrays(), "cloth": cloth}))
 
@@ -203,7 +203,7 @@ def test_a_state_file_with_a_senseless_cloth_is_refused(cloth, words):
         (lambda a: np.full_like(a, np.nan), "it must be finite"),
     ],
 )
-def test_a_broken_memory_of_step_control_is_refused(name, change, words):
+def test_invalid_step_control_memory_is_refused(name, change, words):
     arrays = stepped()
     arrays[f"memory.{name}"] = change(arrays[f"memory.{name}"])
     with pytest.raises(ValueError, match=f"memory '{name}'.*{words}"):
@@ -211,14 +211,14 @@ def test_a_broken_memory_of_step_control_is_refused(name, change, words):
 
 
 @pytest.mark.parametrize(("place", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (7, 0.9)])
-def test_senseless_numbers_of_step_control_are_refused(place, value):
+def test_invalid_step_control_values_are_refused(place, value):
     arrays = stepped()
     arrays["memory.control.error"][place] = value
     with pytest.raises(ValueError, match=rf"memory 'control.error': \w+ is {value}; it must be finite and at least"):
         State.from_bytes(archive(arrays))
 
 
-def test_what_rules_of_another_version_remembered_is_left_out_and_named():
+def test_unknown_controller_memory_is_dropped_and_named():
     arrays = {**saved().arrays(), "memory.stepper": np.ones(16), "memory.sleep": np.array([31, 1])}
     state = State.from_bytes(archive(arrays))
     assert state.left_out == ("stepper", "sleep")
