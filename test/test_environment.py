@@ -183,9 +183,7 @@ def test_failed_apt_is_reported(project: Path, tmp_path: Path) -> None:
     assert pip_calls(project) == 0
 
 
-def test_moved_environment_or_missing_python_is_not_sound(
-    project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_moved_environment_or_missing_python_is_not_sound(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(project / "scripts")
     scripts = runpy.run_path(str(project / "scripts" / "environment.py"))
     assert make(project).returncode == 0

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration of a cloth: what its parameters are, what they mean, and the physics that they make.
+"""Configuration of a cloth: parameters, files, and the model built from them.
 
-Begin with `scene` (the frozen configuration) and `sections` (every parameter with its default, once); `parameters` says
-what a parameter is, `files` and its like read what a scene names, `build` makes a model and its plan of it, `identity`
-tells whether a state is one of this cloth, `without_effect` which parameters a scene does not use. Pure data otherwise.
+Begin with `scene` (the frozen configuration) and `sections` (every parameter with its default). `parameters` declares
+and checks parameters, and `files` reads the files that a scene names. `build` makes a model and its plan. `topology_id`
+identifies the cloth of a state. `parameter_warnings` lists ineffective parameters.
 """

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a scene to physics: its sheet, its anchors, its forces. What the scene does not use is not built."""
+"""Construction of model and plan from a scene.
+
+Parts that the scene does not use are not built.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
 
 class Configuration(Protocol):
-    """What of a `Scene` physics is made of."""
+    """Part of a `Scene` from which the model is built."""
 
     @property
     def cloth(self) -> sections.Cloth: ...
@@ -89,7 +92,7 @@ class Configuration(Protocol):
 
 
 def build_sheet(scene: Configuration) -> Sheet:
-    """Return the geometry that a scene names: a mesh file, a springs file, or a grid.
+    """Return the geometry of a scene's cloth: a mesh file, a springs file, or a grid.
 
     Raises:
         ParameterError: for a file whose content makes no sheet.
@@ -140,7 +143,7 @@ def anchored_particles(scene: Configuration, sheet: Sheet) -> list[int]:
     """Return the indices of the anchored particles.
 
     Raises:
-        ParameterError: for an anchor that is no edge or corner of a grid, and no particle number.
+        ParameterError: for an anchor that is neither an edge or corner of a grid nor a particle index.
     """
     count = len(sheet.positions())
     found: set[int] = set()
@@ -193,7 +196,7 @@ def build_model(scene: Configuration) -> Model:
 
 
 def _starting_paths(scene: Configuration) -> Array:
-    """Paths of obstacles that stand where they start, shape (obstacles, PATH_NUMBERS)."""
+    """Return constant paths of obstacles at their initial poses, shape (obstacles, PATH_NUMBERS)."""
     rows = np.zeros((len(scene.obstacle_names), PATH_NUMBERS))
     for row, name in zip(rows, scene.obstacle_names, strict=True):
         row[1:4], row[13:17] = scene.described[name].position, normalised(scene.described[name].orientation)
@@ -201,7 +204,7 @@ def _starting_paths(scene: Configuration) -> Array:
 
 
 def uniform_forces(scene: Configuration) -> list[Force]:
-    """Build what acts on every particle alike: gravity, drag, and what moving air adds to drag."""
+    """Build the forces that act on every particle alike: gravity, drag, and the wind's part of drag."""
     forces = list[Force]()
     if any(scene.gravity):
         forces.append(Gravity(scene.gravity))
@@ -215,13 +218,13 @@ def uniform_forces(scene: Configuration) -> list[Force]:
 
 
 def _panels(scene: Configuration, sheet: Sheet) -> list[Force]:
-    """Build what air does to a surface."""
+    """Build the force of air on the surface."""
     wind = scene.wind
     if not wind.normal_drag and not wind.tangential_drag:
         return []
     from cloth_sim_ros.physics.forces.air_panels import AirPanels
 
-    # A grid's cells, not its triangles: every particle has air on as much surface as it has mass.
+    # A grid has panels per cell, not per triangle. Therefore the area of each particle is proportional to its mass.
     panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
     return [AirPanels(panels, normal=wind.normal_drag, tangential=wind.tangential_drag, wind=wind.velocity)]
 
@@ -258,7 +261,7 @@ def _elastic_forces(scene: Configuration, sheet: Sheet, masses: Array) -> list[F
             )
         ]
     if scene.bending.model in ("opposite", "crossed", "altitude"):
-        # Pairs that a spring joins already get no second one: across a cell's diagonal it is the other diagonal.
+        # A pair that has a spring gets no second one. Across a cell's diagonal that spring is the other diagonal.
         shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
         forces.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))
     return forces
@@ -267,7 +270,7 @@ def _elastic_forces(scene: Configuration, sheet: Sheet, masses: Array) -> list[F
 def _hinge_springs(
     scene: Configuration, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
 ) -> list[Force]:
-    """Build the forces of S7, of S7 and S8, or of S7 and S9."""
+    """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude)."""
     from cloth_sim_ros.physics.sheets import bending as calibration
 
     model = scene.bending.model
@@ -279,7 +282,7 @@ def _hinge_springs(
         ends = rest[hinges[:, 1]] - rest[hinges[:, 0]]
         options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(in_rows((ends * ends).T))
     elif isinstance(sheet, GridSheet):
-        # Not one triangulation's: the hinges of both, so that the sheet bends alike both ways and does not twist.
+        # The hinges of both triangulations are used. Therefore the sheet bends alike both ways and does not twist.
         hinges = grid_hinges(sheet.rows, sheet.columns)
         options["hinge_constants"] = calibration.grid_hinge_constants(
             hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus

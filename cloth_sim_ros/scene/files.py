@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that a scene names: read once, their content carried with the scene, so that a recording can hold it too."""
+"""Files that a scene names, read once and carried with the scene.
+
+A recording stores their content too.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,19 @@ from cloth_sim_ros.scene.parameters import ParameterError
 
 #: Parameters that name a file.
 NAMES = ("cloth.mesh", "cloth.springs", "initial_state")
-#: The end of the name of a parameter that names an obstacle's file.
+#: End of the name of a parameter that names an obstacle's file.
 _OF_OBSTACLES = ".mesh"
-#: A file larger than this is a mistake [bytes]. A recording holds the files too, and what it holds can be read.
+#: Largest total size of the files of a scene [bytes]. Recordings hold these files, and readers accept that size.
 MOST_BYTES = 128 << 20
 
 
 def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
-    """Return the content of every file that the values name, by the name they give it.
+    """Return the content of every file that the values name, by its name in them.
 
     Args:
         values: parameters by full name.
-        known: content that is there already; it is not read again.
-        folder: where relative names start.
+        known: content that is already loaded; these files are not read again.
+        folder: base of relative names.
 
     Raises:
         ParameterError: for a file that can't be read.

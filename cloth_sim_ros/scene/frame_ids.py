@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names of coordinate frames, as tf2 takes them.
+"""Checks of the names of coordinate frames by the rules of tf2.
 
-A live node and its parameter files are checked, a `Scene` is not: it may be that of an older session with another name.
+Parameters of a live node are checked. A `Scene` is not, because it may come from an older session with another name.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def fault(frame_id: str) -> str:
-    """Return what is wrong with the name of a frame and what to write, as the end of a sentence; empty if nothing is.
+    """Return the fault of a frame's name and the remedy, as the end of a sentence; empty if the name is valid.
 
     Args:
         frame_id: the name, not empty.
@@ -29,10 +29,10 @@ def fault(frame_id: str) -> str:
 
 
 def faults(values: Mapping[str, Any]) -> Iterable[str]:
-    """Yield a sentence for each parameter that names a frame as tf2 does not take it.
+    """Yield a sentence for each parameter that names an invalid frame.
 
     Args:
-        values: parameters by full name; those that name no frame are passed over.
+        values: parameters by full name; parameters without a frame's name are ignored.
     """
     for name, value in values.items():
         is_frame = name == "frame_id" or name.endswith(".frame")

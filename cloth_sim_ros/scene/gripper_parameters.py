@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a single gripper, `<gripper>.frame` and others, which replace those of the section `gripper`."""
+"""Parameters of a single gripper, which override those of the section `gripper`.
+
+An example is `<gripper>.frame`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ import attrs
 from cloth_sim_ros.scene import parameters, sections
 from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
 
-#: Last parts of their names.
+#: Last parts of the names of these parameters.
 LEAVES = ("mode", "frame", "max_speed")
 _SECTION = "gripper."
 
@@ -23,7 +26,7 @@ def declared(name: str) -> Parameter:
     common = next(
         entry for entry in parameters.declared(sections.Gripper, _SECTION) if entry.name == f"{_SECTION}{leaf}"
     )
-    return attrs.evolve(common, name=name, description=f"Of this gripper alone, instead of {_SECTION}{leaf}")
+    return attrs.evolve(common, name=name, description=f"Overrides {_SECTION}{leaf} for this gripper")
 
 
 def individual(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
@@ -46,14 +49,14 @@ def individual(names: Iterable[str], groups: Collection[str], described: Collect
 
 
 def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
-    """Refuse a parameter of a gripper that is not there.
+    """Refuse a parameter of a gripper that does not exist.
 
     Args:
         names: full names of parameters of single grippers.
         grippers: names of the grippers.
 
     Raises:
-        ParameterError: naming it.
+        ParameterError: naming the parameter.
     """
     for name in names:
         gripper = name.rpartition(".")[0]
@@ -64,12 +67,12 @@ def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
 
 
 def value(values: Mapping[str, Any], section: sections.Gripper, gripper: str, leaf: str) -> Any:
-    """Return the value that holds for a gripper.
+    """Return the value in force for a gripper.
 
     Args:
         values: parameters of single grippers by full name.
-        section: the values of all others.
-        gripper: its name.
+        section: values for grippers without their own.
+        gripper: name of the gripper.
         leaf: last part of the parameter's name, one of `LEAVES`.
     """
     return values[full_name] if (full_name := f"{gripper}.{leaf}") in values else getattr(section, leaf)

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which cloth a state belongs to, so that a state of another cloth is refused even if its number of particles fits."""
+"""Identity of the cloth that a state belongs to.
+
+It distinguishes cloths with equal numbers of particles.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,16 @@ from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.build import Sheet
 
-#: A fingerprint fits into a signed number of 64 bits.
+#: Upper bound of a fingerprint, which must fit into a signed integer of 64 bits.
 _LARGEST = (1 << 63) - 1
 
 
 def cloth_of(sheet: Sheet) -> tuple[int, int, int]:
-    """Return rows, columns (1 and the particle count where it is no grid) and a fingerprint of what connects particles.
+    """Return rows, columns and a fingerprint of the connections; rows is 1 and columns the particle count without a
+    grid.
 
-    The fingerprint of a grid is 0. Size, material and the layout of a grid's diagonals are no part of it: a draped
-    cloth may go on as a stiffer one.
+    The fingerprint of a grid is 0. Size, material and the layout of a grid's diagonals are left out, because a draped
+    cloth may continue as a stiffer one.
     """
     if isinstance(sheet, GridSheet):
         return sheet.rows, sheet.columns, 0
@@ -30,9 +34,9 @@ def cloth_of(sheet: Sheet) -> tuple[int, int, int]:
 
 
 def difference(state: State, cloth: tuple[int, int, int]) -> str:
-    """Return how the cloth of a state differs from another one, as the end of a sentence; empty if it does not.
+    """Return the difference of a state's cloth from another one, as the end of a sentence; empty if there is none.
 
-    A state that does not know its cloth fits any one of its number of particles.
+    A state without a cloth's identity fits any cloth with its number of particles.
     """
     rows, columns, connections = cloth
     if state.particle_count != rows * columns:

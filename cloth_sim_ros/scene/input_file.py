@@ -8,31 +8,31 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-#: Most bytes of a configuration: a scene, a study, a script, code that a study names.
+#: Largest configuration file [bytes]: a scene, a study, a script, or code that a study names.
 MAX_TEXT = 1 << 24
-#: What is read at a time where a file holds more than it claims [bytes].
+#: Size of a chunk for files that hold more than they claim [bytes].
 _PIECE = 1 << 20
 
 
 class InputFileError(ValueError):
-    """A file that is not read; the message says why."""
+    """A file that was refused; the message gives the reason."""
 
 
 def read_bytes(path: str | Path, *, most: int = MAX_TEXT) -> bytes:
     """Return the content of a file on disk.
 
     Args:
-        path: of the file.
-        most: largest size that is read [bytes].
+        path: path of the file.
+        max_bytes: largest accepted size [bytes].
 
     Raises:
-        InputFileError: for a device, a pipe or a socket, none of which need ever end, and for a larger file.
-        OSError: if it can't be read.
+        InputFileError: for a larger file, and for a device, a pipe or a socket, which might never end.
+        OSError: if the file can't be read.
         ValueError: if the path is no file name.
     """
     path = Path(path)
     status = path.stat()
-    # A folder says so when it is opened.
+    # Opening a folder raises an error of its own.
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise InputFileError(f"'{path}' is a device or a pipe; name a file on disk")
     if status.st_size > most:
@@ -53,7 +53,7 @@ def read_text(path: str | Path, *, most: int = MAX_TEXT) -> str:
 
 
 def _bounded(file: BinaryIO, size: int, most: int) -> bytes | None:
-    """All of a file that claims so many bytes; None if it holds more than `most`, whatever it claims."""
+    """Return the content of a file that claims `size` bytes; None if it holds more than `max_bytes`."""
     pieces = [file.read(size + 1)]
     count = len(pieces[0])
     while count <= most and (piece := file.read(_PIECE)):

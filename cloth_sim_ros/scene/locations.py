@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the package's own configuration lies: in a source tree, under a colcon prefix, or in a pip environment."""
+"""Location of the package's configuration files.
+
+They are in a source tree, under a colcon prefix, or in a pip environment.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ def config_file(name: str) -> Path:
     """Return the path of one of the package's configuration files.
 
     Raises:
-        FileNotFoundError: if it is nowhere; the message names the places.
+        FileNotFoundError: if no location has it; the message names the locations.
     """
     places = [Path(__file__).resolve().parents[2] / "config" / name]
     places += _ament_places(name)
@@ -33,5 +36,5 @@ def _ament_places(name: str) -> list[Path]:
     except ImportError:
         return []
     except (PackageNotFoundError, OSError):
-        # It is not there, or (OSError) no prefix is set at all: the wheels set none.
+        # The package is missing, or (OSError) no prefix is set: the wheels set none.
         return []

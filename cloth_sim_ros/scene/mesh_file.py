@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Triangle meshes from OBJ, PLY and STL files; vertices keep the order of the file.
+"""Triangle meshes from OBJ, PLY and STL files; vertices keep the file's order.
 
-STL is read by trimesh, after checks of what it takes in silence: files that end before their header says. Vertices that
-are copies of one, up to rounding, are merged (`physics.sheets.merging`).
+trimesh reads STL, after checks for files that end before their header says, which trimesh accepts silently. Vertices
+that are copies of each other, up to rounding, are merged (`physics.sheets.merging`).
 """
 
 from __future__ import annotations
@@ -36,32 +36,32 @@ class _Content:
     """Content of a mesh file."""
 
     points: NDArray[np.float64]
-    """Vertices as they are in the file, (n, 3)."""
+    """Vertices in the file's order and unit, (n, 3)."""
     triangles: NDArray[np.int64]
     """Vertices of each, (m, 3)."""
     repairs: tuple[str, ...] = ()
-    """What was mended, one sentence each."""
+    """Repairs, one sentence each."""
     single: bool = False
     """True if vertices are in single precision."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class SolidMesh:
-    """A mesh that is to be a solid."""
+    """A mesh for a solid."""
 
     vertices: NDArray[np.float64]
     """[m], (m, 3)."""
     triangles: NDArray[np.int64]
     """Vertices of each, (t, 3)."""
     notes: tuple[str, ...] = ()
-    """What was done to close it, one sentence each; empty for a mesh that is closed as it is."""
+    """Repairs that closed it, one sentence each; empty for a closed mesh."""
 
 
 def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> MeshSheet:
-    """Return the sheet of a mesh file's content and log what was merged and mended; arguments as those of `read`.
+    """Return the sheet of a mesh file's content and log merges and repairs; arguments as those of `read`.
 
     Raises:
-        ValueError: if it is not such a file, or holds no surface of one cloth.
+        ValueError: if it is no such file, or holds no surface of one cloth.
     """
     mesh = read(data, name=name, several=several, merge=merge, scale=scale)
     for note in mesh.notes:
@@ -72,20 +72,20 @@ def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, 
 
 
 def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> CheckedMesh:
-    """Return the checked mesh of a file's content; `parse` without words.
+    """Return the checked mesh of a file's content, without logging.
 
-    An STL file repeats a vertex in each of its triangles: that is how the format is, so making them one is no repair
-    there, and vertices are numbered as they first appear.
+    An STL file repeats a vertex in each of its triangles by design. Merging these copies is therefore not reported as a
+    repair, and vertices are numbered in order of appearance.
 
     Args:
         data: the content.
-        name: of the file; its ending tells the kind.
-        several: whether it may hold several pieces of cloth.
-        merge: true merges vertices that are copies of one up to rounding; false those at exactly one place alone.
-        scale: factor that makes metres of the file's coordinates.
+        name: name of the file; its suffix gives the format.
+        several: True accepts several pieces of cloth.
+        merge: True merges vertices that are copies up to rounding; False merges those at exactly one position only.
+        scale: factor from the file's unit to metres.
 
     Raises:
-        ValueError: if it is not such a file, or holds no surface of one cloth.
+        ValueError: if it is no such file, or holds no surface of one cloth.
     """
     kind, content = _content(data, name)
     limit = _limit(content) if merge else 0.0
@@ -95,18 +95,18 @@ def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, s
 
 
 def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
-    """Return the mesh of a file's content that is to be a solid.
+    """Return the mesh of a file's content for a solid.
 
-    Vertices at one place are made one, those of no triangle left out. A mesh that is still open is repaired. Copies of
+    Vertices at one position are merged, and unused ones are dropped. A mesh that is still open is repaired. Copies of
     vertices are merged and flat triangles joined to neighbours. Edges are split at vertices that lie on them.
 
     Args:
         data: the content.
-        name: of the file; its ending tells the kind.
-        scale: factor that makes metres of the file's coordinates.
+        name: name of the file; its suffix gives the format.
+        scale: factor from the file's unit to metres.
 
     Raises:
-        ValueError: if it is not such a file, or a triangle names a vertex that is not there.
+        ValueError: if it is no such file, or a triangle names a vertex that does not exist.
     """
     _, content = _content(data, name)
     points, faces = content.points, content.triangles
@@ -114,7 +114,7 @@ def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
         raise ValueError(f"'{name}' has no triangles; a solid has at least 4")
     if faces.min() < 0 or faces.max() >= len(points):
         raise ValueError(f"'{name}' has vertices 0 to {len(points) - 1}, and a triangle of others")
-    # Adding zero makes one zero of both.
+    # Adding zero turns -0.0 into 0.0.
     _, first, same = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
     vertices, triangles = used_vertices(points, first[same.reshape(-1)][faces])
     notes: tuple[str, ...] = ()
@@ -128,7 +128,7 @@ def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
 
 
 def _limit(content: _Content) -> float:
-    """Distance below which vertices are copies of one, in the file's unit."""
+    """Return the distance below which vertices are copies of each other, in the file's unit."""
     faces, count = content.triangles, len(content.points)
     used = np.unique(faces[(faces >= 0) & (faces < count)])
     points = content.points[used]
@@ -136,7 +136,7 @@ def _limit(content: _Content) -> float:
 
 
 def _content(data: bytes, name: str) -> tuple[str, _Content]:
-    """The kind of a mesh file, and what is in it."""
+    """Return the format of a mesh file and its content."""
     kind = Path(name).suffix.lower().lstrip(".")
     if kind not in KINDS:
         raise ValueError(f"'{name}' is no mesh file that can be read: its name must end in {', '.join(KINDS)}")
@@ -147,10 +147,10 @@ def _content(data: bytes, name: str) -> tuple[str, _Content]:
 
 
 def _obj(data: bytes) -> _Content:
-    """Vertices and faces of an OBJ file alone.
+    """Read vertices and faces of an OBJ file.
 
-    Not by trimesh, which splits and reorders at materials, groups and texture seams, counts relative indices from the
-    end of the file and cuts concave faces along an outer diagonal.
+    trimesh is not used here. It splits and reorders vertices at materials, groups and texture seams. It also counts
+    relative indices from the file's end and cuts concave faces along an outer diagonal.
     """
     points: list[list[float]] = []
     polygons: list[list[int]] = []
@@ -177,7 +177,7 @@ def _obj(data: bytes) -> _Content:
 
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """The number, from 1, and the words of each line that has any, continued lines joined, comments left out."""
+    """Yield the number, from 1, and the words of each non-empty line. Continued lines are joined, comments dropped."""
     words: list[bytes] = []
     begin = 0
     for number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
@@ -194,7 +194,7 @@ def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 
 def _obj_index(word: bytes, line: int, before: int) -> int:
-    """The vertex, from 0, of a face's corner like 7, 7/1/2 or -1, the last of the `before` vertices above the face."""
+    """Return the vertex index, from 0, of a face's corner like 7, 7/1/2 or -1, the last vertex above the face."""
     try:
         index = int(word.split(b"/", 1)[0])
     except ValueError as error:
@@ -207,7 +207,10 @@ def _obj_index(word: bytes, line: int, before: int) -> int:
 
 
 def _ply(data: bytes) -> _Content:
-    """Vertices and faces of a PLY file; not by trimesh, which cuts concave faces outside and guesses at its format."""
+    """Read vertices and faces of a PLY file.
+
+    trimesh is not used here, because it cuts concave faces outside and guesses at the format.
+    """
     from cloth_sim_ros.scene.ply_file import read_ply
 
     mesh = read_ply(data)
@@ -216,7 +219,7 @@ def _ply(data: bytes) -> _Content:
 
 
 def _stl(data: bytes) -> _Content:
-    """Corners of an STL file's triangles, three for each, once its length is known to be right."""
+    """Read the triangle corners of an STL file, three per triangle, after a check of its length."""
     try:
         import trimesh
     except ModuleNotFoundError as error:
@@ -233,7 +236,8 @@ def _stl(data: bytes) -> _Content:
     elif len(data) - length >= STL_TRIANGLE:
         raise ValueError(
             f"its header says {count} triangles, but {len(data) - length} bytes follow them, room for "
-            f"{(len(data) - length) // STL_TRIANGLE} more: the count is wrong, or something was added; write it anew"
+            f"{(len(data) - length) // STL_TRIANGLE} more: the count is wrong, or bytes were appended; "
+            "export the file again"
         )
     elif len(data) > length:
         words.append(f"{len(data) - length} bytes after the last triangle left out")
@@ -252,22 +256,22 @@ def _stl(data: bytes) -> _Content:
 
 
 def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """What one of trimesh's readers returns.
+    """Return the result of one of trimesh's readers.
 
-    What a broken file makes it raise depends on where it breaks; each names the cause. What is raised by the call
-    itself, and not within it, is no fault of the file's.
+    The exception that a broken file raises depends on the fault; its text names the cause. An exception of the call
+    itself, not of code within it, is a programming error and passes.
 
     Raises:
         ValueError: if the file is broken.
     """
-    # It logs the exceptions of the readers that it tries one after the other.
+    # trimesh logs the exceptions of the readers that it tries one after the other.
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         return load(*arguments, **options)
     except ModuleNotFoundError as error:
         if error.name != "charset_normalizer":
             raise
-        # With it trimesh would guess what the text is written in.
+        # That package would let trimesh guess the text's encoding.
         raise ValueError("it has bytes that are no text in UTF-8") from error
     except (KeyError, IndexError, AttributeError, TypeError, EOFError, NameError) as error:
         within = error.__traceback__ is not None and error.__traceback__.tb_next is not None
@@ -277,7 +281,7 @@ def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> An
 
 
 def _ascii_stl_facets(data: bytes) -> int:
-    """The number of facets in an ASCII STL file, every one of them whole."""
+    """Return the number of facets in an ASCII STL file; raise ValueError if one is incomplete."""
     first = [words[0] for words in (line.split() for line in data.lower().splitlines()) if words]
     begun, ended = first.count(b"facet"), first.count(b"endfacet")
     if ended < begun:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Log lines on the mesh files of a scene: what was merged, mended, or is doubtful."""
+"""Log lines on the mesh files of a scene: merges, repairs, and doubts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cloth_sim_ros.scene.scene import Scene
 
 
 def mesh_notes(scene: Scene) -> tuple[list[str], list[str]]:
-    """Return sentences to log as information, and those to log as warnings, on each mesh of a scene."""
+    """Return sentences to log as information and as warnings on each mesh of a scene."""
     notes: list[str] = []
     warnings: list[str] = []
     sheet = scene.sheet
@@ -28,5 +28,5 @@ def mesh_notes(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 def silence_reader() -> None:
-    """Leave the log lines of the mesh reader to those of this module, unless the program has logging of its own."""
+    """Silence the mesh reader's own log lines, unless the program configures logging."""
     logging.getLogger("cloth_sim_ros.scene.mesh_file").addHandler(logging.NullHandler())

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles of a scene: which parameters describe them, their names, and the rigid shapes that are made of them.
+"""Obstacles of a scene: parameters, names, and rigid shapes.
 
-`<name>.shape` describes an obstacle; those that `obstacles` names are there, others wait to be named.
+`<name>.shape` describes an obstacle. Those that `obstacles` names exist; others can be added later.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
     from cloth_sim_ros.scene.mesh_file import SolidMesh
 
-#: Of an obstacle that is there, the parameters that may change.
+#: Parameters of a present obstacle that may change.
 LIVE = ("friction", "frame")
-#: What describes an obstacle; without it, its other parameters mean nothing.
+#: Last part of the parameter that describes an obstacle; without it, its other parameters have no meaning.
 _DESCRIBES = "shape"
 
 
 def declared(name: str) -> tuple[Parameter, ...]:
-    """Every parameter of an obstacle of a name."""
+    """Return every parameter of an obstacle with a name."""
     return parameters.declared(sections.Obstacle, f"{name}.")
 
 
 def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
-    """Return the names of the obstacles that values by full name describe, in their order.
+    """Return the names of the obstacles that full names of parameters describe, in their order.
 
     Args:
         values: full names.
@@ -46,7 +46,7 @@ def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
 
 
 def hint(name: str, groups: Collection[str]) -> str:
-    """Return the end of a sentence about an unknown parameter that would be one of an obstacle; empty for others."""
+    """Return the end of a sentence on an unknown parameter that might belong to an obstacle; empty for others."""
     obstacle, _, leaf = name.rpartition(".")
     leaves = [entry.name.rpartition(".")[2] for entry in declared("o")]
     if leaf not in leaves or not NAME.fullmatch(obstacle) or obstacle in groups:
@@ -60,7 +60,7 @@ def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.
 
 
 def check_distinct(kind: str, names: Sequence[str]) -> None:
-    """Refuse names of grippers or obstacles that are no names in ROS, or there twice.
+    """Refuse names of grippers or obstacles that are no ROS names, or that occur twice.
 
     Raises:
         ParameterError: naming it.
@@ -73,7 +73,7 @@ def check_distinct(kind: str, names: Sequence[str]) -> None:
 
 
 def check_change(name: str, before: sections.Obstacle, now: sections.Obstacle) -> None:
-    """Refuse a change that an obstacle can't take while it is there.
+    """Refuse a change of an obstacle that is not possible while it exists.
 
     Raises:
         ParameterError: naming the parameter.
@@ -90,11 +90,11 @@ def check_change(name: str, before: sections.Obstacle, now: sections.Obstacle) -
 def check_names(
     names: Sequence[str], described: Collection[str], grippers: Collection[str], groups: Collection[str]
 ) -> None:
-    """Refuse names that obstacles can't have.
+    """Refuse invalid names of obstacles.
 
     Args:
-        names: of the obstacles that are there.
-        described: names of those whose shape is set.
+        names: names of the present obstacles.
+        described_names: names of the obstacles whose shape is set.
         grippers: names of the grippers.
         groups: first parts of the names of all other parameters.
 
@@ -113,7 +113,7 @@ def check_names(
 
 
 def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Refuse a mesh file that is named while the cloth runs: a recording could not run again without it.
+    """Refuse a mesh file that is named while the cloth runs, because a recording would lack its content.
 
     Raises:
         ParameterError: naming the parameter.
@@ -124,10 +124,10 @@ def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
 
 
 def solid(name: str, description: sections.Obstacle, files: Mapping[str, bytes]) -> Obstacle:
-    """Return the rigid shape that a description makes, with files' content by their name.
+    """Return the rigid shape of a description; `files`: content of files by name.
 
     Raises:
-        ParameterError: if it makes none.
+        ParameterError: for an invalid description.
     """
     is_mesh = description.shape == "mesh"
     if is_mesh and not description.mesh:
@@ -139,10 +139,10 @@ def solid(name: str, description: sections.Obstacle, files: Mapping[str, bytes])
 
 @lru_cache(maxsize=64)
 def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacle:
-    """Return the rigid shape that a description and its file's content make.
+    """Return the rigid shape of a description and its file's content.
 
     Raises:
-        ParameterError: if it makes none.
+        ParameterError: for an invalid description.
     """
     from cloth_sim_ros.physics.obstacles import Obstacle
 
@@ -167,10 +167,15 @@ def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacl
 
 @lru_cache(maxsize=16)
 def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
-    """Return the mesh of an obstacle's file: its content, its name, and the factor that makes metres of it.
+    """Return the mesh of an obstacle's file.
+
+    Args:
+        content: content of the file.
+        name: name of the file.
+        scale: factor from the file's unit to metres.
 
     Raises:
-        ValueError: if it holds none.
+        ValueError: if the file holds no solid mesh.
     """
     from cloth_sim_ros.scene import mesh_file
 
@@ -178,7 +183,7 @@ def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
 
 
 def check_count(name: str, friction: Sequence[float]) -> None:
-    """Refuse coefficients of friction that are not one or two."""
+    """Refuse coefficients of friction if there are not one or two."""
     if len(friction) not in (1, 2):
         raise ParameterError(
             f"{name} has {len(friction)} entries, {list(friction)}; give one number, or that at rest and that in motion"
@@ -186,7 +191,7 @@ def check_count(name: str, friction: Sequence[float]) -> None:
 
 
 def check_friction(name: str, friction: Sequence[float]) -> None:
-    """Refuse coefficients of friction that can't be: one number, or that at rest and that in motion, no larger."""
+    """Refuse invalid coefficients of friction: one number, or static and kinetic, the latter no larger."""
     check_count(name, friction)
     if friction[-1] > friction[0]:
         raise ParameterError(
@@ -196,11 +201,11 @@ def check_friction(name: str, friction: Sequence[float]) -> None:
 
 
 def check_cloth(sheet: Sheet, thickness: float) -> None:
-    """Refuse a cloth that obstacles, or the cloth itself, can't keep out.
+    """Refuse a cloth that is unsuitable for contact with obstacles or itself.
 
     Args:
-        sheet: its geometry.
-        thickness: distance at which they begin to act [m].
+        sheet: geometry of the cloth.
+        thickness: distance at which contact starts to act [m].
 
     Raises:
         ParameterError: for a cloth without a surface, or a thickness above half its shortest edge.

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameter files without ROS: what they set for a node, as the node itself would read it."""
+"""ROS parameter files, read without ROS as a node would read them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from cloth_sim_ros.scene.parameters import ParameterError
 def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> dict[str, Any]:
     """Return the parameters that a file sets for a node, by full name, as ROS reads it.
 
-    Sections count that have the node's name, namespace included, or a wildcard for it. Those of one name are one, from
-    where the first begins; of several that set a parameter the last counts, the node's own or not.
+    Sections with the node's full name or a matching wildcard apply. Sections of one name are merged, in the place of
+    the first. If several sections set a parameter, the last one wins, even over the node's own.
 
     Args:
-        path: of the file.
+        path: path of the file.
         node: name of the node with its namespace, e.g. ``/left/towel``.
         strict: refuse a file that sets nothing for this node, but something for others.
 
     Raises:
-        ParameterError: for a file that can't be read, is no YAML, no parameter file, or one that sets nothing for this
-            node, but something for its namesakes in other namespaces.
+        ParameterError: for a file that can't be read, is no YAML or no parameter file, or sets parameters only for
+        nodes of this name in other namespaces.
     """
     return parse(text_of(path), node=node, source=str(path), strict=strict)
 
 
 def text_of(path: str | Path) -> str:
-    """Return the text of a parameter file, which is read once: it may be a pipe.
+    """Return the text of a parameter file. It is read once, because it may be a pipe.
 
     Raises:
         ParameterError: for a file that can't be read, or is too large.
@@ -48,7 +48,7 @@ def text_of(path: str | Path) -> str:
 
 
 def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: bool = False) -> dict[str, Any]:
-    """Return the parameters that a text sets for a node; as `read`."""
+    """Return the parameters that a text sets for a node; arguments as those of `read`."""
     sections = _sections(text, source)
     full = f"/{node.strip('/') or 'cloth_sim'}"
     found = [content for name, content in sections.items() if ros_sections.matches(name, full)]
@@ -60,10 +60,10 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: b
 
 
 def other_nodes(text: str, *, node: str, source: str) -> str:
-    """Return the nodes for which a text sets something, and a remedy, if it sets nothing for a node; else nothing.
+    """Return the nodes for which a text sets parameters, and a remedy, if it sets none for `node`; else "".
 
     Args:
-        text: of a parameter file.
+        text: text of a parameter file.
         node: full name of the node.
         source: name of the file.
 
@@ -93,7 +93,7 @@ def _sections(text: str, source: str) -> dict[str, dict[str, Any]]:
 
 
 def _refuse_namesakes(sections: list[str], node: str, source: str) -> None:
-    """Refuse to take a file as one that sets nothing, where it means a node of the same name in another namespace."""
+    """Refuse a file that sets nothing for a node, but something for nodes of its name in other namespaces."""
     last = node.rpartition("/")[2]
     full = [f"/{name.removeprefix('/')}" for name in sections if "*" not in name]
     others = [name for name in dict.fromkeys(full) if name.rpartition("/")[2] == last]
@@ -114,27 +114,28 @@ def dump(values: dict[str, Any], *, node: str = "/**") -> str:
             branch = branch.setdefault(part, {})
         branch[last] = list(value) if isinstance(value, tuple) else value
     if not any(isinstance(content, dict | list) for content in tree.values()):
-        # Single values alone share a line.
+        # A mapping of single values only is written in one line.
         return ros_yaml.dump({node: {ros_sections.KEY: tree}})
     return _head(node) + "".join(_lines(pickle.dumps((name, content))) for name, content in tree.items())
 
 
-#: A last entry that holds others, so that those before it have lines of their own; it is cut off again. No section has
-#: a name with a full stop.
+#: Sentinel entry with a nested value, so that the entries before it get lines of their own; it is cut off again. No
+#: section has a name with a full stop.
 _LAST: dict[str, Any] = {"the.last": []}
 _LAST_LINES = "    the.last: []\n"
 
 
 @functools.lru_cache(maxsize=16)
 def _head(node: str) -> str:
-    """What stands before a node's parameters."""
+    """Return the text before a node's parameters."""
     return ros_yaml.dump({node: {ros_sections.KEY: _LAST}}).removesuffix(_LAST_LINES)
 
 
 @functools.lru_cache(maxsize=256)
 def _lines(entry: bytes) -> str:
-    """The lines of one section, given as bytes, which tell 1 from 1.0 and 0.0 from -0.0. Scenes of a study have nearly
-    all of them in common, and to lay one out takes long.
+    """Return the lines of one section, given as pickled bytes, which distinguish 1 from 1.0 and 0.0 from -0.0.
+
+    The cache pays off because scenes of a study share nearly all sections, and formatting one takes long.
     """
     name, content = pickle.loads(entry)
     text = ros_yaml.dump({"/**": {ros_sections.KEY: {name: content, **_LAST}}})

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The reference page of the parameters, in Markdown, made from their declarations.
+"""Reference page of the parameters, in Markdown, from their declarations.
 
 `python -m cloth_sim_ros.scene.parameter_page` prints it.
 """
@@ -19,7 +19,7 @@ _HEAD = """# Parameters
 Every parameter of the node `cloth_sim`, made from the code that declares them. `ros2 param describe /cloth_sim <name>`
 prints the same of a running node. Units are SI. A parameter marked *live* may change while the cloth runs and takes
 effect with the next frame; any other is read-only after start. A value of the wrong type, outside its range, or that
-makes no cloth is refused with the reason, at start as in `ros2 param set`.
+makes no cloth is refused with the reason, both at start and by `ros2 param set`.
 
 The same names stand in [parameter files](../ros.md#parameters) and in `Scene.from_parameters`.
 """
@@ -34,7 +34,7 @@ _TAIL = """## Of ROS itself
 
 #: Stands for the name of an obstacle.
 OBSTACLE = "<obstacle>"
-#: Headings of the groups, in the order of the page; "" is for names without a group.
+#: Headings of the groups, in the order of the page; "" is the group of names without one.
 _GROUPS = {
     "": "Node and time stepping",
     "cloth": "Cloth",
@@ -52,7 +52,7 @@ _GROUPS = {
 
 
 def page() -> str:
-    """Return the whole page; each declared parameter stands in it once."""
+    """Return the whole page, with each declared parameter once."""
     declared = Scene.declared([OBSTACLE])
     groups = dict.fromkeys([*_GROUPS, *(_group(entry) for entry in declared)])
     parts = [_HEAD]
@@ -76,7 +76,7 @@ def _table(entries: Iterable[Parameter]) -> str:
 
 
 def _value(value: Any) -> str:
-    """Return a value as a parameter file has it."""
+    """Return a value as it stands in a parameter file."""
     if isinstance(value, tuple):
         return f"`[{', '.join(_bare(entry) for entry in value)}]`"
     return f"`{_bare(value)}`"
@@ -85,7 +85,7 @@ def _value(value: Any) -> str:
 def _bare(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    # A double keeps its point or exponent: without one ROS takes it for a whole number.
+    # A double keeps its point or exponent, because ROS would read it as an integer otherwise.
     return repr(value)
 
 

@@ -1,9 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: flat, typed, described, ranged names for the fields of frozen configuration classes.
+"""Parameters: flat, typed, described, ranged names of configuration fields.
 
 A field is declared once, with `parameter`. The scene, the YAML reader, the node's parameter descriptors and the
-documentation read its default, unit and limits from there, and whether it may change while the cloth runs.
+documentation take default, unit and limits from that declaration. It also says if the parameter may change while the
+cloth runs.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ import attrs
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _META = "parameter"
 _SECTION = "section"
-#: Whole numbers of a parameter are those of 64 bits, as ROS has them.
+#: Integers of a parameter have 64 bits, as in ROS.
 _INT_END = 1 << 63
-#: Most characters of a value that a message quotes.
+#: Largest number of characters of a value in a message.
 _MAX_SHOWN = 200
 
 #: ROS parameter types by name, as Python types.
@@ -31,18 +32,16 @@ KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": s
 
 
 class ParameterError(ValueError):
-    """A parameter that is unknown, of the wrong type, out of range, or may not change; the message says which and
-    why.
-    """
+    """A parameter that is unknown, of the wrong type, out of range, or read-only."""
 
     @property
     def sentences(self) -> list[str]:
-        """One sentence for each fault."""
+        """Messages, one for each fault."""
         return [str(self)]
 
 
 class ParameterErrors(ParameterError):
-    """Several faults of parameters, a line each."""
+    """Several faults of parameters, one per line."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         super().__init__("\n".join(sentences))
@@ -50,12 +49,12 @@ class ParameterErrors(ParameterError):
 
     @property
     def sentences(self) -> list[str]:
-        """One sentence for each fault."""
+        """Messages, one for each fault."""
         return list(self._sentences)
 
 
 class Faults:
-    """Collects the faults of parameters, so that one error names all of them."""
+    """Collects faults of parameters, so that one error names all of them."""
 
     def __init__(self) -> None:
         self._sentences: list[str] = []
@@ -65,15 +64,15 @@ class Faults:
 
     @property
     def sentences(self) -> list[str]:
-        """One sentence for each fault."""
+        """Messages, one for each fault."""
         return list(self._sentences)
 
     def add(self, sentences: Iterable[str]) -> None:
-        """Add faults; one that is known already is not added again."""
+        """Add faults that are not known yet."""
         self._sentences += [sentence for sentence in sentences if sentence not in self._sentences]
 
     def attempt(self, check: Callable[[], Any]) -> Any:
-        """Return the result of a check, or None after adding the faults that it raises as ParameterError."""
+        """Return the result of a check. If it raises ParameterError, add the faults and return None."""
         try:
             return check()
         except ParameterError as error:
@@ -84,7 +83,7 @@ class Faults:
         """Raise an error that names every fault, if there are any.
 
         Raises:
-            ParameterError: a single fault as it is, several a line each.
+            ParameterError: with a single message, or several, one per line.
         """
         if len(self._sentences) == 1:
             raise ParameterError(self._sentences[0])
@@ -94,40 +93,40 @@ class Faults:
 
 @attrs.frozen(kw_only=True)
 class Parameter:
-    """What is known of one parameter."""
+    """Declaration of one parameter."""
 
     #: Full name, e.g. ``cloth.size``.
     name: str = ""
-    #: bool, int, double or string; with [] behind it for an array.
+    #: bool, int, double or string; with the suffix [] for an array.
     kind: str
     default: Any
     description: str
     unit: str = ""
     least: float | None = None
     most: float | None = None
-    #: The least value itself is not allowed.
+    #: True if the minimum itself is not allowed.
     open_least: bool = False
-    #: Number of entries of an array, where it is fixed.
+    #: Number of entries of an array, if it is fixed.
     length: int | None = None
     choices: tuple[str, ...] = ()
-    #: A limit that the fields above can't say, in words.
+    #: A limit that the fields above can't express, in words.
     constraint: str = ""
-    #: May change while the cloth runs; takes effect at the next frame.
+    #: True if it may change while the cloth runs; a change takes effect at the next frame.
     live: bool = False
-    #: A change does not alter the motion by a single bit: the parameter only decides what is shown or reported, or how
-    #: later commands are taken.
+    #: True if a change does not alter the motion by a single bit. Such a parameter decides about displays, reports, or
+    #: the handling of later commands.
     observes: bool = False
 
     @property
     def element(self) -> str:
-        """The kind of one entry."""
+        """Kind of one entry."""
         return self.kind.removesuffix("[]")
 
     @property
     def min_accepted(self) -> float | None:
-        """The smallest value that the range takes; None without a range.
+        """Smallest accepted value; None without a range.
 
-        Above 0 it is a normal number: divisions by a smaller one overflow.
+        If the minimum 0 is excluded, this is the smallest normal number, because divisions by a smaller one overflow.
         """
         if self.least is None or not self.open_least:
             return self.least
@@ -135,7 +134,7 @@ class Parameter:
 
     @property
     def is_array(self) -> bool:
-        """Whether the value is an array."""
+        """True if the value is an array."""
         return self.kind.endswith("[]")
 
     def check(self, value: Any) -> Any:
@@ -160,7 +159,7 @@ class Parameter:
         kind = KINDS[self.element]
         value = _item(value)
         if type(value) is int and not -_INT_END <= value < _INT_END:
-            # The value is not shown: Python refuses to print integers of more than a few thousand digits.
+            # The value is not quoted, because Python refuses to print integers of more than a few thousand digits.
             raise ParameterError(f"{self.name} is a whole number of {value.bit_length()} bits; it must fit into 64")
         if kind is float and type(value) is int:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
@@ -186,7 +185,7 @@ class Parameter:
 
 
 def _item(entry: Any) -> Any:
-    """Return numpy scalars as the Python numbers that they hold."""
+    """Return a numpy scalar as a Python number; other values unchanged."""
     return entry.item() if hasattr(entry, "item") and getattr(entry, "ndim", 0) == 0 else entry
 
 
@@ -199,7 +198,7 @@ def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
 
 
 def _leaf(field: attrs.Attribute[Any]) -> str:
-    """The last part of a parameter's name: its field's, less the _ behind a name that Python has another use for."""
+    """Return the last part of a parameter's name: the field's name without a trailing _."""
     return field.name.removesuffix("_")
 
 
@@ -209,7 +208,7 @@ def section(cls: type) -> Any:
 
 
 def declared(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
-    """Every parameter of a configuration class, sections included, with its full name, behind a prefix."""
+    """Return every parameter of a configuration class and its sections, by full name with a prefix."""
     return _declared(cls, prefix)
 
 
@@ -242,12 +241,12 @@ def check(
     """Return values of declared parameters by full name in their own types, arrays as tuples.
 
     Args:
-        entries: the declared ones.
-        values: by full name.
-        hint: returns more words on a name that is not known.
+        entries: the declared parameters.
+        values: values by full name.
+        hint: returns an addition to the message on an unknown name.
 
     Raises:
-        ParameterError: for unknown names and bad values; it names all of them.
+        ParameterError: for unknown names and invalid values; it names all of them.
     """
     known = {entry.name: entry for entry in entries}
     faults = Faults()
@@ -262,9 +261,9 @@ def check(
 
 
 def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **further: Any) -> Any:
-    """Return an instance of a configuration class from checked values by full name; missing names take their default.
+    """Return an instance of a configuration class from checked values by full name. Missing names take their default.
 
-    `prefix` stands before the names of its fields; `further` are fields of the class that are no parameters.
+    `prefix` precedes the names of its fields. `extra_fields` are fields of the class that are no parameters.
     """
     return _build(cls, values, prefix, further)
 
@@ -281,7 +280,7 @@ def _build(cls: Any, values: dict[str, Any], prefix: str, further: dict[str, Any
 
 
 def read_only(name: str) -> str:
-    """Return the sentence that refuses to change a parameter that is set at start."""
+    """Return the message that refuses a change of a parameter that is set at start."""
     return f"{name} can't change while the cloth runs; set it at start"
 
 
@@ -293,6 +292,6 @@ def _suggestion(name: str, known: dict[str, Parameter]) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as a message quotes it: the beginning of one that would fill a screen."""
+    """Return a value for a message, shortened if it is long."""
     text = repr(value)
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}... ({len(text)} characters)"

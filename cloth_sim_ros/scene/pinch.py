@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pads of a scene's grippers that pinch."""
+"""Pads of a scene's pinching grippers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Configuration(Protocol):
-    """What of a `Scene` pads are made of."""
+    """Part of a `Scene` from which pads are built."""
 
     @property
     def gripper(self) -> sections.Gripper: ...
@@ -24,10 +24,10 @@ class Configuration(Protocol):
 
 
 def pads_of(scene: Configuration, mass: float) -> list[Pads]:
-    """Return the pads of each gripper that pinches a cloth of a mass [kg].
+    """Return the pads of each pinching gripper, for a cloth of a mass [kg].
 
     Raises:
-        ParameterError: for values that make none.
+        ParameterError: for invalid values.
     """
     if not scene.pinching:
         return []

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Extent and mass of a scene's cloth, and the resolution of its clouds.
+"""Plausibility checks of a cloth's extent, mass and cloud resolution.
 
 A file in millimetres makes a cloth of hundreds of metres, which runs like any other. At map coordinates the single
-precision of clouds is coarser than the motion. Neither is an error, and both are mostly a mistake.
+precision of clouds is coarser than the motion. Neither is an error, but both are usually mistakes.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def cloth_size(scene: Scene, x: Array, masses: Array) -> str:
     """Return extent, mass and the cloud's resolution as part of a sentence.
 
     Args:
-        scene: the cloth's.
+        scene: scene of the cloth.
         x: positions [m], (3, n).
-        masses: [kg], (n,).
+        masses: masses [kg], (n,).
     """
     return (
         f"extent {_extent(x.T):.3g} m, mass {in_order(masses.tolist()):.3g} kg, "
@@ -38,7 +38,7 @@ def cloth_size(scene: Scene, x: Array, masses: Array) -> str:
 
 
 def implausible_sizes(scene: Scene, x: Array, masses: Array) -> list[str]:
-    """Return a sentence with cause and remedy on each size that is implausible; arguments as those of `cloth_size`."""
+    """Return a sentence with cause and remedy on each implausible size; arguments as those of `cloth_size`."""
     cloth = scene.cloth
     name = f"the mesh '{cloth.mesh}'" if cloth.mesh else "the cloth"
     sentences: list[str] = []
@@ -69,13 +69,18 @@ def implausible_sizes(scene: Scene, x: Array, masses: Array) -> list[str]:
 
 
 def cloud_resolution(x: Array, *, double: bool) -> float:
-    """Return the distance of neighbouring numbers in clouds of positions x [m], (3, n), at the largest of them [m]."""
+    """Return the distance [m] of adjacent floating-point numbers in a cloud, at its largest coordinate.
+
+    Args:
+        x: positions [m], (3, n).
+        double: True for double precision.
+    """
     farthest = np.abs(x).max()
     return float(np.spacing(farthest if double else np.float32(farthest)))
 
 
 def _obstacle_sizes(scene: Scene) -> list[str]:
-    """Sentences on the obstacles whose mesh has an implausible extent."""
+    """Return a sentence on each obstacle whose mesh has an implausible extent."""
     sentences: list[str] = []
     for solid in scene.solids:
         if solid.vertices is None:
@@ -90,11 +95,11 @@ def _obstacle_sizes(scene: Scene) -> list[str]:
 
 
 def _extent(points: NDArray[np.float64]) -> float:
-    """Diagonal of the bounding box of points (n, 3) [m]."""
+    """Return the diagonal of the bounding box of points (n, 3) [m]."""
     x, y, z = np.ptp(points, axis=0).tolist()
     return math.sqrt(x * x + y * y + z * z)
 
 
 def _factor(extent: float) -> str:
-    """An example of a factor for a file that makes an extent [m]."""
+    """Return an example of a scale for a file that makes an extent [m]."""
     return "0.001 for millimetres" if extent > 1.0 else "e.g. 1000"

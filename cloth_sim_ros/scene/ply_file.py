@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Vertices and faces of PLY files, as scanners and modelling programs write them.
+"""Vertices and faces of PLY files.
 
-plyfile reads the rows; those of a binary file whose rows all have one length are an array as they are. Before that the
-header is read here: comments are removed, and its counts are compared with the length of the file. The values of an
-ASCII file are arranged one row a line, because programs break lines where they like.
+plyfile reads the rows. A binary file whose rows all have one length is read as an array instead. Before that, this
+module reads the header, drops comments and compares counts with the file's length. The values of an ASCII file are
+arranged one row per line, because programs break lines anywhere.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _KINDS = {
 }
 _SINGLE, _FRACTIONS = ("float", "float32"), ("float", "float32", "double", "float64")
 _FORMATS = {"ascii", "binary_little_endian", "binary_big_endian"}
-#: No file has as many rows.
+#: Upper bound of the number of rows in any file.
 _MAX_COUNT = 10**15
 #: Names of the list of a face's corners, the usual ones first.
 _CORNERS = ("vertex_indices", "vertex_index")
@@ -43,7 +43,7 @@ _END = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*end_header[ \t]*(?:\r\n|\r|\n|\Z)")
 
 @attrs.define(kw_only=True)
 class PlyElement:
-    """A kind of row, as the header declares it."""
+    """A kind of row, as declared by the header."""
 
     name: str
     count: int
@@ -52,11 +52,11 @@ class PlyElement:
 
     @property
     def plural(self) -> str:
-        """Its name for several rows."""
+        """Plural of its name."""
         return {"vertex": "vertices"}.get(self.name, f"{self.name}s")
 
     def lines(self) -> Iterator[str]:
-        """Lines of the header."""
+        """Yield its lines of the header."""
         yield f"element {self.name} {self.count}"
         for name, length, kind in self.properties:
             yield f"property list {length} {kind} {name}" if length else f"property {kind} {name}"
@@ -75,10 +75,10 @@ class PlyMesh:
 
 
 def read_ply(data: bytes) -> PlyMesh:
-    """Return vertices and faces of a PLY file's content; a file without faces may have triangle strips.
+    """Return vertices and faces of a PLY file's content. A file without faces may have triangle strips.
 
     Raises:
-        ValueError: if it is no whole PLY file.
+        ValueError: if it is no complete PLY file.
     """
     form, elements, body = _header(data)
     by_name = {element.name: element for element in elements}
@@ -104,7 +104,7 @@ def read_ply(data: bytes) -> PlyMesh:
 
 
 def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
-    """The format, the elements, and what follows the header."""
+    """Return the format, the elements, and the bytes after the header."""
     end = _END.search(data)
     if end is None:
         raise ValueError("the header does not end with end_header")
@@ -143,12 +143,12 @@ def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
 
 
 def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
-    """Refuse counts of rows that the rest of a binary file, of a length in bytes, can't hold."""
+    """Refuse counts of rows that the rest of a binary file, `length` bytes, can't hold."""
     for element in elements:
         if element.count and not element.properties:
             raise ValueError(f"element {element.name} in the header has no property")
         if form == "ascii":
-            # Its values are counted as they come.
+            # Its values are counted during reading.
             continue
         least = whole_sum(np.dtype(_KINDS[length_kind or kind]).itemsize for _, length_kind, kind in element.properties)
         if element.count * least > length:
@@ -160,7 +160,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
 
 
 def _corners(face: PlyElement) -> str:
-    """The name of the list of a face's corners."""
+    """Return the name of the list of a face's corners."""
     lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
     for name in (*_CORNERS, *lists):
         if name in lists:
@@ -169,7 +169,7 @@ def _corners(face: PlyElement) -> str:
 
 
 def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
-    """The rows of every element."""
+    """Return the rows of every element."""
     if form != "ascii":
         uniform = _uniform_rows(elements, body, "<" if form == "binary_little_endian" else ">")
         if uniform is not None:
@@ -188,7 +188,7 @@ def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArr
     stream = io.BytesIO(("\n".join(lines) + "\n").encode() + body)
     try:
         with warnings.catch_warnings():
-            # An empty list of an ASCII file.
+            # plyfile warns of an empty list in an ASCII file.
             warnings.simplefilter("ignore")
             read = plyfile.PlyData.read(stream, mmap=False)
     except plyfile.PlyElementParseError as error:
@@ -207,13 +207,13 @@ def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArr
 
 
 def _check_end(length: int, used: int) -> None:
-    """Refuse a binary file with bytes behind its last row."""
+    """Refuse a binary file with bytes after its last row."""
     if used < length:
         raise ValueError(f"{length - used} bytes follow its last row: a count in its header is wrong")
 
 
 def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[str, NDArray[np.void]] | None:
-    """The rows of a binary file; None if rows of an element differ in length, or the file in length from its header."""
+    """Return the rows of a binary file; None if rows of an element or the file differ in length from the header."""
     rows: dict[str, NDArray[np.void]] = {}
     at = 0
     for element in elements:
@@ -226,7 +226,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
                 size = np.dtype(order + _KINDS[length])
                 if end + size.itemsize > len(body):
                     return None
-                # As long as that of the first row.
+                # The length in the first row counts for every row.
                 lengths[f"length of {name}"] = int(np.frombuffer(body, size, 1, end)[0])
                 shape = (max(0, lengths[f"length of {name}"]),)
                 fields.append((f"length of {name}", order + _KINDS[length], ()))
@@ -244,7 +244,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
 
 
 def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
-    """Lay out the values of an ASCII file a row a line."""
+    """Yield the values of an ASCII file, one row per line."""
     at = 0
     for element in elements:
         for row in range(element.count):
@@ -270,7 +270,7 @@ def _list_length(value: bytes, row: str, name: str) -> int:
 
 
 def _triangles(strip: list[int]) -> Iterator[list[int]]:
-    """Triangles of a strip in which -1 begins another; every second one is wound the other way."""
+    """Yield the triangles of strips that -1 separates; every second triangle is reversed."""
     for ends, run in itertools.groupby(strip, key=lambda vertex: vertex == -1):
         if ends:
             continue

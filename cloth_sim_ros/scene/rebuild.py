@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of a scene that changes while it runs: what a change leaves as it was is not built anew."""
+"""Cache of the plan of a scene that changes while it runs.
+
+Parts that a change does not concern are not rebuilt.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +22,22 @@ if TYPE_CHECKING:
 class Plans:
     """The plan of the scene in force.
 
-    Where springs, hinges, panels, masses and anchors stay, it stays the same plan from one scene to the next: gravity,
-    drag and wind, which act on all particles alike, are laid into it.
+    The plan is reused as long as springs, hinges, panels, masses and anchors stay. Gravity, drag and wind, which act on
+    all particles alike, are updated in place.
 
     Args:
-        scene: in force at the beginning.
+        scene: initial scene in force.
     """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        #: Of the scene in force.
+        #: Plan of the scene in force.
         self.plan = build_plan(scene)
-        # Of one that was asked about.
+        # Scene of the last query, and its plan.
         self._ahead: tuple[Scene, Plan] | None = None
 
     def change(self, scene: Scene) -> Plan:
-        """Let another scene be in force, and return its plan."""
+        """Put another scene in force and return its plan."""
         before, self._scene = self._scene, scene
         if not same_elements(before, scene):
             known, self._ahead = self._ahead, None
@@ -44,7 +47,7 @@ class Plans:
         return self.plan
 
     def _lay(self, before: Scene, scene: Scene) -> None:
-        """Lay gravity, drag and wind into the plan."""
+        """Update gravity, drag and wind of the plan."""
         uniform, gone = uniform_forces(scene), {force.name for force in uniform_forces(before)}
         kept, air = [force for force in self.plan.model.forces if force.name not in gone], None
         if scene.wind.normal_drag or scene.wind.tangential_drag:
@@ -56,17 +59,22 @@ class Plans:
         self.plan.change_uniform([*kept, *uniform], uniform, air=air)
 
     def rates(self, scene: Scene, x: Array) -> tuple[float, float]:
-        """Return `Plan.rates` at positions x [m], (3, n), as they would be with another scene in force."""
+        """Return bounds of squared frequency [1/s^2] and damping rate [1/s] for another scene.
+
+        Args:
+            scene: the other scene.
+            x: positions [m], (3, n).
+        """
         if same_elements(self._scene, scene):
             omega2, damping = self.plan.rates(x)
             return omega2, damping + scene.air.drag - self._scene.air.drag
-        # A change that is asked about is mostly made then.
+        # A queried change usually follows.
         self._ahead = scene, build_plan(scene)
         return self._ahead[1].rates(x)
 
 
 def same_elements(before: Scene, scene: Scene) -> bool:
-    """Whether two scenes have the same springs, hinges, panels, masses, anchors, grippers and obstacles."""
+    """Return True if two scenes have the same springs, hinges, panels, masses, anchors, grippers and obstacles."""
     return _elements(before) == _elements(scene)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes of recorded sessions and states, which may be older than a parameter."""
+"""Scenes of recorded sessions and states that lack newer parameters."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from typing import Any, Protocol
 from cloth_sim_ros.scene import parameter_file, sections
 from cloth_sim_ros.scene.parameters import ParameterError
 
-#: A session holds every parameter of its scene. One that lacks these was recorded when there was no such parameter, and
-#: runs again as it ran then.
+#: Values of parameters that a session lacks. It was recorded before they existed and runs again as it ran then.
 BEFORE: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0}
 
 
 class RebuiltScene(Protocol):
-    """What of a `Scene` builds it again with another value."""
+    """Part of a `Scene` that rebuilds it with another value."""
 
     @property
     def cloth(self) -> sections.Cloth: ...
@@ -33,7 +32,7 @@ def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
     """Return the parameters of a session's scene by full name.
 
     Args:
-        scene_yaml: its parameter file.
+        scene_yaml: parameter file of the scene.
         node: name of its node with the namespace.
 
     Raises:
@@ -43,7 +42,7 @@ def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
 
 
 def merge_hint(scene: RebuiltScene) -> str:
-    """Return the end of a sentence on an initial state that fits a scene only with `cloth.merge: false`; else empty."""
+    """Return the end of a sentence for an initial state that fits only with `cloth.merge: false`; else empty."""
     if not scene.cloth.mesh or not scene.cloth.merge:
         return ""
     try:

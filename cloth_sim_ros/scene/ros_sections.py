@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sections of a ROS parameter file, one for each name of a node, read as ROS's own parser reads them.
+"""Sections of a ROS parameter file, read as ROS's own parser reads them.
 
-That parser (rcl_yaml_param_parser) looks at a file's events one after another: sections of one name are one, whatever
-stands between them; a name that is given twice is set twice, and no document, alias or tag ends or replaces anything.
-What it reads as something that nobody can have meant is refused here.
+That parser (rcl_yaml_param_parser) reads a file event by event. Sections of one name are merged, whatever stands
+between them. A repeated name is set twice, and documents, aliases and tags neither end nor replace anything. Text that
+the parser would misread is refused here.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from cloth_sim_ros.scene import ros_yaml
 from cloth_sim_ros.scene.parameters import ParameterError
 
 KEY = "ros__parameters"
-#: No parameter's name has so many parts.
+#: Largest number of parts of a parameter's name.
 _DEEPEST = 100
-#: Nor has its name, or that of a node, so many characters.
+#: Largest number of characters of the name of a parameter or a node.
 _LONGEST = 1000
 _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|\*\*?)"
-#: What ROS takes as the name of a section.
+#: Valid names of sections in ROS.
 _NAME = re.compile(rf"/?(?:{_PART}/)*{_PART}")
-#: ROS's words for types of Python.
+#: Names of Python types in ROS.
 _TYPES = {"float": "double", "str": "string"}
-#: ROS keeps one value of each type for a name, and looks at them in this order.
+#: Order of types in which ROS searches the values of a name, of which it keeps one of each type.
 _KINDS = ("bool", "int", "float", "str", "bool[]", "int[]", "float[]", "str[]")
 
 
 def matches(section: str, node: str) -> bool:
-    """Whether a section's name, wildcards included, is that of a node, whose name is full but for a / before it."""
+    """Return True if a section's name, wildcards included, matches a node's full name with or without its first /."""
     pattern = f"/{section.removeprefix('/')}".replace("/*", r"(/\w+)")
     return re.fullmatch(pattern, f"/{node.strip('/')}", re.ASCII) is not None
 
@@ -39,17 +39,17 @@ def matches(section: str, node: str) -> bool:
 def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
     """Return the parameters of each section by full name, in the order in which the sections begin.
 
-    An empty list, which sets nothing in ROS, is [] where nothing else sets the name.
+    An empty list, which sets nothing in ROS, becomes [] if nothing else sets the name.
 
     Raises:
-        ParameterError: for what ROS refuses, or reads otherwise than it is written.
+        ParameterError: for text that ROS refuses, or reads otherwise than it is written.
         yaml.YAMLError: if the text is no YAML.
     """
     return _Reader(text, source).sections()
 
 
 class _Section:
-    """What a section sets, with the types that names had before."""
+    """Values of a section, with the types that each name had before."""
 
     def __init__(self) -> None:
         self._entries: list[tuple[str, dict[str, Any]]] = []
@@ -57,14 +57,14 @@ class _Section:
         self._groups: set[str] = set()
 
     def clashes(self, name: str, *, group: bool) -> bool:
-        """Whether a name is both a value and a group of names, once this is taken in."""
+        """Return True if a name is both a value and a group of names; remember groups."""
         if group:
             self._groups.add(name)
             return name in self._first
         return name in self._groups
 
     def entry(self, name: str, *, nested: bool) -> dict[str, Any]:
-        """Return where the values of a name go, by type: ROS finds an earlier one only if the name is not nested."""
+        """Return the values of a name by type. ROS finds an earlier entry only if the name is not nested."""
         if nested or name not in self._first:
             self._entries.append((name, {}))
             self._first.setdefault(name, self._entries[-1][1])
@@ -104,7 +104,10 @@ class _Reader:
         return self._event
 
     def _until(self, end: str) -> Iterator[Any]:
-        """The events up to the one that ends what is open; what an event begins is taken by who looks at it."""
+        """Yield the events up to the end of the open collection.
+
+        The caller consumes the events of nested collections.
+        """
         self._next()
         while not self._is(end):
             yield self._event
@@ -122,7 +125,7 @@ class _Reader:
         return key
 
     def _names(self, above: tuple[str, ...]) -> None:
-        """Take a mapping of names of namespaces and nodes."""
+        """Read a mapping of names of namespaces and nodes."""
         ended = False
         for _ in self._until("MappingEnd"):
             key = self._key()
@@ -161,7 +164,7 @@ class _Reader:
         self._parameters(section, ())
 
     def _parameters(self, section: _Section, above: tuple[str, ...]) -> None:
-        """Take a mapping of parameters, and of groups of them."""
+        """Read a mapping of parameters and groups of parameters."""
         empty = True
         for _ in self._until("MappingEnd"):
             empty = False
@@ -175,7 +178,7 @@ class _Reader:
             if not group:
                 self._value(section.entry(name, nested=bool(above)), name)
             elif above and "." in key:
-                # ROS would put what follows it into a group of its first part.
+                # ROS would put later parameters into a group of its first part.
                 raise self._trouble(f"the group '{key}' with a . within '{'.'.join(above)}:'; write a group in a group")
             elif len(path) >= _DEEPEST:
                 raise self._too_deep()
@@ -203,7 +206,7 @@ class _Reader:
         if not self._event.value and self._event.style not in ("'", '"'):
             raise self._trouble(f"no value for {name}; give one, or leave '{name.rpartition('.')[2]}:' out")
         text = _scalar_text(self._event)
-        # Of all tags ROS minds only this one.
+        # ROS regards only this tag.
         is_text = self._event.style in ("'", '"') or self._event.tag == "tag:yaml.org,2002:str"
         return text if is_text else ros_yaml.plain(text)
 
@@ -220,5 +223,5 @@ class _Reader:
 
 
 def _scalar_text(event: Any) -> str:
-    """The text of a scalar; in C it ends at a null character."""
+    """Return the text of a scalar; as in C it ends at a null character."""
     return str(event.value).partition("\0")[0]

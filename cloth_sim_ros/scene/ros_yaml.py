@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML as ROS reads it: a plain `1e-5` is a number, a plain `1_000`, `12:30` or date is a text.
+"""YAML with the scalars of ROS: a plain `1e-5` is a number, a date is text.
 
-PyYAML follows YAML 1.1; ROS's own parser (rcl_yaml_param_parser) asks the functions strtoll and strtod of C. A file
-must mean the same with and without ROS.
+Plain `1_000` and `12:30` are text as well. PyYAML follows YAML 1.1. ROS's own parser (rcl_yaml_param_parser) uses the C
+functions strtoll and strtod. A file must have the same meaning with and without ROS.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ _TRUE = ("y", "yes", "true", "on")
 _INT = re.compile(r"^[-+]?(?:0[0-7]*|[1-9][0-9]*|0[xX][0-9a-fA-F]+)$")
 _FLOAT = re.compile(
     r"^(?:[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
-    # A leading 0 means octal; where it can't, C's strtod makes a floating point number of it.
+    # A leading 0 means octal. If the digits are not octal, C's strtod reads a floating-point number.
     r"|[-+]?0[0-9]*[89][0-9]*"
     r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
 )
-#: What else C makes a number of: whole numbers beyond 64 bits, hexadecimal ones with an exponent, names.
+#: Further numbers in C: integers beyond 64 bits, hexadecimal numbers with an exponent, names.
 _DECIMAL = re.compile(r"[-+]?[0-9]+(?:[eE][-+]?[0-9]+)?")
 _HEXADECIMAL = re.compile(r"[-+]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][-+]?[0-9]+)?")
 _NAMED = re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE)
-#: Most values and keys of a file, those that aliases repeat included, and the deepest nesting.
+#: Largest number of values and keys of a file, with repetitions by aliases, and deepest nesting.
 MAX_NODES, _DEEPEST = 250_000, 100
 #: Longest value of a study, a script or a table [characters].
 _LONGEST = 10_000
 _INT_END = 1 << 63
-#: No whole number of 64 bits has as many, unless it begins with noughts.
+#: Largest number of digits: an integer of 64 bits has fewer, apart from leading zeros.
 _MOST_DIGITS = 1000
 _RESOLVED = {
     "tag:yaml.org,2002:bool": (_BOOL, "yYnNtTfFoO"),
@@ -41,10 +41,10 @@ _RESOLVED = {
 
 
 def load(text: str) -> Any:
-    """Return what a text holds, in plain Python values.
+    """Return a text's content in plain Python values.
 
     Raises:
-        yaml.YAMLError: if it is no YAML, gives a key twice, has too many values, or is nested too deeply.
+        yaml.YAMLError: if it is no YAML, repeats a key, has too many values, or is nested too deeply.
     """
     import yaml
 
@@ -52,14 +52,14 @@ def load(text: str) -> Any:
     try:
         return yaml.load(text, Loader=_loader())
     except (ValueError, TypeError, AttributeError, LookupError) as error:
-        # PyYAML's constructors take the text of a value to be what its tag says.
+        # PyYAML's constructors assume that the text of a value fits its tag.
         raise yaml.YAMLError(f"a value is not what its tag says: {error}") from error
 
 
 def parser() -> Any:
-    """Return PyYAML's loader that turns a text into events one after another: the C one if it is installed.
+    """Return PyYAML's loader for a stream of events: the C one if it is installed.
 
-    Its events take neither memory nor recursion; what follows them may.
+    The events need neither memory nor recursion; their consumers may.
     """
     import yaml
 
@@ -67,20 +67,20 @@ def parser() -> Any:
 
 
 def check_size(text: str, *, most: int = MAX_NODES) -> None:
-    """Refuse a text that would take long, or much memory, once it is read.
+    """Refuse a text whose reading would take long or much memory.
 
-    An alias is a few bytes and stands for what may hold aliases in turn.
+    An alias of a few bytes stands for content that may hold aliases in turn.
 
     Args:
         text: YAML.
-        most: most values and keys, those that aliases repeat included.
+        max_nodes: largest number of values and keys, with repetitions by aliases.
 
     Raises:
         yaml.YAMLError: naming the limit.
     """
     import yaml
 
-    #: Nodes of each anchor's value, and of each value that is open: its anchor, and the nodes so far.
+    #: Number of nodes of each anchor's value; for each open value its anchor and its number of nodes so far.
     anchors: dict[str, int] = {}
     values: list[tuple[str | None, int]] = [(None, 0)]
     for event in yaml.parse(text, Loader=parser()):
@@ -110,7 +110,7 @@ def check_size(text: str, *, most: int = MAX_NODES) -> None:
 
 
 def plain(text: str) -> bool | int | float | str:
-    """Return what ROS makes of a value that is not quoted; `null` and `~` are texts."""
+    """Return the value of an unquoted scalar in ROS; `null` and `~` are text."""
     if _BOOL.fullmatch(text):
         return text.lower() in _TRUE
     if _INT.fullmatch(text):
@@ -126,13 +126,16 @@ def plain(text: str) -> bool | int | float | str:
         return float(text.replace(".", ""))
     if _FLOAT.fullmatch(text) or _DECIMAL.fullmatch(text):
         number = float(text)
-        # Beyond the largest number strtod fails, which leaves the text.
+        # Beyond the largest number strtod fails, and the value stays text.
         return text if math.isinf(number) else number
     return float(text) if _NAMED.fullmatch(text) else text
 
 
 def _whole(text: str) -> int:
-    """A whole number as strtoll reads it; one of very many digits as one of 65 bits, for Python reads no more."""
+    """Return an integer as strtoll reads it.
+
+    Very many digits give an integer of 65 bits, because Python refuses them.
+    """
     digits = text.lstrip("+-")
     if len(digits) > _MOST_DIGITS:
         return _INT_END << 1
@@ -141,7 +144,7 @@ def _whole(text: str) -> int:
 
 
 def dump(content: Any) -> str:
-    """Return a text that holds plain Python values, read alike by ROS, by `load` and by any reader of YAML 1.1."""
+    """Return a YAML text of plain Python values that ROS, `load` and any reader of YAML 1.1 read alike."""
     import yaml
 
     return str(yaml.dump(content, Dumper=_dumper(), sort_keys=False, default_flow_style=None, width=120))
@@ -152,7 +155,7 @@ def _loader() -> Any:
     import yaml
 
     class Loader(parser()):  # type: ignore[misc]
-        """A SafeLoader with other plain scalars, which refuses a key that is given twice: the last would win unseen."""
+        """A SafeLoader with other plain scalars. It refuses a repeated key, because the last one would win unseen."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
             seen: set[str] = set()
@@ -174,7 +177,7 @@ def _loader() -> Any:
     }
     for tag, (pattern, first) in _RESOLVED.items():
         Loader.add_implicit_resolver(tag, pattern, list(first))
-    # One beyond 64 bits is what C makes of it; Python would refuse one of very many digits.
+    # An integer beyond 64 bits is read as in C; Python would refuse one of very many digits.
     Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: plain(str(node.value)))
     Loader.add_constructor("tag:yaml.org,2002:bool", lambda _, node: str(node.value).lower() in _TRUE)
     return Loader
@@ -185,10 +188,10 @@ def _dumper() -> Any:
     import yaml
 
     class Dumper(yaml.SafeDumper):
-        """A SafeDumper that quotes every text that some reader would take for something else, and writes no aliases."""
+        """A SafeDumper without aliases that quotes every text that some reader would misread."""
 
         def ignore_aliases(self, data: Any) -> bool:
-            # ROS reads none.
+            # ROS does not read aliases.
             return True
 
     for tag, (pattern, first) in _RESOLVED.items():

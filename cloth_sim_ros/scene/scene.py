@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The scene: frozen, checked configuration, and the physics that is built from it."""
+"""Scene: frozen, checked configuration, and the model built from it."""
 
 from __future__ import annotations
 
@@ -59,26 +59,24 @@ from cloth_sim_ros.scene.value_checks import check_values
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
 
-#: Parameters that rclpy declares by itself, and the groups of its own.
+#: Parameters and groups of parameters that rclpy declares by itself.
 _OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
 @attrs.frozen(kw_only=True)
 class Scene:
-    """A cloth, what acts on it, and how it is stepped.
+    """Configuration of a cloth, the forces on it, and its time stepping.
 
     Raises:
-        ParameterError: for a value, or a combination of values, that makes no scene.
+        ParameterError: for an invalid value, or an invalid combination of values.
     """
 
-    rate: float = parameter(
-        "double", 60.0, "Published frames in a second of simulated time", unit="Hz", least=0.1, most=10000.0
-    )
+    rate: float = parameter("double", 60.0, "Frame rate, in simulated time", unit="Hz", least=0.1, most=10000.0)
     frame_id: str = parameter(
         "string", "world", "Coordinate frame of the cloth and of commands", constraint=f"not empty, {limits.FRAME}"
     )
     initial_state: str = parameter(
-        "string", "", "State to start from: a file of ~/save_state, or session.mcap@frame; empty for the flat sheet"
+        "string", "", "Initial state: a file of ~/save_state, or session.mcap@frame; empty: the flat sheet"
     )
     cloth: Cloth = section(Cloth)
     material: Material = section(Material)
@@ -102,7 +100,7 @@ class Scene:
     obstacles: tuple[str, ...] = parameter(
         "string[]",
         ("",),
-        "Names of the obstacles that are there, each described by <name>.shape and so on; none by ['']",
+        "Names of the present obstacles, each described by <name>.shape and further parameters; none by ['']",
         constraint=limits.NAMES,
         live=True,
     )
@@ -110,17 +108,17 @@ class Scene:
     integrator: str = parameter(
         "string",
         "auto",
-        "How time is stepped; auto chooses from stiffness and tolerance",
+        "Time integrator; auto chooses by stiffness and tolerance",
         choices=INTEGRATORS,
         live=True,
     )
     tolerance: float = parameter(
         "double",
         TOLERANCE,
-        "Over every second, started from the full state, positions stay within this times max(1, g) of the exact "
-        "motion, g being how much a small kick of position or velocity grows in that second; frames that miss their "
-        "share are flagged. 0 holds none. At 1e-4 frames of a swung cloth of 30 x 30 in which a fold snaps take longer "
-        "than 1/60 s on two cores",
+        "Error bound: over every second, started from the full state, positions stay within this times max(1, g) of "
+        "the exact motion. g is the amplification of a small perturbation of position or velocity in that second. "
+        "Frames that exceed their part of the bound are flagged. 0: no bound. At 1e-4 frames of a swung cloth of "
+        "30 x 30 in which a fold snaps take longer than 1/60 s on two cores",
         unit="m",
         least=0.0,
         most=1.0,
@@ -130,7 +128,7 @@ class Scene:
     step: float = parameter(
         "double",
         0.0,
-        "Fixed time step, which holds no tolerance; 0 takes it from tolerance and stability",
+        "Fixed time step, without error control; 0: chosen by tolerance and stability",
         unit="s",
         least=0.0,
         most=1.0,
@@ -139,8 +137,8 @@ class Scene:
     work_limit: float = parameter(
         "double",
         WORK_LIMIT,
-        "Most work of a frame by the estimated cost, in real time: a count, no clock. A frame that would need more "
-        "misses the tolerance, is flagged and says so; 0 sets no limit",
+        "Work limit of a frame: estimated cost over the frame's real time, counted without a clock. A frame that would "
+        "need more misses the tolerance and is flagged with the reason; 0: no limit",
         least=0.0,
         most=1e6,
         live=True,
@@ -148,8 +146,8 @@ class Scene:
     overload: str = parameter(
         "string",
         "slow",
-        "What gives way where the machine is too slow for real time: slow lets frames come late; relax relaxes the "
-        "tolerance, ten times at most and never beyond 0.01 m, and tightens it again where there is room",
+        "Reaction to a machine too slow for real time: slow: frames are late; relax: the tolerance is relaxed, at most "
+        "ten times and to 0.01 m, and tightened again when time permits",
         choices=("slow", "relax"),
         live=True,
         observes=True,
@@ -157,8 +155,8 @@ class Scene:
     on_failure: str = parameter(
         "string",
         "stop",
-        "What follows an exception in a frame: stop stops time at the last good frame until ~/reset; exit ends the "
-        "node with status 1, for a supervisor that starts it again",
+        "Reaction to an exception in a frame: stop: time stops at the last good frame until ~/reset; exit: the node "
+        "ends with status 1, for a supervisor that restarts it",
         choices=("stop", "exit"),
         live=True,
         observes=True,
@@ -167,15 +165,15 @@ class Scene:
     tf: Tf = section(Tf)
     record: Record = section(Record)
     diagnostics: Diagnostics = section(Diagnostics)
-    #: Obstacles that are described, by name: those of `obstacles`, and those that wait to be named there.
+    #: Described obstacles by name: those in `obstacles`, and those that can be added to it.
     described: dict[str, sections.Obstacle] = attrs.field(factory=dict)
     #: Parameters of single grippers, by full name.
     individual: dict[str, Any] = attrs.field(factory=dict)
-    #: Content of the files that parameters name, by that name; what a recording must hold to run again.
+    #: Content of the files that parameters name, by that name; a recording needs it to run again.
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Check what no single parameter shows."""
+        """Check combinations of values that no single parameter shows."""
         check_values(self)
         check_sheet(self)
         if self.initial_state:
@@ -187,13 +185,13 @@ class Scene:
     def declared(
         cls, obstacles: Iterable[str] = (), individual: Iterable[str] = ()
     ) -> tuple[parameters.Parameter, ...]:
-        """Every parameter of a scene, with those of obstacles of some names and single grippers' of full names."""
+        """Return every parameter of a scene, with those of named obstacles and with single grippers' of full names."""
         further = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
         return (*parameters.declared(cls), *further, *map(gripper_parameters.declared, individual))
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
-        """Every parameter of a scene, with those of the obstacles and grippers that full names describe."""
+        """Return every parameter of a scene, with those of the obstacles and grippers that full names describe."""
         given = list(names)
         described = scene_obstacles.described(given, cls.groups())
         return cls.declared(described, gripper_parameters.individual(given, cls.groups(), described))
@@ -206,7 +204,7 @@ class Scene:
     @staticmethod
     @cache
     def groups() -> frozenset[str]:
-        """First parts of parameters' names, which no obstacle may have."""
+        """Return the first parts of parameters' names, which no obstacle may have."""
         return frozenset(entry.name.partition(".")[0] for entry in Scene.declared()).union(_OF_ROS)
 
     @classmethod
@@ -216,12 +214,12 @@ class Scene:
         """Build a scene from values by full name, e.g. ``{"cloth.size": [1.0, 1.0]}``.
 
         Args:
-            values: parameters; those that are missing take their default.
-            files: content of files that the values name, where it is known already; others are read.
-            folder: where relative file names start.
+            values: parameters; missing ones take their default.
+            files: content of files that the values name, if it is already loaded; other files are read.
+            folder: base of relative file names.
 
         Raises:
-            ParameterError: for an unknown name, a bad value, or a file that can't be read.
+            ParameterError: for an unknown name, an invalid value, or a file that can't be read.
         """
         names = scene_obstacles.described(values, cls.groups())
         checked = parameters.check(
@@ -237,19 +235,19 @@ class Scene:
 
     @classmethod
     def from_file(cls, path: str | Path, *, node: str = "cloth_sim") -> Scene:
-        """Read a scene from a ROS parameter file; file names in it start at its own folder.
+        """Read a scene from a ROS parameter file; its folder is the base of file names in it.
 
-        What a parameter dump holds of ROS's own (`use_sim_time`, `qos_overrides`) is passed over.
+        ROS's own entries of a parameter dump (`use_sim_time`, `qos_overrides`) are ignored.
 
         Raises:
-            ParameterError: as `from_parameters`, or if the file can't be read, or holds other nodes' parameters alone.
+            ParameterError: as `from_parameters`, or if the file can't be read, or sets parameters only for other nodes.
         """
         values = parameter_file.read(path, node=node, strict=True)
         cloth_values = {name: value for name, value in values.items() if not is_of_ros(name)}
         return cls.from_parameters(cloth_values, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
-        """Every parameter's value by full name."""
+        """Return every parameter's value by full name."""
         values = parameters.flatten(self)
         for name, obstacle in self.described.items():
             values.update(parameters.flatten(obstacle, f"{name}."))
@@ -259,7 +257,7 @@ class Scene:
         """Return a scene with live parameters changed.
 
         Raises:
-            ParameterError: for an unknown name, a parameter that can't change while running, or a bad value.
+            ParameterError: for an unknown name, a read-only parameter, or an invalid value.
         """
         described = scene_obstacles.described([*self.parameters(), *values], self.groups())
         individual = gripper_parameters.individual(values, self.groups(), described)
@@ -286,25 +284,25 @@ class Scene:
 
     @property
     def pinching(self) -> list[str]:
-        """Names of the grippers that pinch."""
+        """Names of the grippers in mode pinch."""
         return [name for name in self.gripper_names if self.pinches(name)]
 
     def pinches(self, gripper: str) -> bool:
-        """Whether a gripper pinches."""
+        """Return True if a gripper is in mode pinch."""
         return bool(self.of_gripper(gripper, "mode") == PINCH)
 
     def of_gripper(self, gripper: str, leaf: str) -> Any:
-        """Value of `<gripper>.<leaf>` if it is set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""
+        """Return the value of `<gripper>.<leaf>` if set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""
         return gripper_parameters.value(self.individual, self.gripper, gripper, leaf)
 
     @property
     def obstacle_names(self) -> list[str]:
-        """Names of the obstacles that are there."""
+        """Names of the present obstacles."""
         return [name for name in self.obstacles if name]
 
     @property
     def solids(self) -> list[Obstacle]:
-        """The rigid shapes of the obstacles that are there."""
+        """Rigid shapes of the present obstacles."""
         names = self.obstacle_names
         return [scene_obstacles.solid(name, self.described[name], self.files) for name in names]
 
@@ -313,18 +311,18 @@ class Scene:
         """Geometry of the cloth: a grid, a mesh, or raw springs.
 
         Raises:
-            ParameterError: for a mesh or springs file whose content makes none.
+            ParameterError: for a mesh or springs file with invalid content.
         """
         return build_sheet(self)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of a grid; 1 and the number of particles of anything else."""
+        """Rows and columns of a grid; 1 and the number of particles of other sheets."""
         sheet = self.sheet
         return (sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else (1, len(sheet.positions()))
 
     def threads(self) -> Threads:
-        """Spring stiffnesses of a grid's threads, and the Poisson ratio that comes out.
+        """Return spring stiffnesses of a grid's threads, and the resulting Poisson ratio.
 
         Raises:
             ParameterError: if the moduli can't be met, or the cloth is no grid.
@@ -336,14 +334,14 @@ class Scene:
 
     @property
     def poisson_ratio(self) -> float | None:
-        """Poisson's ratio of the sheet along its axes: network and moduli leave no choice; None for raw springs."""
+        """Poisson's ratio of the sheet along its axes, as network and moduli determine it; None for raw springs."""
         sheet = self.sheet
         if isinstance(sheet, GridSheet):
             return grid_threads_of(self, sheet).poisson_ratio
         return POISSON_RATIO if isinstance(sheet, MeshSheet) else None
 
     def anchored_particles(self) -> list[int]:
-        """Indices of the anchored particles."""
+        """Return the indices of the anchored particles."""
         return anchored_particles(self, self.sheet)
 
     def model(self) -> Model:
@@ -355,17 +353,19 @@ class Scene:
         return build_plan(self)
 
     def initial_positions(self) -> Array:
-        """Starting positions [m], shape (particle_count, 3)."""
+        """Return starting positions [m], shape (particle_count, 3)."""
         return self._turned(self.sheet.positions()) + np.asarray(self.cloth.position)
 
     def _turned(self, vectors: Array) -> Array:
-        """Turn vectors (n, 3) from the sheet's axes to the world's; written out, so that the order of sums is fixed."""
+        """Rotate vectors (n, 3) from the sheet's axes to the world's, with a fixed order of sums."""
         turn = rotation_matrix(normalised(self.cloth.orientation))
         x, y, z = np.asarray(vectors, dtype=np.float64).T
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in turn], axis=1)
 
     def starting_state(self) -> State:
-        """Starting state: that of `initial_state`, at frame 0 and running; else at rest, or as a springs file has it.
+        """Return the starting state: that of `initial_state`, at frame 0 and running; else at rest.
+
+        A springs file gives velocities of its own.
 
         Raises:
             ParameterError: for a state that does not fit the cloth.
@@ -379,7 +379,7 @@ class Scene:
         return State(self.initial_positions(), velocities, cloth=cloth_of(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:
-        """The integrator that the scene asks for, its tolerance relaxed by a factor."""
+        """Return the scene's integrator; `factor` relaxes its tolerance."""
         tolerance = relaxation.relaxed(self.tolerance, factor) or None
         return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance, work=self.work_limit)
 
@@ -394,7 +394,7 @@ class Scene:
         if other:
             raise ParameterError(f"{what} {other}{merge_hint(self)}")
         state.cloth = cloth
-        # A state that never ran has no gripper memory at all, and fits any number; one that ran without has 0 of them.
+        # A state that never ran has no gripper memory and fits any number. A run without grippers leaves 0 poses.
         poses = state.memory.get("gripper.pose")
         if poses is not None and len(poses) != len(self.gripper_names):
             raise ParameterError(f"{what} has {len(poses)} grippers, the cloth {len(self.gripper_names)}")

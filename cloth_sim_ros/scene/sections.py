@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sections of a scene: each parameter with its default, unit, limits and words, declared here and nowhere else."""
+"""Sections of a scene: each parameter with default, unit, limits and description.
+
+Nothing of this is declared elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from cloth_sim_ros.scene.parameters import parameter
 
 @attrs.frozen(kw_only=True)
 class Cloth:
-    """Geometry of the sheet and where it starts."""
+    """Geometry and initial pose of the sheet."""
 
     size: tuple[float, ...] = parameter(
         "double[]",
@@ -39,42 +42,42 @@ class Cloth:
     merge: bool = parameter(
         "bool",
         True,
-        "Whether a mesh's vertices closer than 1e-7 of its extent are merged, as copies of one vertex; false merges "
-        "those at exactly one place alone",
+        "Merge a mesh's vertices closer than 1e-7 of its extent, as copies of one vertex; false merges only vertices "
+        "at exactly one position",
     )
     scale: float = parameter(
         "double",
         1.0,
-        "Factor that makes metres of a mesh's coordinates, e.g. 0.001 for a file in millimetres",
+        "Factor from a mesh file's unit to metres, e.g. 0.001 for a file in millimetres",
         least=0.0,
         most=1e6,
         open_least=True,
     )
     springs: str = parameter("string", "", "File of raw springs (YAML, npz), for experts, instead of a sheet")
     position: tuple[float, ...] = parameter(
-        "double[]", (0.0, 0.0, 1.0), "Where the sheet's centre starts", unit="m", length=3, least=-1e4, most=1e4
+        "double[]", (0.0, 0.0, 1.0), "Initial position of the sheet's centre", unit="m", length=3, least=-1e4, most=1e4
     )
     orientation: tuple[float, ...] = parameter(
         "double[]",
         (0.7071067811865476, 0.0, 0.0, 0.7071067811865476),
-        "Quaternion x, y, z, w that turns the sheet from the x-y plane, top edge towards +y; the default hangs it",
+        "Quaternion x, y, z, w that rotates the sheet from the x-y plane, top edge towards +y; the default hangs it",
         length=4,
         constraint=QUATERNION,
     )
     anchors: tuple[str, ...] = parameter(
         "string[]",
         ("top",),
-        "What holds its place: edges (top, bottom, left, right), corners (top_left, ...), particle numbers; none: ['']",
+        "Fixed particles: edges (top, bottom, left, right), corners (top_left, ...), particle indices; none: ['']",
         live=True,
     )
     shear_layout: str = parameter(
-        "string", "both", "Which diagonals of the grid's cells are shear springs", choices=LAYOUTS
+        "string", "both", "Diagonals of the grid's cells that are shear springs", choices=LAYOUTS
     )
 
 
 @attrs.frozen(kw_only=True)
 class Material:
-    """The sheet's physical moduli."""
+    """Physical moduli of the sheet."""
 
     density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", least=1e-9, most=1e3, live=True)
     stretch_modulus: float = parameter(
@@ -93,7 +96,7 @@ class Material:
     bending_modulus: float = parameter(
         "double",
         0.0,
-        "Moment per width and curvature; crossed and altitude bending need it, the other models have none",
+        "Moment per width and curvature; required by crossed and altitude bending, unused by other models",
         unit="N m",
         least=0.0,
         most=1e6,
@@ -111,7 +114,7 @@ class Material:
         "double",
         0.0,
         "Viscosity of the sheet along its threads, instead of damping in stretch and shear: k_d = k_s / l0 viscosity / "
-        "stretch_modulus; 0 takes the damping",
+        "stretch_modulus; 0: damping is used",
         unit="N s/m",
         least=0.0,
         most=1e4,
@@ -133,7 +136,7 @@ class Bending:
     stiffness: float = parameter(
         "double",
         2.0,
-        "Of axial and opposite springs: k_s per thread spacing; axial springs' share is taken off the edge springs",
+        "Stiffness of axial and opposite springs: k_s per thread spacing; it is subtracted from edge springs",
         unit="N/m",
         least=0.0,
         most=1e8,
@@ -142,7 +145,7 @@ class Bending:
     rest_angle: float = parameter(
         "double",
         0.0,
-        "Fold of every hinge at rest, for opposite, crossed and altitude; 0 takes each from the rest shape",
+        "Rest angle of every hinge, for opposite, crossed and altitude; 0: the angles of the rest shape",
         unit="rad",
         least=-3.14,
         most=3.14,
@@ -151,7 +154,7 @@ class Bending:
 
 @attrs.frozen(kw_only=True)
 class Air:
-    """Air at rest."""
+    """Drag by still air."""
 
     drag: float = parameter(
         "double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", least=0.0, most=1e4, live=True
@@ -160,12 +163,12 @@ class Air:
 
 @attrs.frozen(kw_only=True)
 class Wind:
-    """Air in motion, and its grip on the surface. Drag is relative to it: acceleration -air.drag (v - velocity)."""
+    """Moving air and its drag on the surface. Drag is relative to it: acceleration -air.drag (v - velocity)."""
 
     velocity: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0, 0.0),
-        "Velocity of the air, uniform; it acts by air.drag and by the coefficients below",
+        "Velocity of the air, uniform; it acts through air.drag and the coefficients below",
         unit="m/s",
         length=3,
         least=-100.0,
@@ -175,10 +178,10 @@ class Wind:
     normal_drag: float = parameter(
         "double",
         0.45,
-        "Force on an area and speed, of air across the surface: a property of the air and of the speed, not of the "
-        "cloth. The default follows from recordings of one cloth of 0.3 m at up to 0.8 m/s, where linear drag suffices "
-        "from slow to fast; beyond that range it is a guess. 0 leaves out air across the surface. Raw springs have no "
-        "surface and take 0 unless it is set",
+        "Force per area and speed of air across the surface. It depends on the air and the speed, not on the cloth. "
+        "The default was identified from recordings of one cloth of 0.3 m at up to 0.8 m/s, where linear drag "
+        "suffices; beyond that range it is an extrapolation. 0: no drag across the surface. Raw springs have no surface; their "
+        "default is 0",
         unit="N s/m^3",
         least=0.0,
         most=1e3,
@@ -187,7 +190,7 @@ class Wind:
     tangential_drag: float = parameter(
         "double",
         0.0,
-        "Force on an area and speed, of air along the surface",
+        "Force per area and speed of air along the surface",
         unit="N s/m^3",
         least=0.0,
         most=1e3,
@@ -197,18 +200,18 @@ class Wind:
 
 @attrs.frozen(kw_only=True)
 class Contact:
-    """How obstacles, and the cloth itself, keep the cloth out."""
+    """Contact of the cloth with obstacles and with itself."""
 
     self_: bool = parameter(
         "bool",
         False,
-        "Whether the cloth keeps the thickness from itself too, and does not pass through itself",
+        "Contact of the cloth with itself: layers keep the thickness and do not intersect",
     )
     thickness: float = parameter(
         "double",
         0.003,
-        "Distance from an obstacle's surface, or from another part of the cloth, within which it pushes the cloth's "
-        "middle surface away; at most half the shortest edge of the cloth",
+        "Distance from an obstacle's surface, or from another part of the cloth, below which contact pushes the "
+        "cloth's middle surface away; at most half the shortest edge of the cloth",
         unit="m",
         least=1e-6,
         most=1.0,
@@ -217,8 +220,8 @@ class Contact:
     friction: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0),
-        "Coefficients of friction between layers of the cloth, with contact.self, at rest (sliding below 0.01 m/s) and "
-        "in motion (above 0.02 m/s), the latter no larger; one number counts for both; 0: layers slide off freely",
+        "Coefficients of friction between layers of the cloth, with contact.self: static (sliding below 0.01 m/s) and "
+        "kinetic (above 0.02 m/s), the latter no larger; one number sets both; 0: no friction",
         least=0.0,
         most=1e3,
         constraint=FRICTION,
@@ -227,7 +230,7 @@ class Contact:
     damping: float = parameter(
         "double",
         10.0,
-        "How much of a bounce is lost: much of it from speeds of 1 / damping on; 0 loses nothing",
+        "Damping of contact: impacts faster than 1 / damping lose much of their energy; 0: elastic",
         unit="s/m",
         least=0.0,
         most=1e4,
@@ -237,16 +240,16 @@ class Contact:
 
 @attrs.frozen(kw_only=True)
 class Obstacle:
-    """An obstacle. Its parameters form a group under its own name, e.g. `table.size`.
+    """One obstacle. Its parameters form a group under its own name, e.g. `table.size`.
 
-    Those whose description says so may change only while `obstacles` does not name it.
+    Some may change only while `obstacles` does not name it; their description says so.
     """
 
     shape: str = parameter(
         "string",
         "box",
-        "What it is: the half space below a plane (normal z), or a solid centred on the obstacle's frame, axis z; set "
-        "at once with the obstacle, or before anything else of it; changes only while it is not in obstacles",
+        "Shape: the half space below a plane (normal z), or a solid centred on the obstacle's frame, axis z; set it "
+        "together with the obstacle, or before its other parameters; changes only while it is not in obstacles",
         choices=tuple(SHAPES),
         live=True,
     )
@@ -265,14 +268,14 @@ class Obstacle:
         "string",
         "",
         "File of a mesh (OBJ, PLY, STL) in metres and in the obstacle's frame: closed, its triangles counterclockwise "
-        "seen from outside; a file can't be named while the cloth runs",
+        "seen from outside; read-only while the cloth runs",
         live=True,
     )
     scale: float = parameter(
         "double",
         1.0,
-        "Factor that makes metres of its mesh's coordinates, e.g. 0.001 for a file in millimetres; changes only while "
-        "it is not in obstacles",
+        "Factor from its mesh file's unit to metres, e.g. 0.001 for a file in millimetres; changes only while it is "
+        "not in obstacles",
         least=0.0,
         most=1e6,
         open_least=True,
@@ -281,7 +284,7 @@ class Obstacle:
     position: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0, 0.0),
-        "Where it starts; changes only while it is not in obstacles, then ~/<obstacle>/target moves it",
+        "Initial position; changes only while it is not in obstacles; otherwise use ~/<obstacle>/target",
         unit="m",
         length=3,
         least=-1e4,
@@ -291,7 +294,7 @@ class Obstacle:
     orientation: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0, 0.0, 1.0),
-        "Quaternion x, y, z, w with which it starts; changes only while it is not in obstacles",
+        "Initial orientation, a quaternion x, y, z, w; changes only while it is not in obstacles",
         length=4,
         constraint=QUATERNION,
         live=True,
@@ -299,8 +302,8 @@ class Obstacle:
     friction: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0),
-        "Coefficients of friction between it and the cloth, at rest (sliding below 0.01 m/s) and in motion (above "
-        "0.02 m/s), the latter no larger; one number counts for both; 0: the cloth slides off freely",
+        "Coefficients of friction between it and the cloth: static (sliding below 0.01 m/s) and kinetic (above "
+        "0.02 m/s), the latter no larger; one number sets both; 0: no friction",
         least=0.0,
         most=1e3,
         constraint=FRICTION,
@@ -309,7 +312,7 @@ class Obstacle:
     frame: str = parameter(
         "string",
         "",
-        "TF frame that it follows; empty for none. Needs tf2_ros",
+        "TF frame that it follows; empty: none. Needs tf2_ros",
         constraint=FRAME,
         live=True,
         observes=True,
@@ -321,7 +324,7 @@ class Points:
     """Fields of ~/points."""
 
     velocity: bool = parameter(
-        "bool", False, "Fields vx, vy, vz [m/s] behind x, y, z; the cloud is twice as large", live=True, observes=True
+        "bool", False, "Fields vx, vy, vz [m/s] after x, y, z; the cloud is twice as large", live=True, observes=True
     )
     double: bool = parameter(
         "bool",
@@ -354,20 +357,23 @@ class Record:
     folder: str = parameter(
         "string",
         "sessions",
-        "Folder for the next recording's files, and for saved states; made if missing",
+        "Folder for the next recording's files, and for saved states; created if missing",
         live=True,
         observes=True,
     )
     split: int = parameter(
-        "int", 0, "Go on in a new file when one holds this much; 0 never", unit="B", least=0, most=1 << 50
+        "int",
+        0,
+        "File size after which the recording continues in a new file; 0: never",
+        unit="B",
+        least=0,
+        most=1 << 50,
     )
-    compression: str = parameter(
-        "string", "lz4", "How chunks of the file are compressed", choices=("lz4", "zstd", "none")
-    )
+    compression: str = parameter("string", "lz4", "Compression of the file's chunks", choices=("lz4", "zstd", "none"))
     least_free_space: int = parameter(
         "int",
         100_000_000,
-        "The recording ends before the disk has less room than this",
+        "Free disk space below which the recording ends",
         unit="B",
         least=0,
         most=1 << 50,
@@ -376,15 +382,15 @@ class Record:
 
 @attrs.frozen(kw_only=True)
 class Diagnostics:
-    """What is reported beyond the usual."""
+    """Optional diagnostics."""
 
     energy: bool = parameter(
-        "bool", False, "Report the energy balance; every frame is run a second time for it, term by term", live=True
+        "bool", False, "Report the energy balance; every frame is then computed a second time, term by term", live=True
     )
     accuracy: bool = parameter(
         "bool",
         False,
-        "Report the true error, measured second by second in a process of its own; takes a core as long as it is on",
+        "Report the true error, measured second by second in a separate process; it occupies one core",
         live=True,
         observes=True,
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Combinations of values that make no sheet."""
+"""Checks of combinations of values that make no valid sheet."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from cloth_sim_ros.scene.parameters import ParameterError
 
 
 def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what takes another default because a cloth is raw springs, which have no surface for the air.
+    """Return defaults that differ for raw springs, which have no surface for the air.
 
     Args:
-        values: parameters that are given, by full name.
+        values: given parameters, by full name.
     """
     if not values.get("cloth.springs") or "wind.normal_drag" in values:
         return {}
@@ -25,7 +25,7 @@ def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_sheet(scene: Configuration) -> None:
-    """Refuse a sheet, its bending or its anchors that can't be.
+    """Refuse an invalid sheet, bending model or anchor.
 
     Raises:
         ParameterError: naming the parameter.

@@ -10,7 +10,7 @@ from cloth_sim_ros.physics import npz
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.scene import ros_yaml
 
-#: Most values of a YAML file; larger tables are for an .npz.
+#: Largest number of values of a YAML file; larger tables need an .npz.
 _MAX_VALUES = 500_000
 
 
@@ -18,7 +18,7 @@ def parse(data: bytes) -> RawSprings:
     """Read a springs file from its bytes.
 
     Raises:
-        ValueError: for bytes that are neither, or tables that make no system; the message names the table.
+        ValueError: for bytes in neither format, or tables that make no system; the message names the table.
     """
     tables = npz.read(data) if data[:2] == b"PK" else _yaml(data)
     return RawSprings.from_tables(tables)

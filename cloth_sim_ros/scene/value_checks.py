@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of a scene's values that no single parameter's range shows."""
+"""Checks of a scene's values that no single parameter's range shows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cloth_sim_ros.scene.parameters import Faults
 
 
 class SceneValues(Protocol):
-    """What of a `Scene` these checks read."""
+    """Part of a `Scene` that these checks read."""
 
     @property
     def cloth(self) -> sections.Cloth: ...
@@ -48,7 +48,7 @@ class SceneValues(Protocol):
 
 
 def check_values(scene: SceneValues) -> None:
-    """Refuse values whose faults depend on no other check; all of them are named together.
+    """Refuse values whose faults depend on no other check; one error names all of them.
 
     Raises:
         ParameterError: naming each parameter.

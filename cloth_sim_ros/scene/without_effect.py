@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Valid parameters that have no effect in a scene, because other parameters switch off what they describe."""
+"""Valid parameters without effect, because other parameters disable them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 
 from cloth_sim_ros.scene.scene import Scene
 
-#: Names, when they have no effect, and why, in words that follow "has no effect:".
+#: Names, condition under which they have no effect, and the reason as the end of a sentence.
 _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (("cloth.merge", "cloth.scale"), lambda scene: not scene.cloth.mesh, "cloth.mesh is not set"),
     (
@@ -98,11 +98,11 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
 
 
 def without_effect(scene: Scene, given: Iterable[str]) -> list[str]:
-    """Return a sentence for each parameter that was given, differs from its default, and has no effect in a scene.
+    """Return a sentence for each set parameter that differs from its default and has no effect in a scene.
 
     Args:
-        scene: that was built with them.
-        given: full names.
+        scene: the scene built with these parameters.
+        set_names: full names of the set parameters.
     """
     defaults = {entry.name: entry.default for entry in scene.entries}
     values = scene.parameters()
@@ -117,7 +117,7 @@ def without_effect(scene: Scene, given: Iterable[str]) -> list[str]:
 
 
 def _of_obstacles(scene: Scene, chosen: set[str]) -> list[str]:
-    """The same of the parameters of single obstacles."""
+    """Return the sentences for parameters of single obstacles."""
     sentences = []
     for name, obstacle in scene.described.items():
         if name not in scene.obstacle_names:

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts that an event finds compressed: they go on with a reduced thickness and regain the whole one."""
+"""Recovery of contacts that an event compresses or relieves.
+
+Such a contact continues with a reduced thickness and regains the full one over time.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 
-#: How far from a particle that is let go contacts are concerned, in longest edges of the cloth.
+#: Radius around a released particle within which contacts are reduced, in longest edges of the cloth.
 _REACH = 3.0
 
 
@@ -27,17 +30,17 @@ _REACH = 3.0
 class ContactRecovery:
     """Contacts of a state with a reduced thickness."""
 
-    #: Names of the obstacles that they are with; empty for the cloth itself.
+    #: Names of the obstacles and pads in contact; "" is the cloth itself.
     names: tuple[str, ...]
-    #: Number of particles that have one; 0 where edges of obstacles alone have.
+    #: Number of particles with a reduced thickness; 0 if only edges of obstacles have one.
     particles: int
-    #: Largest difference to the whole thickness [m]: further apart by that, none has a reduced one.
+    #: Largest reduction [m]: the distance by which the bodies must separate to need no reduction.
     lift: float
-    #: Until all have the whole thickness [s].
+    #: Time until every contact has the full thickness [s].
     duration: float
 
     def describe(self) -> str:
-        """Return what there is, how long it lasts and the remedy, in one sentence."""
+        """Return the affected contacts, the duration and the remedy, in one sentence."""
         whom = " and ".join(f"'{name}'" if name else "itself" for name in self.names)
         count = f"{self.particles} particle{'' if self.particles == 1 else 's'}" if self.particles else "no particle"
         return (
@@ -56,15 +59,18 @@ def reduce_contacts(
     rows: NDArray[np.bool_] | None = None,
     relieved: NDArray[np.int64] | None = None,
 ) -> None:
-    """Reduce the thickness of contacts that an event compresses or relieves to where they hold the rest gap's energy.
+    """Reduce the thickness of contacts that an event compresses or relieves.
+
+    The reduced thickness is the one at which a contact stores the energy of the rest gap.
 
     Args:
-        plan: whose obstacles stand where they are at that time.
-        state: which keeps the thickness.
+        plan: its obstacles must stand at their poses of this time.
+        state: keeps the reduced thickness.
         t: time [s].
-        what: begin of the sentence that refuses contacts that are too narrow; none are refused without it.
-        rows: which obstacles, pads and, last, the cloth itself the event compresses; all where both are left out.
-        relieved: particles that something no longer presses; contacts about them are concerned, too.
+        subject: first words of the error for a contact that is too narrow; "" checks nothing.
+        rows: mask of the obstacles, pads and, last, the cloth itself that the event compresses. Without `rows` and
+        `relieved` every contact counts.
+        relieved: indices of particles that are pressed less than before; contacts near them count too.
 
     Raises:
         EventError: for a contact that is too narrow, naming the obstacle, the gap, the limit and the remedy.
@@ -95,7 +101,9 @@ def reduce_contacts(
 
 
 def _about(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which particles are within `_REACH` edges of some, at positions x [m], (3, n)."""
+    """Return a mask, shape (n,), of the particles within `_REACH` edge lengths of given ones, at positions x [m], (3,
+    n).
+    """
     surface = force.faces or force.surface
     reach = 0.0 if surface is None else _REACH * surface.longest
     near = np.zeros(x.shape[1], dtype=bool)
@@ -106,7 +114,7 @@ def _about(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np
 
 
 def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
-    """Let the contacts of a state regain their thickness over a frame of a duration [s] from time t [s] on."""
+    """Let reduced contacts regain their thickness during a frame of a duration [s] that starts at time t [s]."""
     contact = plan.contact
     if contact is None:
         return
@@ -120,7 +128,7 @@ def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
 
 
 def end_recovery(plan: Plan, state: State, t: float) -> None:
-    """Give the contacts of a state the thickness that they have at the end of a frame, at time t [s]."""
+    """Store the thickness at the end of a frame, at time t [s], in the state."""
     if plan.contact is None:
         return
     force = plan.contact.force
@@ -134,7 +142,7 @@ def end_recovery(plan: Plan, state: State, t: float) -> None:
 
 
 def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
-    """Return what is known of a state's contacts with a reduced thickness; None where there are none."""
+    """Return a summary of the contacts with a reduced thickness, or None if every contact has the full one."""
     reduced, contact = state.memory.get(THICKNESS), plan.contact
     if reduced is None or contact is None:
         return None
@@ -150,15 +158,13 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
 
 
 def pad_rows(plan: Plan, gripper: str) -> NDArray[np.bool_]:
-    """Return which obstacles and, last, the cloth itself are the pads of a gripper."""
+    """Return a mask of a gripper's pads among obstacles, pads and, last, the cloth itself."""
     assert plan.contact is not None
     return np.array([*(name.rpartition(".")[0] == gripper for name in _names(plan.contact.force)), False])
 
 
 def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
-    """Return which obstacles, pads and, last, the cloth itself are others, or keep another distance, than in a scene
-    before.
-    """
+    """Return a mask of obstacles, pads and, last, the cloth itself whose shape or distance another scene changes."""
     pads = 2 * len(scene.pinching)
     gripper, was = scene.gripper, before.gripper
     moved = (gripper.pad_size, gripper.opening) != (was.pad_size, was.opening)
@@ -170,8 +176,9 @@ def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
 
 
 def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
-    """Return the particles that obstacles or grippers of another scene press less than those of the plan's: in contact
-    with obstacles that it has not, or not so, or held by softer grippers.
+    """Return the indices of particles that another scene presses less.
+
+    Such a particle touches an obstacle that the other scene lacks or reshapes, or is held by a softer gripper there.
     """
     found = np.empty(0, dtype=np.int64)
     if scene.gripper.stiffness < before.gripper.stiffness:
@@ -181,7 +188,7 @@ def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene:
 
 
 def touching_particles(plan: Plan, state: State, t: float, rows: Sequence[bool]) -> NDArray[np.int64]:
-    """Return the particles in contact with some obstacles, the first ones of the plan, at time t [s]."""
+    """Return the indices of particles in contact with masked obstacles, the plan's first ones, at time t [s]."""
     assert plan.contact is not None
     plan.contact.take(state)
     gaps = plan.contact.gap_rows(t, state.x)[: len(rows), :-1][np.array(rows)]
@@ -189,12 +196,12 @@ def touching_particles(plan: Plan, state: State, t: float, rows: Sequence[bool])
 
 
 def _names(force: Contact) -> list[str]:
-    """Names of obstacles and, behind them, pads."""
+    """Return the names of obstacles, followed by those of pads."""
     return [obstacle.name for obstacle in force.obstacles]
 
 
 def _shape(scene: Scene, name: str) -> object:
-    """What an obstacle of a scene keeps cloth out by; None where it has no such obstacle."""
+    """Return the parameters of an obstacle that decide about its contact; None if the scene lacks it."""
     if name not in scene.obstacle_names:
         return None
     return attrs.evolve(scene.described[name], frame="", friction=(0.0, 0.0))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The energy balance of a live simulation, frame by frame: its runs note what they lose and what is given to them."""
+"""Energy balance of a running simulation, summed over frames."""
 
 from __future__ import annotations
 
@@ -20,20 +20,19 @@ class EnergyReport:
 
     #: Kinetic plus potential energy now.
     total: float
-    #: Done on the cloth by grippers.
+    #: Work of grippers on the cloth.
     work: float
-    #: Done on the cloth by moving air.
+    #: Work of moving air on the cloth.
     wind: float
     #: Dissipated by springs, drag, grips and contact.
     dissipated: float
-    #: Of it, by friction between layers of the cloth.
+    #: Part of `dissipated`: friction between layers of the cloth.
     rubbed: float = 0.0
-    #: Done on the cloth by contacts that regain their thickness.
+    #: Work on the cloth of contacts that regain their thickness.
     recovered: float = 0.0
-    #: What the balance leaves over: energy - energy before - work - wind - recovered + dissipated, summed over all
-    #: frames.
+    #: Residual of the balance: energy - energy before - work - wind - recovered + dissipated, summed over frames.
     residual: float
-    #: Energy that went from one form into another, at least.
+    #: Lower bound of the energy that changed its form.
     turned_over: float
 
 
@@ -42,10 +41,10 @@ Noted: TypeAlias = tuple[tuple[float, float], EnergyReport]
 
 
 class EnergyWatch:
-    """Adds up the energy balance over frames; what events change between two frames is nobody's work and left out.
+    """Sums up the energy balance over frames. Changes by events between two frames are left out.
 
     Args:
-        plan: the equations of the simulation.
+        plan: the equations of motion of the simulation.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -54,11 +53,11 @@ class EnergyWatch:
         self._sums = EnergyReport(total=0.0, work=0.0, wind=0.0, dissipated=0.0, residual=0.0, turned_over=0.0)
 
     def begin(self, state: State, t: float) -> None:
-        """Look at a state before a frame at time t [s]."""
+        """Store the energies of a state before a frame that starts at time t [s]."""
         self._before = self._energies(state, t)
 
     def end(self, state: State, t: float, book: Book) -> EnergyReport:
-        """Sum up the frame that ended at time t [s], and report."""
+        """Add the frame that ended at time t [s] and return the sums."""
         kinetic, potential = self._energies(state, t)
         lost, work, wind, recovered = book.lost, book.work, book.given, book.recovered
         sums = self._sums
@@ -80,10 +79,10 @@ class EnergyWatch:
         return self._sums
 
     def stop(self, ended: State) -> EnergyReport:
-        """Book what is lost by bringing the cloth to a stop, as dissipated, and report.
+        """Add the kinetic energy that the cloth loses when it falls asleep, as dissipated, and return the sums.
 
         Args:
-            ended: the state at the frame's end, still moving.
+            end_state: the state at the end of the frame, still moving.
         """
         kinetic = self._plan.energies(0.0, ended.x, ended.v)[0]
         sums = self._sums
@@ -91,11 +90,11 @@ class EnergyWatch:
         return self._sums
 
     def noted(self) -> Noted:
-        """Return what was summed up so far, for `go_back`."""
+        """Return the sums so far, for `restore`."""
         return self._before, self._sums
 
     def go_back(self, noted: Noted) -> None:
-        """Go on from what was summed up then."""
+        """Continue from sums that `save` returned."""
         self._before, self._sums = noted
 
     def _energies(self, state: State, t: float) -> tuple[float, float]:

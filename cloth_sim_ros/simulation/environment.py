@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a session was recorded with, as text: the arithmetic, which decides about its bits, and the machine."""
+"""Software and machine of a recording, as text."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pathlib import Path
 from cloth_sim_ros import __version__
 from cloth_sim_ros.engine import NUMERICS
 
-#: What bits depend on within one and the same arithmetic, and what a difference calls it.
+#: Metadata keys that decide about bits within one arithmetic, and their names in a reported difference.
 _CAUSES = {"source": "its code"}
-#: The arithmetic of sessions that tell none: they are older than the engine.
+#: Arithmetic of sessions without the key `numerics`: they are older than the engine.
 _BEFORE_THE_ENGINE = 1
 
 
 def environment() -> dict[str, str]:
-    """Versions and machine of this process, under the names that they have in a session's metadata.
+    """Return versions and machine of this process, under their names in a session's metadata.
 
-    Bits depend on `numerics` and `source` alone; the rest is for whoever reads it.
+    Bits depend on `numerics` and `source` alone; the other entries are informative.
     """
     from cloth_sim_ros.engine.binding import engine_name
 
@@ -39,7 +39,7 @@ def environment() -> dict[str, str]:
 
 
 def differences(recorded: Mapping[str, str]) -> list[str]:
-    """Return how this package differs from what recorded a session, in what bits depend on; empty if it does not.
+    """Return the differences between this package and a session's recorder that can change bits; empty if none.
 
     Each difference reads like ``its code 193821 -> 2c46fa``. Entries that the session lacks are not compared.
     """
@@ -52,10 +52,7 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
 
 
 def recorder_with_other_arithmetic(recorded: Mapping[str, str]) -> str:
-    """By what a session was recorded, as ``cloth_sim_ros 0.1.0 (numba 0.68.1)``, where that rounds otherwise than this.
-
-    Empty where its arithmetic is this package's.
-    """
+    """Return a session's recorder, as ``cloth_sim_ros 0.1.0 (numba 0.68.1)``, if it rounds differently; else ""."""
     if recorded.get("numerics", str(_BEFORE_THE_ENGINE)) == str(NUMERICS):
         return ""
     name = f"cloth_sim_ros {recorded['version']}" if "version" in recorded else "another version of cloth_sim_ros"
@@ -65,7 +62,10 @@ def recorder_with_other_arithmetic(recorded: Mapping[str, str]) -> str:
 
 @functools.cache
 def _source() -> str:
-    """Digest of the code that a run's bits come from: between two releases the version alone does not tell."""
+    """Return the digest of the code that determines a run's bits.
+
+    The version alone does not identify code between releases.
+    """
     import xxhash
 
     root = Path(__file__).parent.parent
@@ -84,7 +84,7 @@ def _numpy_version() -> str:
 
 
 def _processor() -> str:
-    """The processor's name."""
+    """Return the processor's name."""
     if sys.platform.startswith("linux"):
         try:
             lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events that can't take effect are refused here, before anything changes."""
+"""Checks of events before they change anything."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.surroundings import change_obstacles
 
-#: Furthest coordinate that a target may have [m]: beyond it a command is a mistake, not a place that a gripper can be.
+#: Largest coordinate of a target [m]; anything beyond it is a mistake.
 REACH = 1e4
-#: Least gap of pads at what stops them that a change of the thickness may leave, in thicknesses: no impact that contact
-#: is made for goes deeper.
+#: Smallest clearance of pads at a stop that a change of thickness may leave, in thicknesses. No impact within the
+#: design range of contact goes deeper.
 _LEAST_STOP = 0.3
-#: Made once: a union of types that is made anew takes longer than to ask for it.
+#: Built once, because building a union of types takes longer than the isinstance check.
 _OF_GRIPPERS = (Target, Grasp)
 
 
 class EventError(ValueError):
-    """An event that can't take effect; the message says why."""
+    """An event that can't take effect; the message gives the reason."""
 
 
 def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> None:
-    """Refuse events of one frame, in their order, if one can't take effect after those before it; see `check`."""
+    """Refuse the events of one frame if one of them can't take effect after those before it; see `check`."""
     for event in events:
         after = check(event, scene, state, initial)
         if after.obstacles != scene.obstacles:
@@ -45,13 +45,13 @@ def check_all(events: Sequence[Event], scene: Scene, state: State, initial: Stat
 
 
 def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
-    """Refuse an event that can't take effect, and return the scene that is in force after it.
+    """Refuse an event that can't take effect, and return the scene in force after it.
 
     Args:
         event: the event.
-        scene: in force.
-        state: at which it is to take effect.
-        initial: to which a reset returns.
+        scene: the scene in force.
+        state: the state before the event.
+        initial: the state that a reset restores.
 
     Raises:
         EventError: naming the value, the limit and the remedy.
@@ -96,7 +96,7 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
 
 
 def _check_pads(event: Target, scene: Scene, state: State) -> None:
-    """Refuse a first target, which places a gripper at once, where its pads would be in the cloth."""
+    """Refuse a gripper's first target, which places it at once, if its pads would be in the cloth."""
     if not scene.pinches(event.gripper):
         return
     placed = state.memory.get("gripper.placed")
@@ -126,7 +126,7 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
 
 
 def _check_stops(scene: Scene, wanted: Scene, state: State) -> None:
-    """Refuse a thickness of contact by which pads are beyond what stops them: at each other, and at their opening."""
+    """Refuse a contact thickness that would put pads beyond a stop. Pads stop at each other and at their opening."""
     thickness = wanted.contact.thickness
     if thickness == scene.contact.thickness:
         return
@@ -141,15 +141,16 @@ def _check_stops(scene: Scene, wanted: Scene, state: State) -> None:
 
 
 def check_added(scene: Scene, wanted: Scene, state: State) -> None:
-    """Refuse a scene that is to be in force after another one where obstacles would hold the cloth: new ones, those in
-    which particles were anchored, or those that another thickness has to keep out between particles.
+    """Refuse a new scene if its obstacles would intersect or contain the cloth.
+
+    Checked are new obstacles, obstacles that contained anchored particles, and all obstacles if the thickness changes.
 
     Raises:
-        EventError: naming the obstacle and the place.
+        EventError: naming the obstacle and the location.
     """
     kept = [name for name in wanted.obstacle_names if name in scene.obstacle_names]
     added = [name for name in wanted.obstacle_names if name not in kept]
-    # New ones come to where they are described to start.
+    # New obstacles start at the pose in their description.
     _check_start(wanted, added, State(state.positions), "the cloth")
     if (wanted.cloth.anchors, wanted.contact.thickness) != (scene.cloth.anchors, scene.contact.thickness):
         there = attrs.evolve(wanted, obstacles=scene.obstacles)
@@ -162,7 +163,7 @@ def check_added(scene: Scene, wanted: Scene, state: State) -> None:
 
 
 def _check_present_pads(scene: Scene, state: State) -> None:
-    """Refuse a scene in which pads that are anywhere would be too near to the cloth, or come through it."""
+    """Refuse a scene if placed pads would be too close to the cloth or intersect it."""
     if not scene.pinching or "gripper.pose" not in state.memory:
         return
     from cloth_sim_ros.simulation.grippers import Grippers
@@ -175,7 +176,7 @@ def _check_present_pads(scene: Scene, state: State) -> None:
 
 
 def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) -> None:
-    """Refuse a state that is inside obstacles of some names, which are where it says, or else where they start."""
+    """Refuse a state that is inside named obstacles. Obstacles stand at the state's poses, or else at their start."""
     if not names:
         return
     from cloth_sim_ros.simulation.obstacles import Obstacles
@@ -190,8 +191,9 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, what: str) ->
 
 
 def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: State, what: str) -> None:
-    """Refuse obstacles that, at their poses, come through a cloth between its particles, or too near to it; so is a
-    cloth that is too near to itself.
+    """Refuse obstacles at poses that intersect the cloth between particles or are too close to it.
+
+    A cloth that is too close to itself is refused as well.
     """
     from cloth_sim_ros.physics.contact_thickness import check_gaps
     from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface

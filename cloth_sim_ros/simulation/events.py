@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events: everything that may change a simulation from outside, at frame boundaries only, and their exact text form."""
+"""Events that change a simulation at frame boundaries, and their exact text form."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ def _floats(value: Any) -> Vector:
 
 @attrs.frozen
 class Target:
-    """A gripper is commanded to a pose by the end of the frame; without an orientation it keeps its present
-    target's.
-    """
+    """Commands a gripper to a pose by the end of the frame; without orientation the present target's is kept."""
 
     gripper: str
     #: Position [m], 3 numbers.
@@ -30,7 +28,7 @@ class Target:
 
 @attrs.frozen
 class Move:
-    """An obstacle is commanded to a pose; without an orientation it keeps its present target's."""
+    """Commands an obstacle to a pose; without orientation the present target's is kept."""
 
     obstacle: str
     #: Position [m], 3 numbers.
@@ -41,7 +39,7 @@ class Move:
 
 @attrs.frozen
 class Grasp:
-    """A gripper closes or opens."""
+    """Closes or opens a gripper."""
 
     gripper: str
     #: Any truth value, numpy's included.
@@ -50,31 +48,31 @@ class Grasp:
 
 @attrs.frozen
 class SetParameters:
-    """Scene parameters change: flat names and values."""
+    """Sets scene parameters: flat names and values."""
 
     values: dict[str, Any]
 
 
 @attrs.frozen
 class Pause:
-    """Time stops (True) or goes on (False)."""
+    """Stops time (True) or resumes it (False)."""
 
     paused: bool
 
 
 @attrs.frozen
 class Step:
-    """One frame passes although paused."""
+    """Advances one frame although paused."""
 
 
 @attrs.frozen
 class Reset:
-    """Cloth, grippers and obstacles return to their initial state; the frame number goes on."""
+    """Restores the initial state of cloth, grippers and obstacles; the frame index continues."""
 
 
 @attrs.frozen
 class Relax:
-    """The tolerance in force becomes so many times the scene's, until the next such event; 1 takes it back."""
+    """Sets the factor on the scene's tolerance until the next such event; 1 restores the scene's own."""
 
     #: From 1 to `relaxation.MOST_FACTOR`.
     factor: float = attrs.field(converter=float)
@@ -93,19 +91,18 @@ _KINDS: dict[str, type] = {
     "relax": Relax,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
-#: Names of the fields of each kind: recorded runs have events in most frames.
+#: Names of the fields of each kind, cached because recorded runs have events in most frames.
 _FIELDS = {kind: tuple(field.name for field in attrs.fields(kind)) for kind in _NAMES}
-#: Types of fields that are taken as they are.
+#: Types of the fields that have no converter.
 _TYPES = {"gripper": str, "obstacle": str, "values": dict, "paused": bool}
-#: What comes before the rest: made once, for a union of types takes longer to make than to ask for.
+#: Kinds that come before others. Built once, because building a union of types takes longer than the isinstance check.
 _FIRST = (Target, Move, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
     """Return events in the order in which a frame applies them.
 
-    First the newest target of each gripper and each obstacle, then every grasp in order of arrival, then the rest in
-    order of arrival.
+    First the newest target of each gripper and each obstacle, then grasps, then other events, each in order of arrival.
     """
     if len(events) < 2:
         return events
@@ -123,7 +120,7 @@ def ordered(events: list[Event]) -> list[Event]:
 
 
 def to_dict(event: Event) -> dict[str, Any]:
-    """Return an event as a dict of plain values; floats keep every bit through JSON."""
+    """Return an event as a dict of plain values. Floats keep every bit through JSON."""
     kind = type(event)
     content: dict[str, Any] = {"kind": _NAMES[kind]}
     for name in _FIELDS[kind]:
@@ -132,7 +129,7 @@ def to_dict(event: Event) -> dict[str, Any]:
 
 
 def from_dict(data: dict[str, Any]) -> Event:
-    """Read what `to_dict` gave.
+    """Return the event of a dict that `to_dict` made.
 
     Raises:
         ValueError: for an unknown kind or fields that do not fit it.

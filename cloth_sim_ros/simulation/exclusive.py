@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exclusive access to a simulation: threads take turns, a call within a call is refused."""
+"""Exclusive access to a simulation from several threads."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _Result = TypeVar("_Result")
 
 
 class ExclusiveAccess(Uncopyable):
-    """An object whose guarded methods run one at a time.
+    """Base of objects whose guarded methods run one at a time.
 
-    A thread that calls one while another thread's call runs waits for its end. Because of this, the results are those
-    of some sequence of the calls.
+    If another thread's call is running, a call waits for its end. Results are therefore those of some sequence of
+    calls. A call within a call of the same thread is refused.
     """
 
     copy_refusal = (
@@ -37,7 +37,7 @@ class ExclusiveAccess(Uncopyable):
 def exclusive(
     method: Callable[Concatenate[_Self, _Arguments], _Result],
 ) -> Callable[Concatenate[_Self, _Arguments], _Result]:
-    """Let a method run while no other guarded method does.
+    """Decorate a method that must not run together with another guarded method.
 
     Raises:
         RuntimeError: for a call within another one of the same thread, e.g. by a force or by a signal's handler.
@@ -64,7 +64,7 @@ def exclusive(
 def between_frames(
     method: Callable[Concatenate[_Self, _Arguments], _Result],
 ) -> Callable[Concatenate[_Self, _Arguments], _Result]:
-    """Let a method that only reads wait until no other thread's call runs; within a call of the same thread it runs."""
+    """Decorate a read-only method: it waits for other threads' calls, and runs within a call of the same thread."""
 
     @functools.wraps(method)
     def guarded(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What one frame did."""
+"""Result of one frame."""
 
 from __future__ import annotations
 
@@ -20,45 +20,46 @@ if TYPE_CHECKING:
 # Without slots: then attrs sets a frozen class's members in half the time.
 @attrs.frozen(kw_only=True, slots=False)
 class Frame:
-    """What one call of `Simulation.advance` did."""
+    """Result of one call of `Simulation.advance`."""
 
-    #: Number of the frame that the state stands at now.
+    #: Index of the frame that the state has reached.
     index: int
-    #: Simulated time of it [s].
+    #: Simulated time at its end [s].
     time: float
-    #: The events that took effect, in the order in which they did.
+    #: Applied events, in the order in which they took effect.
     events: tuple[Event, ...]
-    #: One for each grasp event, in order.
+    #: Result of each grasp event, in order.
     grasps: tuple[GraspResult, ...]
-    #: One for each gripper that pinches whose pads came to rest, closed, in this frame.
+    #: Result of each pinching gripper whose closed pads came to rest in this frame.
     pinches: tuple[GraspResult, ...] = ()
-    #: Obstacles, and grippers that pinch, that would have left the cloth no room: they stand still where they were at
-    #: the frame's begin until they are commanded anew.
+    #: Names of obstacles and pinching grippers that stopped because they would have crushed the cloth. A stopped body
+    #: keeps its pose of the frame's start until its next target.
     halted: tuple[str, ...] = ()
-    #: Name and pose at the frame's end, position [m] and quaternion x, y, z, w, of each gripper that did not reach its
-    #: target: its limit of speed held it back, or it is among `halted`.
+    #: Name and end pose, position [m] and quaternion x, y, z, w, of each gripper that did not reach its target: its
+    #: speed limit slowed it, or it is in `stopped`.
     lagging: tuple[tuple[str, tuple[float, ...]], ...] = ()
-    #: Contacts with a reduced thickness as the frame's events left them; None without such contacts or events.
+    #: Contacts with a reduced thickness after the frame's events; None without such contacts or events.
     recovery: ContactRecovery | None = None
     #: Whether simulated time passed.
     moved: bool
-    #: Name of the integrator that ran; of the one that is chosen where no time passed.
+    #: Name of the integrator that ran, or of the chosen one if no time passed.
     integrator: str
-    #: Tolerance in force [m]; None where the step is fixed or none is set.
+    #: Tolerance in force [m]; None if the step is fixed or no tolerance is set.
     tolerance: float | None
-    #: Steps, evaluations, step sizes, error estimate and what bound the step; None where no time passed.
+    #: Steps, evaluations, step sizes, error estimate and active limit of the step; None if no time passed.
     advance: Advance | None
     #: Force [N] and torque [N m] of the cloth on each gripper about its pose, mean over the frame, shape
     #: (gripper_count, 6).
     wrenches: Array
-    #: The same of the cloth on each obstacle about its place, shape (obstacle_count, 6).
+    #: Force [N] and torque [N m] of the cloth on each obstacle about its position, mean over the frame, shape
+    #: (obstacle_count, 6).
     loads: Array
 
     def extras(self) -> dict[str, Any]:
         """Return additional entries of the frame's record, plain JSON values; none in a frame that went as commanded.
 
         Returns:
-            `poses`: `lagging` as lists by name; `halted`: names. Either is absent if empty.
+            `poses`: `lagging` as lists by name; `halted`: names of stopped bodies. Either is absent if empty.
         """
         extras: dict[str, Any] = {}
         if self.lagging:
@@ -68,6 +69,6 @@ class Frame:
         return extras
 
     def again(self, index: int, time: float) -> Frame:
-        """Return the frame that a sleeping cloth repeats, without the events that this one had."""
+        """Return the frame that a sleeping cloth repeats, at another index and time [s], without events."""
         now = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=(), recovery=None)
         return attrs.evolve(now, moved=True, wrenches=self.wrenches.copy(), loads=self.loads.copy())

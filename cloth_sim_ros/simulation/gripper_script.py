@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scripted grasp: poses over time with smooth motion between them, and when to close and open."""
+"""Scripted gripper motion: poses over time, and grasps."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Vector = tuple[float, ...]
 
 
 class ScriptError(ValueError):
-    """A script that can't be played; the message says why."""
+    """A script that can't be played; the message gives the reason."""
 
 
 @attrs.frozen(kw_only=True)
 class Waypoint:
-    """Where the gripper rests at a time."""
+    """Pose at which the gripper rests at a time."""
 
-    #: Since the script's start [s].
+    #: Time since the script's start [s].
     time: float
-    #: [m], 3 numbers.
+    #: Position [m], 3 numbers.
     position: Vector
     #: Unit quaternion x, y, z, w.
     orientation: Vector
@@ -38,7 +38,7 @@ class Waypoint:
 
 @attrs.frozen(kw_only=True)
 class GraspAt:
-    """When the gripper closes (True) or opens."""
+    """Time at which the gripper closes (True) or opens."""
 
     time: float
     closed: bool
@@ -46,12 +46,12 @@ class GraspAt:
 
 @attrs.frozen(kw_only=True)
 class GripperScript:
-    """What a gripper does, and when."""
+    """Motion and grasps of one gripper over time."""
 
     gripper: str
     #: Coordinate frame of the poses; empty means the cloth's.
     frame_id: str
-    #: Targets a second.
+    #: Target rate [Hz].
     rate: float
     waypoints: tuple[Waypoint, ...]
     grasps: tuple[GraspAt, ...]
@@ -61,7 +61,7 @@ class GripperScript:
         """Read a script.
 
         Raises:
-            ScriptError: naming the file and what is wrong with it.
+            ScriptError: naming the file and the fault.
         """
         import yaml
 
@@ -76,10 +76,10 @@ class GripperScript:
 
     @classmethod
     def from_dict(cls, content: Any) -> GripperScript:
-        """Build a script from what its YAML holds.
+        """Build a script from its parsed YAML.
 
         Raises:
-            ScriptError: for a missing, unknown or senseless entry.
+            ScriptError: for a missing, unknown or invalid entry.
         """
         entries = _checked(content, "script", needed={"steps"}, known={"gripper", "frame_id", "rate", "steps"})
         rate = _number(entries.get("rate", 100.0), "rate")
@@ -114,7 +114,9 @@ class GripperScript:
         return max([self.waypoints[-1].time, *(grasp.time for grasp in self.grasps)])
 
     def rest_end(self, time: float) -> float:
-        """Return until when [s] the gripper stays at its pose of a time [s]; the same time where it moves then."""
+        """Return the time [s] until which the gripper keeps its pose of a time [s]; that time itself while the gripper
+        moves.
+        """
         end = time
         for first, second in itertools.pairwise(self.waypoints):
             if first.time <= end < second.time:
@@ -124,7 +126,7 @@ class GripperScript:
         return end if end < self.waypoints[-1].time else math.inf
 
     def pose(self, time: float) -> tuple[Vector, Vector]:
-        """Return position [m] and orientation at a time [s]: at rest in each waypoint, least jerk between them."""
+        """Return position [m] and orientation at a time [s]: rest in each waypoint, minimum jerk between waypoints."""
         times = [waypoint.time for waypoint in self.waypoints]
         behind = bisect.bisect_right(times, time)
         if behind == 0:
@@ -134,7 +136,7 @@ class GripperScript:
             return start.position, start.orientation
         end = self.waypoints[behind]
         u = (time - start.time) / (end.time - start.time)
-        # Least jerk from rest to rest (Flash and Hogan 1985).
+        # Minimum jerk from rest to rest (Flash and Hogan 1985).
         s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
         position = tuple(a + s * (b - a) for a, b in zip(start.position, end.position, strict=True))
         return position, _turned(start.orientation, end.orientation, s)
@@ -189,7 +191,7 @@ def _numbers(value: Any, count: int, name: str) -> Vector:
 
 
 def _turned(start: Vector, end: Vector, share: float) -> Vector:
-    """Return the orientation at a share of the shortest turn from one to another."""
+    """Return the orientation at a fraction of the shortest rotation from one to another."""
     return start if start == end else tuple(turned_by(start, [share * angle for angle in _turn(start, end)]))
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grippers of a simulation: their poses, targets and grips, kept as named arrays of the state."""
+"""Grippers of a simulation: poses, targets and grips, kept in the state."""
 
 from __future__ import annotations
 
@@ -24,48 +24,48 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Target
 from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, renewed, travel, within
 
-#: A target at the limit of speed is not beyond it by rounding.
+#: Tolerance for rounding, so that a target exactly at the speed limit is not clamped.
 _ROUNDING = 1.0 + 1e-9
 
 
 @attrs.frozen
 class GraspResult:
-    """What closing or opening a gripper did."""
+    """Result of closing or opening a gripper."""
 
     gripper: str
     closed: bool
-    #: Particles that the gripper holds now.
+    #: Number of grasped particles.
     held: int
-    #: Why it holds none, or that nothing changed; empty otherwise.
+    #: Reason if it grasps nothing or nothing changed; else empty.
     reason: str = ""
-    #: Whether its pads only begin to close: `Frame.pinches` tells when they have.
+    #: True if its pads have started to close; `Frame.pinches` reports their rest.
     pending: bool = False
 
 
-#: What a force holds, see `Grips.noted`; the arrays of the state and numbers that it came of; paths.
+#: Saved inputs of the grip force, the arrays and numbers from which they were computed, and paths.
 Noted: TypeAlias = tuple[tuple[Any, ...] | None, tuple[Any, ...] | None, Array]
 
 
 class Grippers:
-    """The grippers of one simulation; all that changes lies in ``state.memory``.
+    """Grippers of one simulation. Everything that changes is in ``state.memory``.
 
     Args:
         names: names of the grippers; their order is that of every array.
-        state: the state that keeps poses and grips; entries that it lacks are added.
+        state: keeps poses and grips; missing entries are added.
     """
 
     def __init__(self, names: list[str], state: State) -> None:
         self.names = names
         self._state = state
-        #: What was laid into the force that holds particles last: as long as it is the same, only paths are new.
+        #: Inputs uploaded last to the grip force; while they stay the same, only paths are uploaded.
         self._laid: tuple[Any, ...] | None = None
-        #: Of those that pinch, by index: how far their pads reach from their origin [m].
+        #: Distance from the origin to the outermost point of the pads [m], by index of each pinching gripper.
         self.reaches: dict[int, float] = {}
-        #: Of those that their limit of speed held back in the newest frame, by name: the speed asked for [m/s].
+        #: Commanded speed [m/s] by name, of each gripper that the speed limit slowed in the newest frame.
         self.limited: dict[str, float] = {}
-        #: Distance from each gripper's origin to the furthest particle that it holds [m], and the arrays that say so.
+        #: Arrays of grips, and the distance from each gripper's origin to its furthest grasped particle [m].
         self._arms: tuple[Any, Any, list[float | None]] = (None, None, [])
-        #: Paths of all over the newest frame, shape (count, PATH_NUMBERS).
+        #: Paths of all grippers over the newest frame, shape (count, PATH_NUMBERS).
         self.paths = np.zeros((len(names), PATH_NUMBERS))
         count = len(names)
         pose = np.zeros((count, 7))
@@ -81,14 +81,14 @@ class Grippers:
             state.memory.setdefault(name, array)
 
     def poses(self) -> Array:
-        """Present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
+        """Return present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
         return self._state.memory["gripper.pose"].copy()
 
     def lagging(self, halted: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
         """Return name and pose, 7 numbers, of each gripper that the newest frame left short of its commanded target.
 
         Args:
-            halted: names of the bodies that were halted in the newest frame; a halted gripper's target became its pose.
+            stopped: names of the bodies that stopped in the newest frame; a stopped gripper's target became its pose.
         """
         pose, target = self._movers.array("pose"), self._movers.array("target")
         return tuple(
@@ -98,37 +98,37 @@ class Grippers:
         )
 
     def is_placed(self, index: int) -> bool:
-        """Whether the gripper has had a target, and so has a pose."""
+        """Return True if the gripper has received a target, and therefore has a pose."""
         return bool(self._state.memory["gripper.placed"][index])
 
     def is_closed(self, index: int) -> bool:
-        """Whether the gripper is closed, on whatever it holds or on nothing."""
+        """Return True if the gripper is closed, with or without cloth."""
         return bool(self._state.memory["gripper.closed"][index])
 
     def held(self, index: int) -> np.ndarray:
-        """Indices of the particles that a gripper holds."""
+        """Return the indices of the particles that a gripper grasps."""
         starts = self._state.memory["grip.starts"]
         return self._state.memory["grip.particles"][starts[index] : starts[index + 1]].copy()
 
     @property
     def settled(self) -> bool:
-        """Whether every gripper stands at its target, and stood there for a frame."""
+        """True if every gripper is at its target and was there for a whole frame."""
         return self._movers.settled
 
     def noted(self, grips: Grips | None) -> Noted:
-        """Return what was laid into the force that holds particles, for `go_back`."""
+        """Return the inputs uploaded to the grip force, for `restore`."""
         laid = None if self._laid is None else self._laid[:-1]
         return None if grips is None else grips.noted(), laid, self.paths
 
     def go_back(self, noted: Noted, grips: Grips | None) -> None:
-        """Lay into the force what was laid then, after the state has become what it was."""
+        """Upload inputs that `save` returned. The state must have been restored before."""
         held, laid, self.paths = noted
         if grips is not None and held is not None:
             grips.go_back(held)
         self._laid = None if laid is None else (*laid, grips)
 
     def set_target(self, event: Target) -> bool:
-        """Take note of a target; return whether it is the first one, which places the gripper there at once."""
+        """Store a target. Return True for the first one, which places the gripper there at once."""
         g = self.names.index(event.gripper)
         target = self._movers.aim(g, event.position, event.orientation)
         first = not self._state.memory["gripper.placed"][g]
@@ -138,17 +138,20 @@ class Grippers:
         return first
 
     def max_speed(self, index: int, speed: float) -> float:
-        """Return the limit of a gripper's speed [m/s], 0 for none, for the one that is set; pads have one always."""
+        """Return the speed limit in force [m/s], 0 for none. Pads always have one.
+
+        Args:
+            index: index of the gripper.
+            speed_limit: the limit that is set [m/s], 0 for none.
+        """
         return min(speed or MOST_SPEED, MOST_SPEED) if index in self.reaches else speed
 
     def halt(self) -> list[str]:
-        """Let those that pinch stand still where they are, until they are commanded anew; return the names of those
-        that moved.
-        """
+        """Hold the present pose of pinching grippers until their next target; return the names of those that moved."""
         return [self.names[g] for g in self._movers.halt(sorted(self.reaches))]
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
-        """Grab the free particles within the radius [m] of a gripper's present position."""
+        """Grasp the free particles within the radius [m] of a gripper's present position."""
         memory = self._state.memory
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
@@ -171,7 +174,7 @@ class Grippers:
         )
 
     def take(self, name: str, particles: NDArray[np.int64]) -> None:
-        """Close a gripper that is anywhere, and let it hold these particles where they are."""
+        """Close a placed gripper and attach particles at their present positions."""
         g = self.names.index(name)
         renewed(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
@@ -183,7 +186,7 @@ class Grippers:
         self._replace(g, particles, offsets)
 
     def pinch(self, name: str) -> GraspResult:
-        """Let the pads of a gripper close."""
+        """Start closing the pads of a gripper."""
         memory, g = self._state.memory, self.names.index(name)
         if memory["gripper.closed"][g]:
             return GraspResult(name, True, 0, "it is closed already: open it first")
@@ -193,7 +196,7 @@ class Grippers:
         return GraspResult(name, True, 0, pending=True)
 
     def open(self, name: str) -> GraspResult:
-        """Let go of everything that a gripper holds."""
+        """Release every particle of a gripper."""
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
@@ -211,21 +214,19 @@ class Grippers:
         damping: float,
         speeds: Sequence[float],
     ) -> float:
-        """Lay each gripper's path over the frame into the force that holds particles, with what it holds.
-
-        Returns:
-            By how much the way of a closed gripper over this frame differs from that over the one before [m], at most,
-            along an axis.
+        """Upload each gripper's path over the frame and its grasped particles to the grip force.
 
         Args:
             grips: the force that holds particles.
-            model: for the masses of the held particles.
+            model: gives the masses of the grasped particles.
             t: time at which the frame starts [s].
             duration: length of the frame [s].
-            stiffness: stiffness of the spring that holds the heaviest particle [N/m]; others in proportion to their
-            mass.
-            damping: dimensionless damping k_d0 of it.
-            speeds: of each gripper, the fastest that what it holds may move, mean over the frame [m/s]; 0 for no limit.
+            stiffness: stiffness of the spring that holds the heaviest particle [N/m]; others in proportion to mass.
+            damping: dimensionless damping k_d0 of that spring.
+            speeds: speed limit of each gripper for its grasped particles, mean over the frame [m/s]; 0 for none.
+
+        Returns:
+            Largest change of a closed gripper's displacement from the frame before to this one, along an axis [m].
         """
         closed, most = self._state.memory["gripper.closed"].tolist(), 0.0
         self.limited = {}
@@ -240,8 +241,9 @@ class Grippers:
     def _within(
         self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
     ) -> Sequence[float]:
-        """Pose of a gripper at a frame's end: its target, or, if it holds cloth, as near to it as its speed lets.
-        Pads never follow faster than obstacles: they would jump through the cloth.
+        """Return the pose of a gripper at the end of a frame: its target, or as close to it as its speed limit permits.
+
+        Pads are never faster than obstacles, because they would jump through the cloth.
         """
         if pose == target:
             return target
@@ -256,11 +258,11 @@ class Grippers:
         return end
 
     def _arm(self, g: int) -> float | None:
-        """Distance from a gripper's origin to the furthest particle that it holds [m]; None if it holds none."""
+        """Return the distance from a gripper's origin to its furthest grasped particle [m]; None without particles."""
         starts, offsets = (self._state.memory[name] for name in ("grip.starts", "grip.offsets"))
         known = self._arms
         if known[0] is not starts or known[1] is not offsets:
-            # By component, so that no library chooses the order of sums.
+            # By component, because a library might choose another order of sums.
             x, y, z = offsets.T
             lengths = np.sqrt(x * x + y * y + z * z)
             arms = [float(lengths[a:b].max()) if a < b else None for a, b in itertools.pairwise(starts.tolist())]
@@ -275,14 +277,14 @@ class Grippers:
             grips.move(paths)
             return
         self._laid = held
-        # Border particles carry half or a quarter of the mass, and so of the grip, as they do of the threads: they
-        # don't set the step.
+        # Border particles have half or a quarter of the mass, of the grip and of the threads. Therefore they do not
+        # limit the step.
         each = stiffness * model.masses[particles] / model.masses.max()
         damping_each = lecture_damping(damping, each, model.masses[particles])
         grips.hold(paths, starts, particles, memory["grip.offsets"], each, damping_each)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
-        """Set what one gripper holds, the others' grips staying as they are."""
+        """Set the particles that one gripper grasps. Other grips stay unchanged."""
         memory = self._state.memory
         starts = memory["grip.starts"]
         begin, end = int(starts[gripper]), int(starts[gripper + 1])

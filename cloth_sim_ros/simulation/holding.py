@@ -1,8 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulation starts, what anchored particles do there (they hold the place that they have, for without a force
-on them their velocity would last), and what a command to grasp does.
-"""
+"""Initial state of a simulation, anchored velocities, and the grasp command."""
 
 from __future__ import annotations
 
@@ -26,23 +24,24 @@ if TYPE_CHECKING:
 
 
 def stop(state: State, particles: NDArray[np.int64]) -> None:
-    """Let particles stand still."""
+    """Set the velocity of particles to zero."""
     if state.v[:, particles].any():
         state.v = state.v.copy()
         state.v[:, particles] = 0.0
 
 
 def hold(scene: Scene, state: State) -> None:
-    """Let the anchored particles of a scene stand still, at a start: a state may have been saved with other anchors.
+    """Set the velocity of a scene's anchored particles to zero, because a state may come from other anchors.
 
-    Those of raw springs move as their file has it.
+    Without a force an anchored particle would keep its velocity. Anchors of raw springs keep the velocity of their
+    file.
     """
     if not isinstance(scene.sheet, RawSprings):
         stop(state, np.array(scene.anchored_particles(), dtype=np.int64))
 
 
 def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
-    """Return the state that a reset returns to, and a copy of the state to start with: the same where none is given.
+    """Return the state that a reset restores and a copy of the state to start from. Without `state` both are equal.
 
     Raises:
         ValueError: for a state of another cloth.
@@ -51,12 +50,12 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
     other = difference(state, initial.cloth) if state is not None and initial.cloth is not None else ""
     if other:
         raise ValueError(f"the state {other}: a state only continues the cloth that it was saved from")
-    # It may have been saved asleep, under other parameters.
+    # The state may have been saved asleep under other parameters.
     wake(initial)
     hold(scene, initial)
     start = initial.copy() if state is None else state.copy()
     if not initial.v.any():
-        # The initial state is usually at rest: a single zero then takes the place of the whole array.
+        # The initial state is usually at rest. A broadcast zero then replaces the whole array.
         initial.v = np.broadcast_to(0.0, initial.v.shape)
     start.cloth = initial.cloth
     start.memory.setdefault("paused", np.zeros(1, dtype=bool))
@@ -66,7 +65,7 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
 def grasp(
     event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: Pinching | None
 ) -> GraspResult:
-    """Close or open a gripper; what it takes or lets go wakes the cloth."""
+    """Close or open a gripper. If its grasped particles change, the cloth wakes."""
     index = grippers.names.index(event.gripper)
     before = grippers.held(index).size
     pinches = pinching is not None and event.gripper in pinching.names

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of what acts on all particles alike, after which steps need not be judged anew: gusts come many a second."""
+"""Small changes of uniform forces that need no new error estimate.
+
+Gusts change the wind many times a second.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +14,21 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
-#: Change of velocity from one frame to the next [m/s] from which a motion counts as jumping.
+#: Change of velocity from one frame to the next [m/s] above which a motion counts as a jump.
 JUMP = 0.5
 _LOADS = frozenset(("gravity", "air.drag", "wind.velocity", "material.damping"))
-#: Largest changes for which the step limit is not computed again, since it changes by less than a quarter: of the drag
-#: rate times the period [1], and of the springs' damping k_d0 [1].
+#: Largest changes that keep the step limit within a quarter, so that it is not computed again: drag rate times period
+#: [1], and damping k_d0 of springs [1].
 _THICKER, _DAMPED = 0.04, 0.01
 
 
 def is_gentle(names: Collection[str], before: Scene, scene: Scene, v: Array) -> bool:
-    """Whether a change of parameters adds so little acceleration that the motion does not jump.
+    """Return True if a change of parameters adds so little acceleration that the motion stays smooth.
 
     Args:
-        names: of the parameters.
+        names: names of the changed parameters.
         before: the scene in force.
-        scene: the one that is to be.
+        scene: the new scene.
         v: velocities [m/s], shape (3, n).
     """
     if not _LOADS.issuperset(names) or scene.step:
@@ -34,7 +37,7 @@ def is_gentle(names: Collection[str], before: Scene, scene: Scene, v: Array) -> 
     damped = abs(scene.material.damping - before.material.damping)
     if thicker * scene.period > _THICKER or damped > _DAMPED:
         return False
-    # Acceleration for each m/s of wind that panels add [1/s]: drag over mass, both by area.
+    # Acceleration of panels per wind speed [1/s]: drag over mass, both by area.
     panels = (scene.wind.normal_drag + scene.wind.tangential_drag) / scene.material.density
     speeds = np.abs(v).max(axis=1).tolist() if thicker else (0.0, 0.0, 0.0)
     pushes = zip(scene.gravity, before.gravity, scene.wind.velocity, before.wind.velocity, speeds, strict=True)

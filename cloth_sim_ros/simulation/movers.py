@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is moved from outside, grippers and obstacles: poses and targets in the state, a smooth path for each frame."""
+"""Kinematic bodies: poses and targets in the state, smooth paths per frame.
+
+Grippers and obstacles are kinematic bodies: commands move them, and the cloth does not.
+"""
 
 from __future__ import annotations
 
@@ -16,32 +19,33 @@ from cloth_sim_ros.physics.gripper_path import Planner, rotation_vector, turned_
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Vector
 
-#: Fastest that an obstacle's surface, or a pad's, follows its target, mean over a frame [m/s].
+#: Speed limit of surfaces of obstacles and pads, mean over a frame [m/s].
 MOST_SPEED = 10.0
-#: Takes a body's index, its pose and its target, and returns the pose that it shall have at the frame's end. A pose is
-#: 7 numbers: position [m] and quaternion x, y, z, w.
+#: Function of a body's index, pose and target that returns its pose at the frame's end. A pose is 7 numbers: position
+#: [m] and quaternion x, y, z, w.
 Goal = Callable[[int, Sequence[float], Sequence[float]], Sequence[float]]
 
 
 def renewed(state: State, name: str) -> NDArray:
-    """Replace an array of the state's memory by a copy, and return the copy to write into.
+    """Replace an array of the state's memory by a copy, and return the copy for writing.
 
-    The old array is left as it was, because earlier states share it.
+    The old array stays unchanged, because earlier states share it.
     """
     state.memory[name] = state.memory[name].copy()
     return state.memory[name]
 
 
 def standing(t: float, poses: Array) -> Array:
-    """Return the paths of bodies that stand at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
+    """Return the paths of bodies at rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
     rows = np.zeros((len(poses), PATH_NUMBERS))
     rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, poses[:, :3], poses[:, 3:]
     return rows
 
 
 def within(pose: Sequence[float], target: Sequence[float], reach: float, most: float) -> Sequence[float]:
-    """Return where a body is that goes from a pose to a target, 7 numbers each, or as near to it as it may: no point
-    within a reach [m] of its origin goes further than `most` [m].
+    """Return the target pose, or the pose on the way to it at which a limit of travel is reached; 7 numbers each.
+
+    No point within `reach` [m] of the body's origin moves further than `max_travel` [m].
     """
     needed = travel(pose, target, reach)
     if needed <= most:
@@ -54,9 +58,9 @@ def within(pose: Sequence[float], target: Sequence[float], reach: float, most: f
 
 
 def travel(pose: Sequence[float], target: Sequence[float], reach: float) -> float:
-    """Return the furthest that a point within a reach [m] of a body's origin goes from a pose to a target [m]."""
+    """Return the largest distance [m] that a point within `reach` [m] of the origin moves from a pose to a target."""
     displacement = [target[i] - pose[i] for i in range(3)]
-    # The turn costs a call of the engine; a body without extent needs none.
+    # The rotation costs a call of the engine; a body without extent needs none.
     return _length(displacement) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
 
 
@@ -66,12 +70,12 @@ def _length(vector: Sequence[float]) -> float:
 
 
 class Movers:
-    """Poses, twists and targets of several bodies; all that changes lies in ``state.memory``.
+    """Poses, twists and targets of several bodies. Everything that changes is in ``state.memory``.
 
     Args:
-        kind: begins the names of the arrays, e.g. ``gripper``.
-        poses: where they are, shape (count, 7), for a state that does not know it.
-        state: the state that keeps them; entries that it lacks are added.
+        kind: prefix of the arrays' names, e.g. ``gripper``.
+        poses: initial poses, shape (count, 7), for a state that has none.
+        state: keeps the arrays; missing entries are added.
     """
 
     def __init__(self, kind: str, poses: Array, state: State) -> None:
@@ -85,24 +89,24 @@ class Movers:
             state.memory.setdefault(name, array)
 
     def array(self, what: str) -> NDArray:
-        """One of the arrays, not to be written into: pose, twist, turn or target."""
+        """Return one of the arrays `pose`, `twist`, `turn` and `target`, for reading."""
         return self._state.memory[f"{self._kind}.{what}"]
 
     def renewed(self, what: str) -> NDArray:
-        """The same, to be written into."""
+        """Return a copy of one of the arrays, which replaces it, for writing."""
         return renewed(self._state, f"{self._kind}.{what}")
 
     @property
     def settled(self) -> bool:
-        """Whether each stands at its target, and stood there for a frame."""
+        """True if each body is at its target and was there for a whole frame."""
         still = not self.array("turn").any() and not self.array("twist").any()
         return still and np.array_equal(self.array("pose"), self.array("target"))
 
     def aim(self, index: int, position: Vector, orientation: Vector | None) -> Array:
-        """Take note of a target [m], without an orientation the one before, and return its pose, shape (7,)."""
+        """Store a target position [m] and orientation, by default the present target's; return its pose, shape (7,)."""
         target = renewed(self._state, self._names[3])
         if orientation is None:
-            # One by one: an array made of three numbers first takes longer.
+            # Element by element, because building an array of three numbers takes longer.
             target[index, 0], target[index, 1], target[index, 2] = position
         else:
             target[index] = (*position, *unit(orientation))
@@ -110,7 +114,7 @@ class Movers:
         return pose
 
     def halt(self, indices: Sequence[int]) -> list[int]:
-        """Let some stand still where they are, until they are aimed anew; return those of them that moved."""
+        """Hold the present poses of some bodies until their next targets; return the indices of those that moved."""
         going = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)
         moving = [k for k in indices if going[k]]
         if moving:
@@ -120,13 +124,16 @@ class Movers:
         return moving
 
     def paths(self, t: float, duration: float, goal: Goal | None = None) -> tuple[Array, list[float]]:
-        """Move each over a frame, and return the paths, shape (count, PATH_NUMBERS), and by how much the way of each
-        differs from that over the frame before [m], at most, along an axis.
+        """Move each body over a frame.
 
         Args:
             t: time at which the frame starts [s].
-            duration: its length [s].
-            goal: where one of an index is to be at its end, of its pose and its target; at its target where left out.
+            duration: length of the frame [s].
+            end_pose: returns a body's pose at the frame's end from its index, pose and target; by default the target.
+
+        Returns:
+            Paths, shape (count, PATH_NUMBERS), and the largest change of each body's displacement from the frame
+            before, along an axis [m].
         """
         memory = self._state.memory
         poses, twists, before, targets = map(memory.__getitem__, self._names)
@@ -136,6 +143,6 @@ class Movers:
             ends = np.array([goal(k, *each) for k, each in enumerate(given)])
         rows, last, turns, changes = self._planner.plan(t, duration, poses, twists, before, ends)
         pose, twist, turn, _ = self._names
-        # No array of a state is written into, so two names may share one.
+        # Arrays of a state are never written to, so two names may share one.
         memory[pose], memory[twist], memory[turn] = ends, last, turns
         return rows, changes

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles of a simulation: their poses and targets, kept as named arrays of the state, and where they touch at once.
+"""Obstacles of a simulation: poses, targets and gaps to particles.
 
-A target is followed as fast as `MOST_SPEED` lets: an obstacle never jumps, so that none jumps through the cloth.
+An obstacle follows its target at `MAX_BODY_SPEED` at most. Therefore it never jumps through the cloth.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from cloth_sim_ros.scene import sections
 from cloth_sim_ros.simulation.events import Move
 from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, standing, within
 
-#: Of an obstacle that is larger, or a plane, the speed of turning counts at this distance from its origin [m].
+#: Largest lever arm of rotation for the speed limit [m]; it applies to larger obstacles and planes.
 _MOST_ARM = 1.0
 _KIND = "obstacle"
 
 
 class Obstacles:
-    """The obstacles of one simulation; all that changes lies in ``state.memory``.
+    """Obstacles of one simulation. Everything that changes is in ``state.memory``.
 
     Args:
-        solids: their shapes; the order is that of every array.
-        described: where they start, by name.
-        state: the state that keeps their poses; entries that it lacks are added.
+        solids: shapes of the obstacles; their order is that of every array.
+        descriptions: parameters of the obstacles, by name; they give the initial poses.
+        state: keeps the poses; missing entries are added.
     """
 
-    #: Fastest that a surface follows its target, mean over a frame [m/s].
+    #: Speed limit of surfaces, mean over a frame [m/s].
     speed = MOST_SPEED
 
     def __init__(self, solids: list[Obstacle], described: Mapping[str, sections.Obstacle], state: State) -> None:
@@ -45,51 +45,58 @@ class Obstacles:
         self._movers = Movers(_KIND, np.array([_start(described[name]) for name in self.names]), state)
 
     def poses(self) -> Array:
-        """Present poses: position [m] and quaternion x, y, z, w, shape (obstacle_count, 7)."""
+        """Return present poses: position [m] and quaternion x, y, z, w, shape (obstacle_count, 7)."""
         return self._movers.array("pose").copy()
 
     @property
     def settled(self) -> bool:
-        """Whether every obstacle stands at its target, and stood there for a frame."""
+        """True if every obstacle is at its target and was there for a whole frame."""
         return self._movers.settled
 
     @property
     def behind(self) -> list[str]:
-        """Names of the obstacles that are not where they were commanded to be: they follow at MOST_SPEED."""
+        """Names of the obstacles that have not reached their target yet."""
         away = (self._movers.array("pose") != self._movers.array("target")).any(axis=1)
         return [name for name, far in zip(self.names, away.tolist(), strict=True) if far]
 
     def set_target(self, event: Move) -> None:
-        """Take note of a target."""
+        """Store a target."""
         self._movers.aim(self.names.index(event.obstacle), event.position, event.orientation)
 
     def halt(self) -> list[str]:
-        """Let all stand still where they are, until they are commanded anew; return the names of those that moved."""
+        """Hold the present poses until the next targets; return the names of the obstacles that moved."""
         return [self.names[k] for k in self._movers.halt(range(len(self.names)))]
 
     def plan_frame(self, t: float, duration: float) -> tuple[Array, float]:
-        """Return each obstacle's path over a frame that starts at time t [s], shape (count, PATH_NUMBERS), and by how
-        much the way of one over it differs from that over the frame before [m], at most, along an axis.
+        """Return the paths over a frame that starts at time t [s], and the largest change of displacement.
+
+        Args:
+            t: time at which the frame starts [s].
+            duration: length of the frame [s].
+
+        Returns:
+            Paths, shape (count, PATH_NUMBERS), and the largest change of an obstacle's displacement from the frame
+            before, along an axis [m].
         """
         paths, changes = self._movers.paths(t, duration, functools.partial(self._within, duration))
         return paths, max(changes)
 
     def standing(self, t: float) -> Array:
-        """Return the paths of obstacles that stand where they are, from time t [s] on, shape (count, PATH_NUMBERS)."""
+        """Return the paths of obstacles at rest at their poses from time t [s] on, shape (count, PATH_NUMBERS)."""
         return standing(t, self._movers.array("pose"))
 
     def nearest(self, name: str) -> tuple[float, int]:
-        """Return the gap [m], negative inside, between an obstacle and the nearest particle, and its number."""
+        """Return the gap [m], negative inside, of an obstacle to its nearest particle, and that particle's index."""
         k = self.names.index(name)
         gap = gaps(self.solids[k], self._movers.array("pose")[k], self._state.x)
         particle = int(np.argmin(gap))
         return float(gap[particle]), particle
 
     def check_outside(self, names: Iterable[str], anchored: Collection[int]) -> None:
-        """Refuse a cloth that is inside obstacles; anchored particles, which nothing pushes, may be.
+        """Refuse a cloth with a free particle inside named obstacles. Anchored particles may be inside.
 
         Raises:
-            ValueError: naming the obstacle, the particle that is deepest inside, and how deep; the end of a sentence.
+            ValueError: naming the obstacle, the deepest particle and its depth; the end of a sentence.
         """
         held = list(anchored)
         for name in names:
@@ -105,18 +112,18 @@ class Obstacles:
                 )
 
     def _within(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
-        """Where an obstacle is at a frame's end: at its target, or as near to it as its speed lets."""
+        """Return an obstacle's pose at a frame's end: its target, or as close to it as the speed limit permits."""
         return within(pose, target, min(self.solids[k].reach, _MOST_ARM), MOST_SPEED * duration)
 
 
 def rearrange(state: State, before: list[str], now: list[str], described: Mapping[str, sections.Obstacle]) -> None:
-    """Let a state's memory be that of other obstacles: those that stay keep pose and motion.
+    """Replace the obstacles in a state's memory. Obstacles that remain keep pose and motion.
 
     Args:
-        state: whose memory; one that knows no obstacles is left as it is.
-        before: names of those that it knows.
-        now: names of those that are to be there.
-        described: where new ones start, by name.
+        state: the state; without obstacles in memory it stays unchanged.
+        names_before: names of the obstacles in memory.
+        names_after: names of the new obstacles.
+        descriptions: parameters of the obstacles, by name; they give the initial poses.
     """
     state.memory = dict(state.memory)
     names = [f"{_KIND}.{what}" for what in ("pose", "twist", "turn", "target")]
@@ -134,9 +141,9 @@ def rearrange(state: State, before: list[str], now: list[str], described: Mappin
 
 
 def gaps(solid: Obstacle, pose: Array, x: Array, *, within: float = math.inf) -> Array:
-    """Return how far particles at x [m], (3, n), are outside an obstacle at a pose, shape (n,).
+    """Return the distances [m] of particles at x [m], (3, n), from an obstacle's surface, shape (n,); negative inside.
 
-    Those further than `within` [m] from its bounding sphere are told the distance from that, which is no more.
+    Beyond `max_distance` [m] from the bounding sphere the distance from that sphere is returned, a lower bound.
     """
     away = x - pose[:3, None]
     found: Array = np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2]) - solid.reach
@@ -149,5 +156,5 @@ def gaps(solid: Obstacle, pose: Array, x: Array, *, within: float = math.inf) ->
 
 
 def _start(description: sections.Obstacle) -> Array:
-    """Pose with which an obstacle starts, shape (7,)."""
+    """Return the initial pose of an obstacle, shape (7,)."""
     return np.concatenate([np.asarray(description.position, dtype=np.float64), normalised(description.orientation)])

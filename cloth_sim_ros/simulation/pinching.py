@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The grippers of a simulation that pinch: their pads, kept as named arrays of the state, and when they hold."""
+"""Pinching grippers of a simulation: state of their pads and their grasps."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.movers import renewed
 from cloth_sim_ros.simulation.obstacles import gaps
 
-#: Pads have come to rest where their speed, and what is left of their force, are below this share of the drive's.
+#: Pads are at rest if their speed and residual force are below this fraction of the drive's speed and force.
 _AT_REST = 1e-3
 
 
 class Pinching:
-    """Pads of the grippers of one simulation; all that changes lies in ``state.memory``.
+    """Pads of the pinching grippers of one simulation. Everything that changes is in ``state.memory``.
 
     Args:
-        pads: of the grippers that pinch; their order is that of every array.
-        grippers: all of the simulation.
-        state: the state that keeps them; entries that it lacks are added, pads being open.
+        pads: pads of each pinching gripper; their order is that of every array.
+        grippers: every gripper of the simulation.
+        state: keeps the pads; missing entries are added, with open pads.
     """
 
     def __init__(self, pads: tuple[Pads, ...], grippers: Grippers, state: State) -> None:
@@ -35,7 +35,7 @@ class Pinching:
         self.names = [each.gripper for each in pads]
         self._indices = [grippers.names.index(name) for name in self.names]
         grippers.reaches = {index: each.reach for index, each in zip(self._indices, pads, strict=True)}
-        #: The pads as obstacles, two of each gripper.
+        #: The pads as obstacles, two for each gripper.
         self.boxes = [box for each in pads for box in each.boxes()]
         state.memory.setdefault(PINCHED, np.array([each.start for each in pads]))
         state.memory.setdefault(SETTLED, np.ones(len(pads), dtype=bool))
@@ -46,39 +46,39 @@ class Pinching:
             )
 
     def poses(self) -> Array:
-        """Poses of all pads: position [m] and quaternion x, y, z, w, shape (pads, 7)."""
+        """Return the poses of all pads: position [m] and quaternion x, y, z, w, shape (pads, 7)."""
         memory, found = self._state.memory, list[Array]()
         for pads, index, (way, _) in zip(self.pads, self._indices, memory[PINCHED].tolist(), strict=True):
             found += _places(pads, memory["gripper.pose"][index], way)
         return np.array(found)
 
     def shown(self) -> list[int]:
-        """Numbers of the pads that are anywhere."""
+        """Return the indices of the pads whose gripper is placed."""
         placed = self._state.memory["gripper.placed"]
         return [2 * k + side for k, index in enumerate(self._indices) if placed[index] for side in range(2)]
 
     def rows(self, paths: Array) -> Array:
-        """Return the paths of the grippers of all pads, of the paths of all grippers."""
+        """Return the gripper path of each pad, from the paths of all grippers."""
         return np.repeat(paths[self._indices], 2, axis=0)
 
     def driven(self) -> NDArray[np.bool_]:
-        """Whether each gripper is anywhere, and whether it closes, shape (pinches, 2)."""
+        """Return for each pinching gripper if it is placed and if it closes, shape (pinching grippers, 2)."""
         memory = self._state.memory
         return np.stack([memory[name][self._indices] for name in ("gripper.placed", "gripper.closed")], axis=1)
 
     def take_over(self, loads: Array, wrenches: Array) -> Array:
-        """Book the loads of pads, which are the last, as wrenches on their grippers; return those of obstacles."""
+        """Add the wrenches on pads, the last rows, to those of their grippers; return the wrenches on obstacles."""
         solids = len(loads) - len(self.boxes)
         for k, index in enumerate(self._indices):
             wrenches[index] += loads[solids + 2 * k] + loads[solids + 2 * k + 1]
         return loads[:solids]
 
     def unsettle(self, name: str) -> None:
-        """Let it be told when the pads of a gripper come to rest."""
+        """Request a report when the pads of a gripper come to rest."""
         renewed(self._state, SETTLED)[self.names.index(name)] = False
 
     def held(self, plan: Plan, t: float, name: str) -> int:
-        """Return how many particles a gripper has between its pads: in contact with either."""
+        """Return the number of particles between a gripper's pads: the smaller contact count of both pads."""
         contact, k = plan.contact, self.names.index(name)
         if contact is None or not self.driven()[k].all():
             return 0
@@ -86,7 +86,7 @@ class Pinching:
         return int(counts.min())
 
     def settle(self, plan: Plan, t: float) -> list[GraspResult]:
-        """Return what became of the grippers whose pads came to rest, closed, in the frame that ended at time t [s]."""
+        """Return results of the grippers whose closed pads came to rest in the frame that ended at time t [s]."""
         settled = self._state.memory[SETTLED]
         if settled.all() or plan.contact is None:
             return []
@@ -106,11 +106,13 @@ class Pinching:
 
 
 def check_placed(pads: Pads, pose: Array, state: State) -> Array:
-    """Refuse a pose of a gripper at which its open pads would be where particles are; return the poses of its pads,
-    position [m] and quaternion x, y, z, w, shape (2, 7).
+    """Return the poses of a gripper's open pads at its first pose. Refuse a pose with particles inside a pad.
+
+    Returns:
+        Position [m] and quaternion x, y, z, w, shape (2, 7).
 
     Raises:
-        ValueError: naming the pad and the particle that is deepest inside.
+        ValueError: naming the pad and the deepest particle.
     """
     places = _places(pads, pose, pads.start[0])
     for box, place in zip(pads.boxes(), places, strict=True):
@@ -126,6 +128,8 @@ def check_placed(pads: Pads, pose: Array, state: State) -> Array:
 
 
 def _places(pads: Pads, pose: Array, way: float) -> list[Array]:
-    """Poses of both pads of a gripper at a pose, half the way between their faces being so much [m]."""
+    """Return the poses of both pads of a gripper at a pose; `half_opening`: half the distance between the pads' faces
+    [m].
+    """
     axis, out = rotation_matrix(pose[3:])[:, 1], way + 0.5 * pads.size[1]
     return [np.concatenate([pose[:3] + side * out * axis, pose[3:]]) for side in (1.0, -1.0)]

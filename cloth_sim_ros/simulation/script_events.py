@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scripted grasps as events, frame by frame: what plays a script without a node and without a clock."""
+"""Events of scripted grasps, frame by frame, without node or clock."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 
 class ScriptEvents:
-    """Events of scripts that begin together at time 0.
+    """Events of scripts that start together at time 0.
 
-    A frame's target is where the script has the gripper at the frame's end; a grasp takes effect at the beginning of
-    the first frame that does not begin before it.
+    A frame's target is the script's pose at the frame's end. A grasp takes effect in the first frame that starts at its
+    time or later.
 
     Args:
         scripts: one for each gripper.
@@ -28,9 +28,9 @@ class ScriptEvents:
         self._told: list[Event | None] = [None] * len(scripts)
 
     def at(self, frame: int) -> list[Event]:
-        """The events with which the frame begins that ends as number `frame` + 1; ask for the frames in order.
+        """Return the events of the frame that ends with index `frame` + 1. Call it for the frames in order.
 
-        A target that is the last one again is left out, so that a cloth can fall asleep.
+        A target equal to the last one is left out, so that a cloth can fall asleep.
         """
         events: list[Event] = []
         for index, script in enumerate(self._scripts):

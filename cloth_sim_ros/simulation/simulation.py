@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The only door through which a cloth's state changes: advance one frame with an ordered list of events."""
+"""Simulation of one cloth: advance a frame with an ordered list of events.
+
+Every change of the cloth's state goes through this class.
+"""
 
 from __future__ import annotations
 
@@ -64,19 +67,19 @@ if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
 
 
-#: Events that may compress contacts, or relieve them.
+#: Events that may compress or relieve contacts.
 _MAY_REDUCE = (Grasp, SetParameters, Reset)
 
 
 class Simulation(ExclusiveAccess):
     """A cloth that moves frame by frame.
 
-    Its methods may be called by several threads: they take turns. `state` is the live state, which changes during a
-    frame: other threads read `positions`, or take a `snapshot`.
+    Several threads may call its methods; the calls run one at a time. `state` is the live state, which changes during a
+    frame. Other threads read `positions`, or take a `snapshot`.
 
     Args:
         scene: configuration.
-        state: where to start; the scene's initial state where left out.
+        state: initial state; by default the scene's.
 
     Raises:
         ValueError: if the state does not fit the scene.
@@ -92,16 +95,16 @@ class Simulation(ExclusiveAccess):
                 self.obstacles.check_outside(self.obstacles.names, scene.anchored_particles())
             except ValueError as error:
                 raise ValueError(f"the cloth {error}") from error
-        #: Energy balance since it was asked for or parameters changed; None where it is not asked for.
+        #: Energy balance since it was requested or parameters changed; None if it is off.
         self.energy_report: EnergyReport | None = None
-        # Two shortcuts for a sleeping sheet. Both follow from the state and are not part of it. The first: under the
-        # present parameters the rule of sleep was checked, and the wrenches are in the book. The second: the last
-        # frame, kept while the next one, if it has no events, can only be equal to it.
+        # Two shortcuts for a sleeping sheet. Both follow from the state and are not part of it.
+        # First: the criterion of sleep was checked under the present parameters, and wrenches are accumulated.
+        # Second: the last frame, kept as long as a next frame without events can only repeat it.
         self._known_to_rest = False
         self._slept: Frame | None = None
         self._plans = Plans(scene)
         self._apply_scene(scene)
-        # A later state came of a start that was clear, unless contact has another thickness now.
+        # Only frame 0 and a new thickness need the check: later states are reached from a collision-free start.
         if self.plan.contact is not None:
             thickness = scene.contact.thickness
             if not self.state.frame or self.state.thickness not in (None, thickness):
@@ -116,32 +119,32 @@ class Simulation(ExclusiveAccess):
 
     @property
     def frame(self) -> int:
-        """Number of the frame that the state stands at."""
+        """Index of the frame that the state has reached."""
         return self.state.frame
 
     @property
     def time(self) -> float:
-        """Simulated time [s]: frame number times period."""
+        """Simulated time [s]: frame index times period."""
         return self.state.frame * self._period
 
     @property
     def paused(self) -> bool:
-        """Whether time stands still."""
+        """True while time stands still."""
         return bool(self.state.memory["paused"][0])
 
     @property
     def asleep(self) -> bool:
-        """Whether the cloth is at rest, so that its frames are not computed until something touches it."""
+        """True if the cloth is at rest. Its frames are then not computed until an event or contact wakes it."""
         return is_asleep(self.state)
 
     @property
     def sleeps_on(self) -> bool:
-        """Whether the next frame, unless events come, costs nothing: it can only be the last one again."""
+        """True if the next frame costs nothing: without events it can only repeat the last one."""
         return self._slept is not None and self.frame < sleeps_until(self.state)
 
     @between_frames
     def held(self, index: int) -> int:
-        """Number of particles that a gripper holds, or has between its pads."""
+        """Return the number of particles that a gripper grasps, or has between its pads."""
         name = self.grippers.names[index]
         if self.pinching is not None and name in self.pinching.names:
             return self.pinching.held(self.plan, self.time, name)
@@ -161,27 +164,29 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def rests(self) -> bool:
-        """Whether the cloth would stay where it is, let go at rest here, by the rule by which it falls asleep."""
+        """Return True if the cloth, released at rest, would stay in place by the criterion of sleep."""
         return self._sleep.rests(self.state, self.time)
 
     @exclusive
     def energy(self) -> float:
-        """Kinetic plus potential energy [J] at the present state."""
+        """Return kinetic plus potential energy [J] of the present state."""
         if self.plan.contact is not None:
             self.plan.contact.take(self.state)
         return self.plan.energy(self.time, self.state.x, self.state.v)
 
     @exclusive
     def gaps(self) -> Array | None:
-        """How many particles each obstacle, and then each pad, touches and the smallest gap [m], shape (count, 2); None
-        where there are none.
+        """Return the number of touching particles and the smallest gap [m] of each obstacle and then each pad, shape
+        (count, 2).
+
+        None without obstacles and pads.
         """
         contact = self.plan.contact
         return None if contact is None else contact.gaps_of(self.state, self.time)
 
     @exclusive
     def rates(self, scene: Scene) -> tuple[float, float]:
-        """Bounds of the squared highest frequency [1/s^2] and of the damping rate [1/s] with another scene in force."""
+        """Return bounds of the squared highest frequency [1/s^2] and the damping rate [1/s] for another scene."""
         return self._plans.rates(scene, self.state.x)
 
     @between_frames
@@ -195,18 +200,18 @@ class Simulation(ExclusiveAccess):
 
     @between_frames
     def check_scene(self, scene: Scene) -> None:
-        """Refuse a scene that is to be in force later where its new obstacles would hold the cloth as it is now.
+        """Refuse a future scene whose new obstacles would intersect or contain the present cloth.
 
         Raises:
-            EventError: naming the obstacle and the place.
+            EventError: naming the obstacle and the location.
         """
         check_added(self._scene, scene, self.state)
 
     @exclusive
     def advance(self, events: Sequence[Event] = ()) -> Frame:
-        """Apply events at the frame's boundary, then let one frame of time pass, unless paused.
+        """Apply events at the frame's boundary, then advance time by one frame, unless paused.
 
-        Either all of it happens, or the state stays as it was.
+        If the frame fails, the state stays as it was.
 
         Raises:
             EventError: for an event that can't take effect.
@@ -227,7 +232,9 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def snapshot(self) -> Snapshot:
-        """Return all that later frames read: restored, the same events give the same bits. It takes microseconds."""
+        """Return everything that later frames read, in microseconds. After a restore the same events give the same
+        bits.
+        """
         return self._snapshot()
 
     def _snapshot(self) -> Snapshot:
@@ -245,7 +252,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def restore(self, snapshot: Snapshot) -> None:
-        """Go back, or on, to a snapshot of a simulation of the same scene; live parameters become the snapshot's.
+        """Restore a snapshot of a simulation of the same scene; live parameters become the snapshot's.
 
         Raises:
             ValueError: for a snapshot of another scene; the message names a parameter that differs.
@@ -313,9 +320,9 @@ class Simulation(ExclusiveAccess):
         return frame
 
     def _held(self, gripper: str) -> NDArray[np.int64]:
-        """Particles that a gripper holds, or that touch its pads."""
+        """Return the indices of the particles that a gripper grasps, or that touch its pads."""
         if self.plan.contact is not None:
-            # Poses of the state: a path's end rounds otherwise, and a run from a saved state has none.
+            # Poses come from the state: a path's end rounds differently, and a run from a saved state has no path.
             self._stand_obstacles()
         if self.pinching is not None and gripper in self.pinching.names:
             return touching_particles(self.plan, self.state, self.time, pad_rows(self.plan, gripper).tolist()[:-1])
@@ -327,9 +334,9 @@ class Simulation(ExclusiveAccess):
             self._stand_obstacles()  # see `_held`
         relieved = relieved_particles(self.plan, self.state, self.time, before, scene)
         observing = all(entry.observes for entry in scene.entries if entry.name in values)
-        # A motion beyond the fixed step already is none of the parameters' doing.
+        # A motion that was already beyond the fixed step is not caused by the parameters.
         stable = observing or self._holds_step()
-        self._initial = self._initial.share()  # snapshots hold the old one
+        self._initial = self._initial.share()  # snapshots share the old one
         change_obstacles(before, scene, (self.state, self._initial))
         self.obstacles = obstacles_of(scene, self.state)
         self._apply_scene(scene)
@@ -367,7 +374,7 @@ class Simulation(ExclusiveAccess):
                     self._halted = halt(self.obstacles, self.grippers)
                 if not self._halted:
                     raise
-                # Where nothing comes nearer there is always a way: that the cloth stays where it is.
+                # With stopped bodies a solution always exists: the cloth at rest.
                 self._plan_movers(start)
                 done = self._integrator.advance(self.plan, state, start, period, self._book)
             if self._energy is not None and self._book is not None:
@@ -381,20 +388,20 @@ class Simulation(ExclusiveAccess):
 
     @property
     def _settled(self) -> bool:
-        """Whether grippers and obstacles stand still."""
+        """True if grippers and obstacles are at rest."""
         return self.grippers.settled and (self.obstacles is None or self.obstacles.settled)
 
     def _plan_movers(self, t: float) -> None:
-        """Lay the paths of grippers and obstacles over the frame that starts at time t [s]."""
+        """Upload the paths of grippers and obstacles over the frame that starts at time t [s]."""
         change = plan_movers(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
         begin_recovery(self.plan, self.state, t, self._period)
         if change > JUMP * self._period:
             restart(self.state)
 
     def _sleeps_on(self, t: float) -> bool:
-        """Whether a sleeping cloth may sleep on; if so, the book gets its wrenches."""
-        # A loaded state may have fallen asleep under other parameters, so the rule is checked once. A state that fell
-        # asleep under these parameters always passes: the rule and the positions are the same.
+        """Return True if a sleeping cloth may stay asleep; its wrenches are then accumulated."""
+        # A loaded state may have fallen asleep under other parameters, so the criterion is checked once. A state that
+        # fell asleep under these parameters always passes, because criterion and positions are the same.
         if not self._known_to_rest and not self._sleep.rests(self.state, t):
             wake(self.state)
         if not is_asleep(self.state) or not self._sleep.goes_on(self.state):
@@ -420,12 +427,12 @@ class Simulation(ExclusiveAccess):
     @property
     @between_frames
     def contact_recovery(self) -> ContactRecovery | None:
-        """Contacts that have a reduced thickness, and for how long; None where all have the whole one."""
+        """Contacts with a reduced thickness and their recovery time; None if every contact has the full one."""
         return contact_recovery(self.plan, self.state)
 
     def _stand_obstacles(self) -> None:
-        """Let contact know where obstacles and pads are, until the next frame moves them."""
-        #: Grippers that pinch; None where none does.
+        """Place obstacles and pads at their present poses for contact, until the next frame moves them."""
+        #: Pinching grippers; None without any.
         self.pinching = pinching_of(self.plan, self.grippers, self.state)
         if self.plan.contact is not None:
             stand(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
@@ -448,15 +455,15 @@ class Simulation(ExclusiveAccess):
         self._hold_tolerance()
 
     def _holds_step(self) -> bool:
-        """Whether a fixed step is within the stability limit of the motion as it is; true where none is set."""
+        """Return True if the fixed step is within the present stability limit, or no step is set."""
         step = self._scene.step
         return not step or step <= self._integrator.step_limit(*self.plan.rates(self.state.x))
 
     def _hold_tolerance(self) -> None:
-        """Let integrator and sleep follow the tolerance in force: the scene's, relaxed by what the state says."""
+        """Set the tolerance in force for integrator and sleep: the scene's times the state's relaxation factor."""
         scene, self._factor = self._scene, relaxation.factor_of(self.state)
         self._integrator = scene.build_integrator(factor=self._factor)
-        #: Tolerance in force [m], None where the step is fixed or none is set.
+        #: Tolerance in force [m]; None if the step is fixed or no tolerance is set.
         self._tolerance = (relaxation.relaxed(scene.tolerance, self._factor) or None) if not scene.step else None
         self._sleep = Sleep(self.plan, tolerance=self._tolerance, period=scene.period)
         self._known_to_rest, self._slept = False, None

@@ -1,15 +1,16 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a sheet has come to rest, so that its frames need not be computed any more, and for how long.
+"""Sleep of a sheet at rest: its frames are not computed.
 
-The tolerance in force is what licenses it: without one nothing sleeps. What sleep leaves out is bounded by what the
-sheet did while it was watched for a second before: let d be the furthest that a particle got in it. A particle whose
-velocity and acceleration hardly change had at most the speed d / s, and at most the acceleration 8 d / s^2 (at a
-turning point it moves by a / 8 in a second), so in T more seconds it gets no further than d (T + 4 T^2). The sheet
-sleeps while that is within what is left of a quarter of the tolerance. Then it wakes with the velocities that it had,
-and is watched again: what the sleep left out is booked, d T with the larger d of before and after, twice for caution.
-A sheet at rest moves by rounding in a second, and sleeps for hours; one that creeps uses up what it may and is computed
-from then on, until an event touches it.
+Sleep needs a tolerance in force. The motion that sleep omits is bounded by the motion in the second before it, as
+follows. Let d be the largest distance that a particle moved in that second. If velocity and acceleration hardly change,
+its speed is at most d / s. Its acceleration is at most 8 d / s^2, because at a turning point it moves by a / 8 in a
+second. In T further seconds it therefore moves at most d (T + 4 T^2).
+
+The sheet sleeps as long as that bound is within the remainder of a quarter of the tolerance. Then it wakes with the
+velocities that it had, and is watched again. The omitted motion is added to the used drift: 2 d T, with the larger d of
+before and after. A sheet at rest moves by rounding only and sleeps for hours. A creeping sheet exhausts its drift and
+is then computed until an event touches it.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ from cloth_sim_ros.physics.remembered import SLEEP_VELOCITY as VELOCITY
 from cloth_sim_ros.physics.remembered import Sleep as Memory
 from cloth_sim_ros.physics.state import State
 
-#: Accelerations below so many roundings of a coordinate, times the largest squared frequency, count as zero.
+#: Accelerations below this many rounding errors of a coordinate, times the largest squared frequency, count as zero.
 _ROUNDINGS = 4.0
-#: Longest sleep [frames]: what rounds to no motion at all sleeps for good.
+#: Longest sleep [frames], for a sheet whose motion rounds to zero.
 _FOR_GOOD = 2.0**53
 
 
 class Sleep:
-    """Follows one simulation's frames; all that it remembers lies in the state.
+    """Criterion and duration of sleep for one simulation. Everything that it stores is in the state.
 
     Args:
         plan: equations of motion.
-        tolerance: the tolerance in force [m]; None where there is none, and then nothing sleeps.
+        tolerance: the tolerance in force [m]; with None nothing sleeps.
         period: length of a frame [s].
     """
 
@@ -51,17 +52,17 @@ class Sleep:
         self._frames = max(2, math.ceil(CONSTANTS.calm / period))
 
     def follow(self, state: State, t: float) -> bool:
-        """Look at a frame that moved and ended at time t [s]; put the sheet to sleep if it may.
+        """Update with a frame that moved and ended at time t [s]; put the sheet to sleep if the criterion permits.
 
         Returns:
-            Whether it fell asleep.
+            True if the sheet fell asleep.
         """
         if not self._calm(state):
             state.memory.pop(FROM, None)
             return False
         memory = Memory.of(state)
         if FROM not in state.memory:
-            # Watched from here on.
+            # The watch starts here.
             state.memory[FROM], memory.frames = state.x, 0.0
             memory.store(state)
             return False
@@ -81,7 +82,9 @@ class Sleep:
         return is_asleep(state)
 
     def _most(self, moved: float, room: float) -> int:
-        """Return for how many frames a sheet may sleep that moved so far in a second [m], with room for more [m]."""
+        """Return the largest number of frames of sleep; `drift_rate`: motion in a second [m], `budget`: permitted
+        motion [m].
+        """
         if room <= 0.0:
             return 0
         if moved == 0.0:
@@ -91,7 +94,7 @@ class Sleep:
         return int(min(_FOR_GOOD, 2.0 * ratio / (1.0 + math.sqrt(1.0 + 16.0 * ratio)) / self._period))
 
     def rests(self, state: State, t: float) -> bool:
-        """Whether a state that is let go where it is, at rest, at time t [s], is hardly accelerated."""
+        """Return True if a state, released at rest at time t [s], is accelerated by no more than sleep permits."""
         model = self._plan.model
         if not self._tolerance or not self._steady() or state.v[:, model.anchors].any():
             return False
@@ -111,8 +114,9 @@ class Sleep:
         return bool(all_below(acceleration, most))
 
     def goes_on(self, state: State) -> bool:
-        """Whether a sheet that sleeps may sleep on: its time is not up, and nothing moves what it hangs on. Otherwise
-        it is woken.
+        """Return True if a sleeping sheet may stay asleep. Otherwise wake it.
+
+        It wakes if its time is up, or if a body that it hangs on moves.
         """
         if not self._steady():
             wake(state)
@@ -123,7 +127,7 @@ class Sleep:
         return True
 
     def frame(self, integrator: str) -> Advance:
-        """What is told of a frame that was slept through."""
+        """Return the summary of a frame that was slept through."""
         return Advance(
             steps=0,
             evaluations=0,
@@ -147,17 +151,17 @@ class Sleep:
 
 
 def is_asleep(state: State) -> bool:
-    """Whether the sheet of a state sleeps."""
+    """Return True if the sheet of a state sleeps."""
     return VELOCITY in state.memory
 
 
 def sleeps_until(state: State) -> float:
-    """Return the number of the frame at which a sheet that sleeps wakes by itself."""
+    """Return the index of the frame at which a sleeping sheet wakes by itself."""
     return Memory.of(state).until
 
 
 def wake(state: State) -> None:
-    """Let the sheet move on from where it is, if it sleeps, and forget how calm it was."""
+    """Wake the sheet, if it sleeps, and reset the watch for rest."""
     if is_asleep(state):
         _rise(state)
         restart(state)
@@ -166,13 +170,13 @@ def wake(state: State) -> None:
 
 
 def _rise(state: State) -> None:
-    """Let a sheet that sleeps go on with the velocities that it had."""
+    """Restore the velocities that a sleeping sheet had."""
     state.v = state.memory.pop(VELOCITY).copy()
 
 
 def all_below(vectors: Array, limit: float) -> bool:
-    """Return whether every vector of an array (3, n) is at most as long as the limit; False if one is not finite."""
-    # The last particle is looked at first: if the sheet moves it mostly does, while the first ones are often anchored.
+    """Return True if every vector of an array (3, n) is at most as long as the limit; False if one is not finite."""
+    # The last particle is checked first. It usually moves if the sheet does, whereas the first ones are often anchored.
     x, y, z = vectors[:, -1].tolist()
     if not x * x + y * y + z * z <= limit * limit:
         return False

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""All that later frames of a simulation read, taken in some microseconds: for planners that try many futures of one
-cloth, and for a frame that fails.
+"""Snapshots of a simulation, taken in microseconds.
 
-Nothing is copied, because a frame replaces arrays and writes into none.
+A snapshot holds everything that later frames read. Planners use it for rollouts, and a failed frame is undone with it.
+Nothing is copied, because a frame replaces arrays and never writes to them.
 """
 
 from __future__ import annotations
@@ -31,29 +31,28 @@ if TYPE_CHECKING:
 # Without slots: then attrs sets a frozen class's members in half the time.
 @attrs.frozen(kw_only=True, eq=False, slots=False)
 class Snapshot:
-    """What `Simulation.snapshot` gives and `Simulation.restore` takes; it can be pickled.
+    """Result of `Simulation.snapshot` and argument of `Simulation.restore`; it can be pickled.
 
-    It must not be changed: others, and frames to come, share its arrays.
+    Do not change it: other snapshots and later frames share its arrays.
     """
 
     #: The configuration in force.
     scene: Scene
-    #: The state, and the one that a reset returns to.
+    #: The state, and the one that a reset restores.
     state: State
     initial: State
-    #: What was laid into the plan for the frame before: what grippers hold and their paths; paths of obstacles and
-    #: pads, and what drives pads.
+    #: Inputs of the plan for the last frame: grips and gripper paths; paths of obstacles and pads, and drives of pads.
     grips: grippers.Noted
     contact: tuple[Array, NDArray[np.bool_]] | None
-    #: What the frame before noted, and the energy balance.
+    #: Integrals of the last frame, and the energy balance.
     book: tuple[Array, float, float, float] | None
     energy: tuple[energy_watch.Noted, EnergyReport | None] | None
-    #: Whether a sleeping cloth is known to rest, and the frame that it repeats.
+    #: True if the rest of a sleeping cloth was verified, and the frame that it repeats.
     rest: tuple[bool, Frame | None]
 
     @property
     def frame(self) -> int:
-        """Number of the frame that the state stands at."""
+        """Index of the frame that the state has reached."""
         return self.state.frame
 
     @property
@@ -67,7 +66,7 @@ class Snapshot:
         return self.state.positions
 
     def check_fits(self, scene: Scene) -> None:
-        """Refuse to be restored where another scene is in force, but for parameters that may change while it runs.
+        """Refuse a restore if the scene in force differs in a parameter that is not live.
 
         Raises:
             ValueError: naming a parameter that differs.
@@ -102,7 +101,19 @@ def taken(
     report: EnergyReport | None,
     rest: tuple[bool, Frame | None],
 ) -> Snapshot:
-    """Take one of the parts of a simulation: `watched` is what follows its energy, `report` the last that it told."""
+    """Take a snapshot from the parts of a simulation.
+
+    Args:
+        scene: configuration in force.
+        state: present state.
+        initial: state that a reset restores.
+        plan: compiled model.
+        gripper_set: grippers.
+        accumulator: wrench and work integrals of the last frame; None without.
+        balance: energy watch; None if it is off.
+        report: last energy report; None without.
+        sleep: True if rest was verified, and the frame that a sleeping cloth repeats.
+    """
     contact = plan.contact
     return Snapshot(
         scene=scene,
@@ -119,7 +130,9 @@ def taken(
 def give_back(
     snapshot: Snapshot, *, plan: Plan, gripped: Grippers, book: Book | None, watched: EnergyWatch | None
 ) -> None:
-    """Lay what a snapshot noted into the parts of a simulation of the same scene, its state being the snapshot's."""
+    """Restore the inputs and integrals of a snapshot in a simulation of the same scene. The state must be restored
+    before.
+    """
     gripped.go_back(snapshot.grips, plan.grips)
     if plan.contact is not None and snapshot.contact is not None:
         paths, driven = snapshot.contact

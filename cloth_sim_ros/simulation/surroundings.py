@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The grippers of a scene and a state, and obstacles and pads where there are any: others load nothing of them."""
+"""Grippers, obstacles and pads of a scene, and their paths.
+
+Modules of unused kinds are not imported.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ def grippers_of(scene: Scene, state: State) -> Grippers:
     """Return the grippers of a scene with a state's poses and grips.
 
     Raises:
-        ValueError: for a state of another number of grippers.
+        ValueError: for a state with another number of grippers.
     """
     grippers = Grippers(scene.gripper_names, state)
     known = len(state.memory["gripper.pose"])
@@ -41,10 +44,10 @@ def grippers_of(scene: Scene, state: State) -> Grippers:
 
 
 def obstacles_of(scene: Scene, state: State) -> Obstacles | None:
-    """Return the obstacles of a scene with a state's poses; None where there are none.
+    """Return the obstacles of a scene with a state's poses; None without obstacles.
 
     Raises:
-        ValueError: for a state of another number of obstacles.
+        ValueError: for a state with another number of obstacles.
     """
     if not scene.obstacle_names:
         return None
@@ -60,10 +63,10 @@ def obstacles_of(scene: Scene, state: State) -> Obstacles | None:
 
 
 def pinching_of(plan: Plan, grippers: Grippers, state: State) -> Pinching | None:
-    """Return the grippers that pinch, by a plan's contact and a state; None where none does.
+    """Return the pinching grippers of a plan and a state; None without any.
 
     Raises:
-        ValueError: for a state of another number of them.
+        ValueError: for a state with another number of pinching grippers.
     """
     pads = () if plan.contact is None else plan.contact.force.pads
     if not pads:
@@ -81,11 +84,11 @@ def pinching_of(plan: Plan, grippers: Grippers, state: State) -> Pinching | None
 def plan_movers(
     plan: Plan, scene: Scene, obstacles: Obstacles | None, pinching: Pinching | None, grippers: Grippers, t: float
 ) -> float:
-    """Lay the paths of grippers, obstacles and pads over the frame that starts at time t [s] into the plan's forces.
+    """Upload the paths of grippers, obstacles and pads over the frame that starts at time t [s].
 
     Returns:
-        By how much the way of one that may push or pull over it differs from that over the frame before [m], at most,
-        along an axis.
+        Largest change of displacement from the frame before to this one, along an axis [m], of a body that can act on
+        the cloth.
     """
     period, gripper, change = scene.period, scene.gripper, 0.0
     if plan.grips is not None:
@@ -106,7 +109,7 @@ def plan_movers(
 
 
 def stand(force: Contact, obstacles: Obstacles | None, pinching: Pinching | None, grippers: Grippers, t: float) -> None:
-    """Let contact know where obstacles and pads are at time t [s], until a frame moves them."""
+    """Upload the poses of obstacles and pads at time t [s] as constant paths, until a frame moves them."""
     force.recover(t)
     paths = [] if obstacles is None else [obstacles.standing(t)]
     if pinching is not None:
@@ -117,22 +120,26 @@ def stand(force: Contact, obstacles: Obstacles | None, pinching: Pinching | None
 
 
 def halt(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:
-    """Let obstacles, and grippers that pinch, stand still where they are until they are commanded anew: where they go
-    they leave the cloth no room. Return the names of those that moved.
+    """Stop obstacles and pinching grippers at their present poses until their next targets, because they crush the
+    cloth.
+
+    Return the names of the bodies that moved.
     """
     return (*([] if obstacles is None else obstacles.halt()), *grippers.halt())
 
 
 def booked(book: Book | None, plan: Plan, grippers: Grippers, pinching: Pinching | None) -> tuple[Array, Array]:
-    """Return what the cloth did to grippers and to obstacles, as a frame tells it; nothing without a book."""
+    """Return the wrenches of the cloth on grippers and on obstacles in a frame; zeros without an accumulator."""
     wrenches = book.wrenches if book else np.zeros((len(grippers.names), 6))
     loads = book.loads if book else np.zeros((plan.obstacle_count, 6))
     return wrenches, loads if pinching is None else pinching.take_over(loads, wrenches)
 
 
 def solids_and_poses(obstacles: Obstacles | None, pinching: Pinching | None) -> tuple[list[Obstacle], Array]:
-    """Return all that keeps cloth out, obstacles and then pads of grippers that are anywhere, and their poses: position
-    [m] and quaternion x, y, z, w, shape (count, 7).
+    """Return the bodies in contact, obstacles and then pads of placed grippers, and their poses.
+
+    Returns:
+        Bodies, and poses: position [m] and quaternion x, y, z, w, shape (count, 7).
     """
     solids = [] if obstacles is None else list(obstacles.solids)
     poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()
@@ -144,7 +151,7 @@ def solids_and_poses(obstacles: Obstacles | None, pinching: Pinching | None) -> 
 
 
 def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
-    """Let the obstacles in states, and the anchors of their friction, be those of another scene."""
+    """Replace obstacles, friction anchors and contact thickness in states by those of another scene."""
     for state in states:
         if before.obstacles != scene.obstacles:
             from cloth_sim_ros.simulation.obstacles import rearrange
@@ -161,8 +168,9 @@ def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> No
 
 
 def kept_thickness(thickness: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return what the thickness of contacts becomes when another scene's obstacles take the place of a scene's: those
-    that come have the whole one. None where all contacts have another one.
+    """Return the contact thickness after a change of scene, or None if every contact has the full one.
+
+    New obstacles have the full thickness.
     """
     if scene.contact.thickness != before.contact.thickness:
         return None
@@ -175,17 +183,16 @@ def kept_thickness(thickness: Array, before: Scene, scene: Scene) -> Array | Non
 
 
 def kept_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return what anchors of friction become when another scene's obstacles take the place of a scene's.
+    """Return the friction anchors after a change of scene, or None if no body has friction.
 
-    Obstacles that stay keep theirs; those that come have touched nothing yet. None where no obstacle has friction:
-    nothing is held then, and where there is friction again it begins anew.
+    Remaining obstacles keep their anchors, and new ones have none. If friction returns later, anchors start empty.
     """
     pads = [f"{name}.{side}" for name in scene.pinching for side in ("left", "right")]
     rough = any(solid.friction[0] > 0.0 for solid in scene.solids) or (pads and scene.gripper.friction[0] > 0.0)
     layered = scene.contact.self_ and scene.contact.friction[0] > 0.0
     if not (rough or layered):
         return None
-    # Which grippers pinch never changes.
+    # The set of pinching grippers never changes.
     names, now = [*before.obstacle_names, *pads], [*scene.obstacle_names, *pads]
     kept = np.zeros((len(now), *anchors.shape[1:]))
     for k, name in enumerate(now):
@@ -193,6 +200,6 @@ def kept_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
             kept[k] = anchors[names.index(name)]
     if not layered:
         return kept
-    # Layers' anchors lie behind the obstacles'.
+    # Anchors of layers follow those of obstacles.
     own = anchors[len(names) :]
     return np.concatenate([kept, own if len(own) else np.zeros((LAYER_SIDES, *anchors.shape[1:]))])
