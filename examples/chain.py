@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A chain hung by both ends, from plain arrays: the physics as a library, no ROS."""
+"""A chain hung by both ends, from plain arrays: the library without ROS."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ STIFFNESS, DAMPING = 100.0, 0.1  # k_s, force per unit strain [N]; k_d0, dimensi
 
 
 def main() -> None:
-    """Let it fall from a straight line for a second."""
+    """Let the chain fall from a straight line for a second."""
     positions = np.zeros((COUNT, 3))
     positions[:, 0] = np.linspace(0.0, LENGTH, COUNT)
     pairs = np.stack([np.arange(COUNT - 1), np.arange(1, COUNT)], axis=1)

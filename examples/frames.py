@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sheet stepped frame by frame, as the node does it: take a corner, move it, read the force on the gripper."""
+"""A sheet advanced frame by frame: grasp a corner, move it, read the force on the gripper."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS node of one's own that takes the cloth's lower right corner, lifts it by 0.4 m, and lets it go.
+"""A ROS node that grasps the cloth's lower right corner, lifts it by 0.4 m, and releases it.
 
 Start the cloth first (`cloth_sim`), then this.
 """
@@ -24,7 +24,7 @@ def main() -> None:
         raise SystemExit(f"no service {GRIPPER}/close within 30 s; does cloth_sim run?")
 
     def lead(seconds: float, low: float, high: float) -> None:
-        """Publish 100 targets a second, from the lower to the upper height [m] over the corner's place."""
+        """Publish 100 targets a second, from the lower to the upper height [m] above the corner's position."""
         for k in range(count := round(seconds * 100)):
             message = PointStamped()  # an empty frame_id is the cloth's own, a zero stamp means now
             message.point.x, message.point.z = 0.5, low + (high - low) * (k + 1) / count
@@ -37,7 +37,7 @@ def main() -> None:
         answer = future.result()
         print(answer.message if answer else "no answer within 10 s", flush=True)
 
-    lead(1.0, 0.5, 0.5)  # to the corner; the first targets are lost until the cloth's node has met this one
+    lead(1.0, 0.5, 0.5)  # to the corner; targets are lost until the nodes have discovered each other
     set_closed(True)
     lead(2.0, 0.5, 0.9)
     set_closed(False)

@@ -1,13 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A policy for a study: takes the cloth's lower right corner, and lifts it with the speed that the run has."""
+"""Policy for a study: grasps the cloth's lower right corner and lifts it at the run's speed."""
 
 from cloth_sim_ros import Grasp, Target
 from cloth_sim_ros.batch.user_code import Finished, Observation
 
 
 class Lift:
-    """Called at the beginning of each frame; each run has an object of its own."""
+    """Called at the beginning of each frame; each run has its own object."""
 
     def __init__(self) -> None:
         self.corner = None
@@ -23,5 +23,5 @@ class Lift:
 
 
 def lifted(run: Finished) -> float:
-    """How far the corner was lifted [m]: an outcome, a column of the index."""
+    """Return the height by which the corner was lifted [m]: an outcome, a column of the index."""
     return float(run.positions[-1, 2] - run.initial[-1, 2])

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A cloth from a triangle mesh: a round table cloth, held in the middle.
+"""A cloth from a triangle mesh: a round table cloth, fixed in the middle.
 
-`python mesh_cloth.py [mesh.obj]` takes an OBJ, PLY or STL file in metres; without one it makes a disc.
+`python mesh_cloth.py [mesh.obj]` reads an OBJ, PLY or STL file in metres; without one it makes a disc.
 """
 
 import sys
@@ -26,7 +26,7 @@ def disc(path: Path, *, radius: float = 0.5, rings: int = 12) -> Path:
 
 
 def main() -> None:
-    """Let it fall for a second and say how far its edge hangs."""
+    """Let the cloth fall for a second and print how far its edge hangs."""
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else disc(Path("table_cloth.obj"))
     scene = Scene.from_parameters(
         {

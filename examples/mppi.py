@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sampling planner (MPPI) swings a hung cloth's corner to a mark: each plan tries many futures, on all cores."""
+"""A sampling planner (MPPI) swings a hung cloth's corner to a goal, with rollouts on all cores."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ SCENE = {"cloth.resolution": [7, 7], "tolerance": 1e-3, "rate": 30.0, "gripper.r
 
 
 def main() -> None:
-    """Take the lower edge beside the corner; let a planner bring the free corner to the mark."""
+    """Grasp the lower edge next to the corner; let a planner bring the free corner to the goal."""
     simulation = Simulation(Scene.from_parameters(SCENE))
     corner, grasped = simulation.model.masses.size - 1, simulation.model.masses.size - 2
     place = simulation.positions[grasped]
     simulation.advance([Target("gripper", place), Grasp("gripper", True)])
-    random, plan = np.random.default_rng(0), np.zeros((HORIZON, 3))  # ways of the gripper, frame by frame [m]
+    random, plan = np.random.default_rng(0), np.zeros((HORIZON, 3))  # gripper displacements per frame [m]
     for frame in range(45):
         knots = random.normal(0.0, SPREAD, (FUTURES, HORIZON // 4, 3))  # smooth: a gripper does not jitter
         ways = plan + knots.repeat(4, axis=1)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A force of one's own in numpy: a soft floor at z = 0 that pushes back what sinks into it."""
+"""A user-defined force in numpy: a soft floor at z = 0 that pushes particles out."""
 
 import numpy as np
 
@@ -10,18 +10,19 @@ from cloth_sim_ros import Drag, Force, Gravity, Model, PairSprings, State, simul
 class Floor(Force):
     """f_z = k d - c s v_z on particles at depth d = -z > 0; k [N/m], c [N s/m].
 
-    The share s rises from 0 to 1 over the first centimetre: forces that jump cost every integrator its order.
+    The fraction s rises from 0 to 1 over the first centimetre, because a force that jumps reduces the order of every
+    integrator.
     """
 
     name = "floor"
     damped = True
 
     def __init__(self, stiffness: float, damping: float) -> None:
-        """Keep the coefficients."""
+        """Store the coefficients."""
         self.k, self.c = stiffness, damping
 
     def add_force(self, t, x, v, f):
-        """All arrays are (3, n): f += force [N]."""
+        """Add the force [N] to f; all arrays are (3, n)."""
         f[2] += self.k * np.maximum(-x[2], 0.0) - self.c * np.clip(-x[2] / 0.01, 0.0, 1.0) * v[2]
 
     def energy(self, t, x):
@@ -29,15 +30,15 @@ class Floor(Force):
         return float(0.5 * self.k * (np.maximum(-x[2], 0.0) ** 2).sum())
 
     def dissipation(self, t, x, v):
-        """Return the power that the damping takes [W]."""
+        """Return the power that the damping dissipates [W]."""
         return float(self.c * (np.clip(-x[2] / 0.01, 0.0, 1.0) * v[2] ** 2).sum())
 
     def add_stiffness(self, x, blocks):
-        """Tell the stiffness, so that the step is chosen for it; row 2 of the six is zz."""
-        blocks[2] += np.where(x[2] < 0.05, self.k, 0.0)  # also just above: a particle may get there within a step
+        """Add the stiffness, which limits the step; row 2 of the six is zz."""
+        blocks[2] += np.where(x[2] < 0.05, self.k, 0.0)  # also just above: a particle may reach the floor within a step
 
     def add_damping(self, x, blocks):
-        """The same for the damping."""
+        """Add the damping, which limits the step."""
         blocks[2] += np.where(x[2] < 0.05, self.c, 0.0)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorded session holds: `python read_session.py session.mcap`. Needs no ROS."""
+"""Content of a recorded session: `python read_session.py session.mcap`. Needs no ROS."""
 
 import sys
 
@@ -9,7 +9,7 @@ from cloth_sim_ros.session.reader import SessionReader, session_files
 
 
 def main() -> None:
-    """Print one line a second of simulated time, and the events."""
+    """Print one line per second of simulated time, and the events."""
     with SessionReader(session_files(sys.argv[1])) as session:
         print(f"recorded by cloth_sim_ros {session.metadata['version']}, node {session.node}")
         due = 0.0

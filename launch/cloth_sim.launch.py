@@ -14,12 +14,12 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 _CONFIG = PathJoinSubstitution([FindPackageShare("cloth_sim_ros"), "config"])
-#: Name, default and meaning of each argument, and what it may be.
+#: Name, default, meaning and choices of each argument.
 _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
     (
         "scene",
         "cloth_sim",
-        "which of the package's scenes: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
+        "scene of the package: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
         "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold, three "
         "towels in a stack, a strip that two grippers twist",
         ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist"],
@@ -30,21 +30,21 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
     (
         "use_sim_time",
         "",
-        "whether time is that of /clock (true, false); where left out, what the parameter file says",
+        "use the time of /clock (true, false); default: the value in the parameter file",
         ["", "true", "false", "True", "False"],
     ),
-    ("log_level", "info", "least severity that is logged", ["debug", "info", "warn", "error", "fatal"]),
-    ("rviz", "false", "whether RViz shows the cloth (needs rviz2)", ["true", "false", "True", "False"]),
+    ("log_level", "info", "minimum severity of logged messages", ["debug", "info", "warn", "error", "fatal"]),
+    ("rviz", "false", "show the cloth in RViz (needs rviz2)", ["true", "false", "True", "False"]),
     ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
 ]
-#: Meshes of scenes, which a node is given by their whole path.
+#: Meshes of scenes, which a node gets by absolute path.
 _MESHES = {"stack": "stack.obj"}
-#: Topics of the RViz configuration, which is that of a node /cloth_sim with a gripper `gripper`.
+#: Topics of the RViz configuration, written for a node /cloth_sim with a gripper `gripper`.
 _SHOWN = ("points", "mesh", "obstacles", "gripper/point")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The node `cloth_sim`: its parameter file, namespace, name, clock and log level, and RViz where that is wanted."""
+    """Describe the node `cloth_sim` with parameter file, namespace, name, clock and log level, and RViz on request."""
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=meaning, **({"choices": some} if some else {}))
         for name, default, meaning, some in _ARGUMENTS
@@ -90,7 +90,7 @@ def _actions(context: LaunchContext) -> list[Any]:
 
 
 def _misspelt(context: LaunchContext, known: list[str]) -> list[Any]:
-    """Words on arguments that look like one of ours: launch itself takes any, and says nothing."""
+    """Warn of arguments similar to one of this file, because launch itself accepts any name silently."""
     close = {name: difflib.get_close_matches(name, known, n=1, cutoff=0.85) for name in context.launch_configurations}
     return [
         LogInfo(msg=f"cloth_sim.launch.py has no argument '{name}'; did you mean '{near[0]}'?")

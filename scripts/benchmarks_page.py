@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
 PICTURES = ROOT / "docs" / "images"
-#: What is run for each section, in the order of the page.
+#: Arguments of `cloth_bench` for each section, in the order of the page.
 SECTIONS = {
     "conditioning": "validation conditioning",
     "tolerance-sweep": "validation tolerance-sweep --energy",
@@ -53,7 +53,7 @@ docs/time_stepping.md and docs/engine.md.
 
 
 def main() -> int:
-    """Run the sections that are asked for and write the page; 1 if a command could not do its work."""
+    """Run the requested sections and write the page; return 1 if a command failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sections", nargs="*", metavar="section", help=f"of {', '.join(SECTIONS)}; all if left out")
     kept = f"where verdicts of {', '.join(RESUMED)} are kept"
@@ -70,13 +70,13 @@ def main() -> int:
         if text is None:
             lost += 1
             continue
-        # After each: what was measured stays if the next one is interrupted.
+        # The page is written after each section, so that results survive an interruption.
         write(known() | {name: text})
     return 1 if lost else 0
 
 
 def measured(command: list[str], resume: list[str]) -> str | None:
-    """Run a command, or what is left of it; its section with its pictures, or None if it broke down."""
+    """Run a command, or its missing cases; return its section with pictures, or None if it failed."""
     with tempfile.TemporaryDirectory() as folder:
         page, plots = Path(folder) / "section.md", Path(folder) / "plots"
         tool = [sys.executable, "-m", *command]
@@ -92,7 +92,7 @@ def measured(command: list[str], resume: list[str]) -> str | None:
 
 
 def known() -> dict[str, str]:
-    """The page's sections by name."""
+    """Return the page's sections by name."""
     if not PAGE.exists():
         return {}
     parts = re.split(r"^<!-- (\S+) -->\n", PAGE.read_text(), flags=re.MULTILINE)

@@ -1,12 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the same scenes give the same bits whatever the processor, C library, numpy or compiler. Run by `make bits`.
+"""Comparison of bits across processors, C libraries, numpy versions and compilers. Run by `make bits`.
 
-Small scenes (bits_scenes.py), which together use every force, contact, both precisions, several orders and all
-integrators, run in processes that differ in what bits must not depend on. Each frame's state, wrenches and loads are
-compared. For 64-bit ARM the engine is built by a cross compiler, and makes the engine's calls of a few frames again in
-an emulator (bits_trace.py, bits_replay.cpp).
-Exit status 1 tells that something differs, in which scene and from which frame or call on.
+Small scenes (bits_scenes.py) use every force, contact, both precisions, several orders and all integrators. They run in
+processes that differ only in things that must not change bits. State and wrenches of each frame are compared.
+
+For 64-bit ARM a cross compiler builds the engine. An emulator then repeats the engine's calls of a few frames
+(bits_trace.py, bits_replay.cpp). Exit status 1 means a difference, with its scene and its first frame or call.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ ENGINE = ROOT / "cloth_sim_ros" / "engine"
 
 #: The prefix of the cross compiler, and of its libraries' folder.
 _ARM = "aarch64-linux-gnu"
-#: Processor features that the C library is told to do without.
+#: Settings that disable processor features in the C library.
 _HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX,-AVX512F,-AVX2_Usable,-FMA_Usable"
-#: Fresh memory is filled with a pattern: what reads it unwritten shows.
+#: Fills fresh memory with a pattern, so that reads of unwritten memory change bits.
 _PERTURB = "glibc.malloc.perturb=165"
 
 
 class Way(NamedTuple):
-    """One way to run all scenes."""
+    """One configuration in which all scenes run."""
 
     name: str
     environment: dict[str, str]
-    #: Why this machine can't; empty where it can.
+    #: Reason if this machine can't run it; else empty.
     why_not: str = ""
-    #: Whether only one processor may be used.
+    #: True if the process may use one processor only.
     alone: bool = False
 
 
 class Difference(NamedTuple):
-    """A scene that two ways do not run alike."""
+    """A scene whose bits differ between two configurations."""
 
     scene: str
     way: str
@@ -62,7 +62,7 @@ class Difference(NamedTuple):
 
 
 def run_here(scenes: Sequence[str], frames: int) -> None:
-    """Run scenes in this process and print what it is, and their digests, as JSON."""
+    """Run scenes in this process; print the engine's name and the digests as JSON."""
     from cloth_sim_ros.engine.binding import engine_name
 
     told = {"engine": engine_name(), "digests": {scene: list(frames_of(scene, frames)) for scene in scenes}}
@@ -70,7 +70,7 @@ def run_here(scenes: Sequence[str], frames: int) -> None:
 
 
 def run_apart(way: Way, frames: int, *, scenes: Sequence[str] = tuple(SCENES), python: str = sys.executable) -> Any:
-    """Run scenes in a process of their own; what `run_here` printed.
+    """Run scenes in a new process and return the output of `run_in_process`.
 
     Raises:
         RuntimeError: if the process fails.
@@ -87,7 +87,7 @@ def run_apart(way: Way, frames: int, *, scenes: Sequence[str] = tuple(SCENES), p
 
 
 def compare(first: dict[str, list[str]], other: dict[str, list[str]], way: str) -> list[Difference]:
-    """The scenes that do not come out alike, each with its first frame that differs."""
+    """Return the scenes with differing digests, each with its first differing frame."""
     differences = []
     for scene, digests in first.items():
         unlike = [k for k, (a, b) in enumerate(zip(digests, other[scene], strict=True), start=1) if a != b]
@@ -97,7 +97,7 @@ def compare(first: dict[str, list[str]], other: dict[str, list[str]], way: str) 
 
 
 def ways() -> list[Way]:
-    """The ways that need nothing but what is installed; the first is that of this machine."""
+    """Return the configurations that need nothing but installed software; the first is this machine's own."""
     known = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()
     found = [Way(known[0], {"CLOTH_SIM_ROS_ENGINE": known[0]})]
     for name in {"x86_64": ("baseline", "avx2", "avx512"), "aarch64": ("neon",)}[platform.machine()]:
@@ -120,14 +120,14 @@ def ways() -> list[Way]:
 
 
 def numpy_features() -> list[str]:
-    """What numpy finds in this processor and can do without."""
+    """Return the processor features that numpy detects and can do without."""
     major = int(np.__version__.split(".")[0])
     inside = importlib.import_module(f"numpy.{'core' if major < 2 else '_core'}._multiarray_umath")
     return [name for name in inside.__cpu_dispatch__ if inside.__cpu_features__.get(name)]
 
 
 def built_by_other_compilers(folder: Path) -> list[Way]:
-    """The engine built anew by each compiler that is here, with the widest vectors that run here."""
+    """Build the engine with each installed compiler, for the widest vectors here; return the configurations."""
     name = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()[0]
     found = []
     for compiler in ("g++", "clang++"):
@@ -144,13 +144,15 @@ def built_by_other_compilers(folder: Path) -> list[Way]:
 
 
 def traced(scene: str) -> str:
-    """How many frames of a scene are made again in the emulator: where there is contact, until all touch."""
+    """Return the number of frames to repeat in the emulator; with contact there are more, until all bodies touch."""
     return "24" if "contact.thickness" in SCENES[scene] else "4"
 
 
 def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iterator[tuple[str, bool]]:
-    """Have an emulated 64-bit ARM processor make the engine's calls again; a line to tell for each scene, and whether
-    its bits are the same.
+    """Repeat the engine's calls on an emulated 64-bit ARM processor.
+
+    Yields:
+        A line of output for each scene, and True if its bits are the same.
     """
     compiler = next(filter(shutil.which, (f"{_ARM}-g++", f"{_ARM}-g++-12")), None)
     emulator = next(filter(shutil.which, ("qemu-aarch64-static", "qemu-aarch64")), None)
@@ -178,7 +180,7 @@ def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iter
 
 
 def main() -> int:
-    """Run everything and tell; the exit status."""
+    """Run the comparison, print its results, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=300, help="frames of each scene (default: 300)")
     parser.add_argument("--python", action="append", default=[], help="another interpreter, with its own numpy")
@@ -200,7 +202,7 @@ def main() -> int:
 
 
 def tell(found: Sequence[tuple[Way, str]], frames: int) -> int:
-    """Run each way, print how it compares with the first, and return the exit status."""
+    """Run each configuration, print its comparison with the first, and return the exit status."""
     first: dict[str, list[str]] | None = None
     status = 0
     for way, python in found:

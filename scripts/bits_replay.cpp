@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Makes the calls of a trace again (bits_trace.py says what a trace is) with a library of another build, and tells the
-// first one that leaves other bits. Usage: bits_replay LIBRARY TRACE. Exit status 1 where one does, 2 for bad input.
+// Repeats the calls of a trace (format: bits_trace.py) with a library of another build, and reports the first call with
+// different bits. Usage: bits_replay LIBRARY TRACE. Exit status 1 for a difference, 2 for bad input.
 
 #include <dlfcn.h>
 
@@ -19,15 +19,15 @@
 namespace {
 
 using Word = std::int64_t;
-/// Whole numbers and doubles are handed over in registers of their own, and what a function does not take it does not see:
-/// one type calls all of them.
+/// Integers and doubles are passed in separate registers, and a function ignores the registers that it does not use.
+/// Therefore one type can call every function.
 using Function = Word (*)(Word, Word, Word, Word, Word, Word, Word, Word, Word, Word, double, double, double, double);
 
 std::ifstream file;
 
 void read(void* to, Word size) {
     if (!file.read(static_cast<char*>(to), size)) {
-        std::fprintf(stderr, "the trace ends amid a call\n");
+        std::fprintf(stderr, "the trace ends within a call\n");
         std::exit(2);
     }
 }
@@ -38,7 +38,7 @@ T take() {
     return value;
 }
 
-/// Memory that a call is given, and what it held after the recorded one.
+/// Memory argument of a call, and its content after the recorded call.
 struct Memory {
     std::vector<double> now;
     const std::vector<char>* after;
@@ -62,7 +62,7 @@ Word memory() {
     return reinterpret_cast<Word>(m.now.data());
 }
 
-/// The first number of the call's memory that differs, in words; empty where none does.
+/// Describes the first differing number of the call's memory; empty without a difference.
 std::string difference() {
     int which = 0;
     for (const Memory& m : memories) {
@@ -131,7 +131,7 @@ int main(int count, char** arguments) {
                     }
                     words[word++] = reinterpret_cast<Word>(request.data());
                     break;
-                default: std::fprintf(stderr, "%s has an argument of no kind\n", name.c_str()); return 2;
+                default: std::fprintf(stderr, "%s has an argument of unknown kind\n", name.c_str()); return 2;
             }
         }
         void* const found = dlsym(library, name.c_str());
@@ -146,10 +146,10 @@ int main(int count, char** arguments) {
         ++calls[name];
         if (returned == 'h') plans[result] = came;
         const bool status = returned == 'i' && static_cast<std::int32_t>(came) != static_cast<std::int32_t>(result);
-        std::string what = difference();
-        if (status || (returned == 'n' && came != result)) what = "another number is returned";
-        if (!what.empty()) {
-            std::printf("call %ld, of %s: %s\n", total, name.c_str(), what.c_str());
+        std::string fault = difference();
+        if (status || (returned == 'n' && came != result)) fault = "another number is returned";
+        if (!fault.empty()) {
+            std::printf("call %ld, of %s: %s\n", total, name.c_str(), fault.c_str());
             return 1;
         }
     }

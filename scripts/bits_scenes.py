@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The scenes that `make bits` runs, and what is done to them.
+"""Scenes of `make bits`, and their events.
 
 Together they use every force, contact, both precisions, several orders and all integrators.
 """
@@ -18,7 +18,7 @@ _GRID = {
     "cloth.orientation": [0.61, 0.07, -0.13, 0.77],
     "gripper.radius": 0.08,
 }
-#: A sheet on a table, turned so that its last particle is carried over it.
+#: A sheet on a table, rotated so that its last particle is carried over it.
 _FLAT = {
     "cloth.resolution": [9, 8],
     "cloth.size": [0.4, 0.35],
@@ -34,8 +34,8 @@ _FLAT = {
     "table.friction": [0.6, 0.4],
 }
 _BENT = {"material.bending_modulus": 1e-4, "material.stretch_modulus": 100.0, "material.shear_modulus": 10.0}
-#: Parameters of each scene. Positions and turns come from fractions, not from sines: what is asked is what the package
-#: computes, not what the test's own numbers are.
+#: Parameters of each scene. Positions and rotations come from fractions, not from sines, so that only the package's
+#: computation is tested.
 SCENES: dict[str, dict[str, Any]] = {
     "axial springs": _GRID,
     "opposite springs": {**_GRID, "bending.model": "opposite", "bending.stiffness": 0.5},
@@ -134,11 +134,11 @@ SCENES: dict[str, dict[str, Any]] = {
         "table.friction": [0.5, 0.4],
     },
 }
-#: Share of the frames that a scene runs where a frame of it takes longer.
+#: Fraction of the frames to run, for scenes with expensive frames.
 _SHARE = {"two threads": 0.2, "tight tolerance": 0.5, "friction, implicit": 0.25}
-#: Frames that all of a motion takes at least: of fewer only its beginning is run.
+#: Smallest number of frames of a whole motion; shorter runs contain only its beginning.
 _SLOWEST = 40
-#: How far obstacles are moved in all [m]; they turn on the way.
+#: Total displacement of obstacles [m]; they rotate as well.
 MOVED = {
     "obstacles": {
         "floor": (0.0, 0.0, 0.05),
@@ -150,12 +150,12 @@ MOVED = {
     "friction": {"table": (0.1, 0.0, 0.02), "ball": (-0.1, 0.05, -0.055)},
     "friction, implicit": {"table": (0.1, 0.0, 0.02)},
 }
-#: Parameters that change halfway, besides those of all scenes.
+#: Parameters that change at half time, in addition to those of all scenes.
 CHANGED: dict[str, dict[str, Any]] = {
     "obstacles": {"obstacles": ["ball", "floor", "drum", "finger"], "contact.thickness": 0.008},
     "friction": {"table.friction": [0.2, 0.1], "contact.damping": 3.0},
     "pinch": {"gripper.force": 2.0},
-    # Contacts that are compressed then regain their thickness.
+    # The change compresses contacts, which then regain their thickness.
     "friction, implicit": {"contact.thickness": 0.01},
     "cloth on itself": {"contact.thickness": 0.016},
     "mesh on itself": {"contact.thickness": 0.01},
@@ -163,7 +163,7 @@ CHANGED: dict[str, dict[str, Any]] = {
 
 
 def sheet() -> bytes:
-    """A triangle mesh of 7 x 7 vertices, none exactly where a grid's would be."""
+    """Return an OBJ mesh of 7 x 7 vertices, none exactly at a grid's position."""
     lines = []
     for row in range(7):
         for column in range(7):
@@ -177,7 +177,7 @@ def sheet() -> bytes:
 
 
 def net() -> bytes:
-    """Springs in two strands that joints hold together, as a springs file."""
+    """Return a springs file: two strands of springs that joints connect."""
     places = [[k / 10.0, 0.0, 0.0] for k in range(12)] + [[k / 10.0, 0.1, (k % 3) / 30.0] for k in range(12)]
     strands = [[k, k + 1] for k in range(11)] + [[k, k + 1] for k in range(12, 23)]
     cross = [[k, 12 + k] for k in range(1, 12, 2)]
@@ -198,7 +198,7 @@ FILES: dict[str, Callable[[], bytes]] = {"sheet.obj": sheet, "net.yaml": net}
 
 
 def frames_of(scene: str, frames: int) -> Iterator[str]:
-    """Run a scene here; the digest of state, of wrenches and of loads after each frame."""
+    """Run a scene here; yield the digest of state and wrenches after each frame."""
     import xxhash
 
     for frame, simulation in run(scene, frames):
@@ -207,9 +207,9 @@ def frames_of(scene: str, frames: int) -> Iterator[str]:
 
 
 def run(scene: str, frames: int) -> Iterator[tuple[Any, Any]]:
-    """Run a scene here; each frame, and the simulation after it.
+    """Run a scene here; yield each frame and the simulation after it.
 
-    The gripper takes hold of the last particle, carries and turns it, and lets go. Obstacles move; parameters change.
+    The gripper grasps the last particle, carries and rotates it, and releases it. Obstacles move; parameters change.
     """
     from cloth_sim_ros.scene.scene import Scene
     from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target

@@ -1,14 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writes a trace of the engine's calls: the arguments of each call, its result, and the memory before and after it.
+"""Recorder of the engine's calls: arguments, result, and memory before and after.
 
 `python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes the trace to FILE.
-bits_replay.cpp reads it, makes the same calls with another build of the engine, and compares what comes out.
+bits_replay.cpp reads it, makes the same calls with another build of the engine, and compares the results.
 
-A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call is:
+A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call consists of:
 
     length of the function's name, the name
-    kind of the result ("i" status, "n" number, "h" plan, "v" nothing), the result (0 where there is none)
+    kind of the result ("i" status, "n" number, "h" plan, "v" nothing), the result (0 without a result)
     number of arguments, then each argument: its kind and its value
 
 An argument's value, by its kind:
@@ -19,10 +19,9 @@ An argument's value, by its kind:
     "0"  a null pointer: no value
     "b"  memory: its size in bytes, its content before the call, its content after the call
     "a"  an array of pointers: their number, then a "b" for each
-    "f"  a binding.Frame: its size in bytes, its bytes, for each array that it points to the field's index and a "b",
-         then -1
+    "f"  a binding.Frame: its size in bytes and its bytes, then for each array the field's index and a "b", then -1
 
-A content is its number in the file, and, where that number occurs for the first time, the bytes.
+A content is stored as its index in the file. At the first occurrence of an index the bytes follow.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ import xxhash
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.physics.remembered import LAYER_SIDES
 
-#: Gives the size of a memory argument, in 8-byte numbers, from all arguments of the call and what is known of its plan.
+#: Function of a call's arguments and its plan's sizes that returns the size of a memory argument, in 8-byte numbers.
 Size = Callable[[Sequence[Any], dict[str, Any]], int]
 
 
@@ -80,7 +79,7 @@ _B = _particles(6)
 _PATHS: Size = lambda _, plan: binding.PATH_NUMBERS * plan["grippers"]  # noqa: E731
 _LISTS = list(binding.KINDS.values())
 
-#: Of each function what is returned, and its arguments: h, i, d, or the size of memory.
+#: Result kind and argument kinds of each function: h, i, d, or the size of memory.
 CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_plan_new": ("h", ("i", _given(1, 0), _given(1, 0))),
     "cloth_plan_free": ("v", ("h",)),
@@ -218,7 +217,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
 
 
 class Traced:
-    """Stands for the engine's library and writes down every call of it."""
+    """Replaces the engine's library and records every call."""
 
     def __init__(self, library: ctypes.CDLL, file: BinaryIO) -> None:
         self._library, self._file = library, file
@@ -228,27 +227,27 @@ class Traced:
         self._ended = False
 
     def end(self) -> None:
-        """Write no more: plans are given back when the process ends."""
+        """Stop recording: plans are freed when the process ends."""
         self._ended = True
 
     def __getattr__(self, name: str) -> Any:
-        """A function of the library."""
+        """Return a function of the library."""
         return self[name]
 
     def __getitem__(self, name: str) -> Any:
-        """A function of the library."""
+        """Return a function of the library."""
         if name not in self._functions:
             self._functions[name] = getattr(self._library, name) if name == "cloth_engine_name" else _Call(self, name)
         return self._functions[name]
 
     def make(self, name: str, arguments: tuple[Any, ...]) -> Any:
-        """Make a call and write it down.
+        """Make a call and record it.
 
         Raises:
             RuntimeError: for a function that is not in CALLS.
         """
         if name not in CALLS:
-            raise RuntimeError(f"a trace has no place for {name}; add it to CALLS, or leave the scene out")
+            raise RuntimeError(f"a trace can't hold calls of {name}; add it to CALLS, or omit the scene")
         returned, kinds = CALLS[name]
         real = getattr(self._library, name)
         if self._ended:
@@ -344,7 +343,7 @@ class Traced:
 
 
 class _Call:
-    """A function of the library; its types may be set as those of any."""
+    """A function of the library. Its types may be set as usual."""
 
     def __init__(self, traced: Traced, name: str) -> None:
         self._traced, self._name = traced, name
@@ -369,7 +368,7 @@ def main() -> None:
     options = parser.parse_args()
     with options.file.open("wb") as file:
         traced = Traced(binding.library(), file)
-        # Before whoever asks for the library by name is loaded.
+        # This precedes the import of modules that use the library by name.
         binding.library = lambda: traced  # type: ignore[assignment]
         import bits
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the engine beside its sources, for an environment that uses the package in place. Run by the Makefile.
 
-Finds out in a tenth of a second that there is nothing to do. Builds the library that this machine loads; with `--every`
-all that it can run, which the tests compare. With `--sanitize` it builds the engine with the address
-and the undefined-behaviour sanitizer, into a folder of its own, and runs tests with it.
+If nothing is to do, it ends within a tenth of a second. It builds the library that this machine loads; with `--every`
+all libraries that it can run, which the tests compare. With `--sanitize` it builds the engine with the address and the
+undefined-behaviour sanitizer, into a separate folder, and runs tests with it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SANITIZED = ROOT / "build" / "sanitize"
 
 
 def preloaded() -> str:
-    """The libraries that must be in the process before Python's own: the sanitizer, and what it reads at its start.
+    """Return the libraries that must be loaded before Python's own: the sanitizer and its dependencies.
 
     Raises:
         RuntimeError: if the compiler is not GCC, or has no sanitizer.
@@ -33,21 +33,21 @@ def preloaded() -> str:
     if "clang" in build.describe(command):
         raise RuntimeError("cloth_sim_ros: the sanitizers' tests run with g++, not with clang: make sanitize CXX=g++.")
     found = []
-    # Without the C++ library at its start, the sanitizer stops at the first exception that is thrown.
+    # Without a preloaded C++ library the sanitizer stops at the first exception.
     for name in ("libasan.so", "libstdc++.so.6"):
         done = subprocess.run([*command, f"-print-file-name={name}"], check=True, capture_output=True, text=True)
         path = done.stdout.strip()
-        if path == name:  # as the compiler answers when it has no such file
+        if path == name:  # the compiler's answer for a missing file
             raise RuntimeError(f"cloth_sim_ros: {command[0]} has no {name}; install the package libasan8 or its like.")
         found.append(path)
     return " ".join(found)
 
 
 def sanitize(tests: list[str]) -> int:
-    """Run tests with each library that can show something of its own; returns the first exit status that is not 0."""
+    """Run tests with the libraries of the widest and the simplest vectors; return the first status other than 0."""
     build = compiler.load_build()
     libraries = runpy.run_path(str(compiler.ENGINE / "instruction_set.py"))["libraries"]()
-    names = list(dict.fromkeys([libraries[0], libraries[-1]]))  # the widest vectors that run here, and the plainest
+    names = list(dict.fromkeys([libraries[0], libraries[-1]]))  # the widest and the simplest vectors that run here
     try:
         preload = preloaded()
         build.build(SANITIZED, names=names, sanitize=True, say=lambda text: compiler.say(f"cloth_sim_ros: {text}"))
@@ -61,13 +61,13 @@ def sanitize(tests: list[str]) -> int:
             **os.environ,
             "CLOTH_SIM_ROS_ENGINE": str(library),
             "LD_PRELOAD": preload,
-            # Python itself never frees all it has.
+            # Python itself does not free all of its memory.
             "ASAN_OPTIONS": "detect_leaks=0",
-            # Small arrays too have each their own piece of memory, whose ends are watched.
+            # With malloc each small array too has its own block with checked ends.
             "PYTHONMALLOC": "malloc",
             "UBSAN_OPTIONS": "print_stacktrace=1",
         }
-        # What a sanitizer has found it writes to the error stream itself, which pytest would keep back.
+        # The sanitizer writes its findings to the error stream itself, which pytest would capture.
         command = [sys.executable, "-m", "pytest", "--capture=sys", *tests]
         status = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
         if status:

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the project's environment, or adds to it what is missing. Run by the Makefile, with any supported Python.
+"""Creates the project's environment, or completes it. Run by the Makefile, with any supported Python.
 
-Works with the standard library alone. Sure to be whole when it says so: a stamp is written last, and an environment
-whose making was interrupted is made anew. Two at a time wait for each other.
+It uses the standard library only. A stamp is written last, and an environment whose creation was interrupted is created
+again. Two runs at a time wait for each other.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PURPOSES = {"demo": "`make run` needs", "dev": "the tests and tools need"}
 
 
 def fingerprint() -> str:
-    """What a stamp holds: the folder, and the content of the files that say what is installed."""
+    """Return the content of a stamp: the folder, and a digest of the files that determine what is installed."""
     digest = hashlib.sha256(f"{ROOT}\n".encode())
     for name in INPUTS:
         digest.update((ROOT / name).read_bytes())
@@ -36,12 +36,12 @@ def fingerprint() -> str:
 
 
 def is_sound(folder: Path) -> bool:
-    """Whether the environment can be added to: whole, made here, and its Python still there and supported."""
+    """Return True if the environment can be completed: it is whole, in its original folder, and its Python works."""
     if (folder / "unfinished").exists():
         return False
     made_in = folder / "made_in"
     if made_in.exists() and made_in.read_text().strip() != str(ROOT):
-        return False  # the project was moved: every script in the environment names the old place
+        return False  # the project was moved: scripts of the environment name the old folder
     probe = "import sys, pip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))"
     try:
         return subprocess.run([folder / "bin" / "python", "-c", probe], check=False).returncode == 0
@@ -50,7 +50,7 @@ def is_sound(folder: Path) -> bool:
 
 
 def install(folder: Path, extras: str) -> None:
-    """Make or complete the environment; raises CalledProcessError when a step fails."""
+    """Create or complete the environment; raise CalledProcessError if a step fails."""
     purpose = PURPOSES[extras]
     unfinished = folder / "unfinished"
     if is_sound(folder):
@@ -70,7 +70,7 @@ def install(folder: Path, extras: str) -> None:
     command += ["--no-input", "--constraint", str(ROOT / "constraints.txt"), "--editable", f"{ROOT}[{extras}]"]
     before = packages(folder)
     try:
-        # setuptools warns of every editable install that it is one.
+        # setuptools warns of every editable install.
         subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, "PYTHONWARNINGS": "ignore"})
     finally:
         # A failed step that installed nothing (no network, say) leaves a working environment, which must be kept.
@@ -80,19 +80,19 @@ def install(folder: Path, extras: str) -> None:
 
 
 def build_engine() -> None:
-    """Build the engine while pip fetches packages; pip's own build then finds it done, or says what is wrong."""
+    """Build the engine while pip fetches packages. pip's own build then finds it done, or reports the fault."""
     build = compiler.load_build()
     with contextlib.suppress(build.BuildError, OSError):
         build.build(names=build.names_here()[:1])
 
 
 def packages(folder: Path) -> set[tuple[str, int]]:
-    """Name and date of all that is installed at the top level of the environment."""
+    """Return name and date of everything at the top level of the environment."""
     return {(path.name, path.stat().st_mtime_ns) for path in folder.glob("lib/python*/site-packages/*")}
 
 
 def say(text: str) -> None:
-    """Tell the user at once, also through a pipe."""
+    """Print a line at once, also through a pipe."""
     print(f"cloth_sim_ros: {text}", flush=True)
 
 
@@ -134,7 +134,7 @@ def main() -> int:
         say("the next `make` tries again.")
         return 1
     except KeyboardInterrupt:
-        say("interrupted; the next `make` goes on, or begins anew where it must.")
+        say("interrupted; the next `make` continues, or starts again if it must.")
         return 130
     for stamp in stamps:
         stamp.write_text(fingerprint())

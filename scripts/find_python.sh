@@ -2,9 +2,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 #
-# Prints the Python that the environment is made with: $PYTHON if it is set, else the first of python3.13, python3.12,
-# python3.11 and python3 that runs, is supported and can make environments. Each is tried by running it, because a
-# version manager leaves names that exist and fail. Ends with one sentence and status 1 when there is none.
+# Prints the Python for the environment: $PYTHON if it is set, else the first of python3.13, python3.12,
+# python3.11 and python3 that runs, is supported and can create environments. Each is tested by running it, because a
+# version manager leaves names that exist and fail. Without any it ends with one sentence and status 1.
 
 set -u
 
@@ -14,7 +14,7 @@ if [ "$(uname -s) $(uname -m)" != "Linux x86_64" ]; then
     exit 1
 fi
 
-# Prints the interpreter itself (not a shim, not an environment's link to it) or, with status 1, what is wrong with it.
+# Prints the interpreter itself (no shim, no link of an environment) or, with status 1, its fault.
 probe='
 import sys
 version = ".".join(map(str, sys.version_info[:3]))

@@ -1,17 +1,17 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs every code block of README, tutorials and CONTRIBUTING in order, in a clean clone, and compares what it prints.
+"""Runs every code block of README, tutorials and CONTRIBUTING in a clean clone, and compares its output.
 
-A block of bash or Python is run from the clone's top. A comment in front of a block, which no reader sees, says more:
+Blocks of bash or Python are run in order from the clone's top. An invisible comment before a block says more:
 
-<!-- output -->                 what the block before it prints; a line "..." stands for any lines
-<!-- output: numbers vary -->   the same, each number standing for any number
-<!-- file: NAME -->             the content of a file
-<!-- background: TEXT -->       goes on, once it has printed the text, while the rest of the page is run; it then gets
-                                SIGINT and must end with status 0
-<!-- skip: REASON -->           is not run: it needs what a machine with Python, make, git and a compiler has not
+<!-- output -->                 output of the block before it; a line "..." stands for any lines
+<!-- output: numbers vary -->   the same, with each number standing for any number
+<!-- file: NAME -->             content of a file
+<!-- background: TEXT -->       runs in the background during the rest of the page, once it has printed the text. It
+                                then gets SIGINT and must end with status 0
+<!-- skip: REASON -->           not run: it needs more than a machine with Python, make, git and a compiler
 
-A block that is none of these is an error, and so is a command that fails.
+Any other block is an error, and so is a command that fails.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = ["README.md", *(f"docs/tutorials/{name}.md" for name in ("grasp", "mesh", "session", "library"))]
 PAGES += ["CONTRIBUTING.md"]
 RUNS = ("bash", "python")
-#: How long a block may take [s]: `make test` from nothing is the longest.
+#: Time limit of a block [s]; `make test` from a clean clone takes longest.
 LIMIT = 3600.0
-#: How long what runs in the background may take to be ready, and to end [s].
+#: Time limits of a process in the background to be ready, and to end [s].
 READY, PATIENCE = 60.0, 15.0
-#: Variables that are not passed to the blocks: those that point at another Python or ROS environment, and those of
-#: `make docs-check`, which make would hand on to every make that a block starts.
+#: Variables that are not passed to the blocks: those of other Python or ROS environments, and those that make would
+#: pass from `make docs-check` to each make of a block.
 _NOT_A_USERS = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH"}
 _NOT_A_USERS |= {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES", "ARGS", "TESTS", "VENV"}
 _MARK = re.compile(r"<!--\s*(output|file|background|skip)(?::\s*(.*?))?\s*-->\s*$")
@@ -60,15 +60,15 @@ class Block:
     language: str
     code: str
     mark: str = ""
-    #: What the mark says: a reason, a file's name.
+    #: Argument of the mark: a reason, or a file's name.
     words: str = ""
-    #: What it must print; None where the page does not show it.
+    #: Expected output; None if the page shows none.
     output: str | None = None
     numbers_vary: bool = False
 
 
 def blocks_of(text: str, name: str) -> list[Block]:
-    """Return a page's blocks in order, each with the output that the page shows of it.
+    """Return a page's blocks in order, each with the output that the page shows.
 
     Raises:
         PageError: naming the first block that is neither run nor marked.
@@ -97,7 +97,7 @@ def blocks_of(text: str, name: str) -> list[Block]:
 
 
 def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
-    """Return how what was printed differs from what the page shows; empty if it does not."""
+    """Return the difference between printed output and the page; empty if there is none."""
 
     def lines(text: str) -> list[str]:
         kept = [" ".join(line.split()) for line in text.strip().splitlines()]
@@ -111,13 +111,13 @@ def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
 
 
 def users_environment(own: Mapping[str, str]) -> dict[str, str]:
-    """Return the environment of a user's shell: this process's own, less what it has for its own sake."""
+    """Return the environment of a user's shell: this process's variables without those of the check itself."""
     kept = {name: value for name, value in own.items() if name not in _NOT_A_USERS}
     return kept | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
 
 
 class Clone:
-    """A clean clone, in which blocks are run as a user's shell runs them."""
+    """A clean clone in which blocks run as in a user's shell."""
 
     def __init__(self, folder: Path, *, logs: Path) -> None:
         self.folder, self._logs = folder, logs
@@ -126,7 +126,7 @@ class Clone:
         self._background: list[tuple[subprocess.Popen[str], Path]] = []
 
     def run(self, block: Block) -> str:
-        """Run a block; return what is wrong, empty if nothing is."""
+        """Run a block; return its fault, or ""."""
         if block.mark == "file":
             (self.folder / block.words).write_text(block.code)
             return ""
@@ -145,7 +145,7 @@ class Clone:
         return difference(block.output, printed, numbers_vary=block.numbers_vary)
 
     def end_background(self) -> Iterator[str]:
-        """End what runs in the background; yield what is wrong with each."""
+        """End processes in the background; yield the fault of each."""
         for process, log in self._background:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGINT)
@@ -161,7 +161,7 @@ class Clone:
     def _begin(self, block: Block) -> str:
         log = self._logs / f"{len(self._background)}.log"
         with log.open("w") as stream:
-            # It takes the shell's place, to get the signal itself.
+            # exec replaces the shell, so that the process gets the signal itself.
             block.code = f"exec {block.code}"
             process = self._start(block, stdout=stream, stderr=subprocess.STDOUT)
         self._background.append((process, log))
@@ -187,7 +187,7 @@ class Clone:
 
 
 def main() -> int:
-    """Run the pages that are asked for; 1 if anything is not as the page says."""
+    """Run the requested pages; return 1 if a block is wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pages", nargs="*", default=PAGES, metavar="page", help="default: %(default)s")
     parser.add_argument("--leave-out", action="append", default=[], metavar="COMMAND", help="a block's first line")
@@ -220,7 +220,7 @@ def main() -> int:
 
 
 def say(text: str) -> None:
-    """Tell the user at once, also through a pipe."""
+    """Print a line at once, also through a pipe."""
     print(text, flush=True)
 
 

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the pictures of the README and docs anew, each from a real session: `make screenshots`.
+"""Makes the pictures of README and docs from real sessions: `make screenshots`.
 
-A session is played as `make run` plays it, recorded, and shown by cloth_replay at a stated moment. Needs what
-`cloth_replay --screenshot` needs.
+A session is played as by `make run`, recorded, and shown by cloth_replay at a given time. It needs the requirements of
+`cloth_replay --screenshot`.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """One picture: what is played, and the moment shown."""
+    """One picture: the played scene, and its time."""
 
     parameters: str
     """Parameter file of the cloth, in config/."""
     scripts: tuple[str, ...]
     """A script for each gripper, in config/."""
     after_closing: float
-    """Simulated time of the picture, counted from the frame in which a gripper first closed [s]."""
+    """Simulated time of the picture since the frame in which a gripper first closed [s]."""
 
 
-#: Name of the file in docs/images, without its ending, and what it shows.
+#: Name of the file in docs/images, without its suffix, and its picture.
 PICTURES = {
     "towel": Picture(parameters="fold.yaml", scripts=("fold_left.yaml", "fold_right.yaml"), after_closing=1.8),
 }
 
 
 def closing_time(session: list[Path]) -> float:
-    """Simulated time at which a gripper first closed [s]; raises ValueError when none did."""
+    """Return the simulated time at which a gripper first closed [s]; raise ValueError without a grasp."""
     with SessionReader(session) as reader:
         for frame in reader.frames():
             if any(event["kind"] == "grasp" and event["closed"] for event in frame.events):
@@ -48,7 +48,7 @@ def closing_time(session: list[Path]) -> float:
 
 
 def make(name: str, picture: Picture, folder: Path) -> None:
-    """Play, record, and write the picture into `folder`; raises CalledProcessError when a command fails."""
+    """Play, record, and write the picture into `folder`; raise CalledProcessError if a command fails."""
     config = ROOT / "config"
     with tempfile.TemporaryDirectory() as sessions:
         demo = [sys.executable, "-m", "cloth_sim_ros.ros.demo", "--folder", sessions]

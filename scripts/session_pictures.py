@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the pictures of docs/images: five sessions, each simulated, recorded, and painted by `cloth_replay`.
+"""Makes pictures of docs/images: five sessions, simulated, recorded, and painted by `cloth_replay`.
 
 .venv/bin/python scripts/session_pictures.py [name ...]
 """
@@ -27,14 +27,14 @@ from cloth_sim_ros.scene.scene import Scene  # noqa: E402
 from cloth_sim_ros.simulation.events import Event, Grasp, Target  # noqa: E402
 from cloth_sim_ros.simulation.gripper_script import GripperScript  # noqa: E402
 
-#: Turns a sheet from hanging to lying.
+#: Orientation of a lying sheet.
 FLAT = [0.0, 0.0, 0.0, 1.0]
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 @attrs.frozen(kw_only=True)
 class Picture:
-    """A session and the moment that is painted."""
+    """A session and the time of its picture."""
 
     values: dict[str, Any]
     events: Callable[[Scene], Iterator[list[Event]]]
@@ -43,12 +43,12 @@ class Picture:
 
 
 def carry(scene: Scene) -> Iterator[list[Event]]:
-    """A bottom corner is taken and carried up."""
+    """A gripper grasps a bottom corner and carries it up."""
     yield from carried_corner(scene, 4.0)
 
 
 def fold(scene: Scene) -> Iterator[list[Event]]:
-    """Two grippers take the bottom corners and lift them over the top edge's line."""
+    """Two grippers grasp the bottom corners and lift them over the top edge."""
     start = scene.initial_positions()
     rows, columns = scene.shape
     corners = {"left": start[(rows - 1) * columns], "right": start[-1]}
@@ -62,7 +62,7 @@ def fold(scene: Scene) -> Iterator[list[Event]]:
 
 
 def swing(scene: Scene) -> Iterator[list[Event]]:
-    """A sheet held by its two upper corners is pulled aside at its lower edge and let go."""
+    """A sheet held by its two upper corners is pulled sideways at its lower edge and released."""
     start = scene.initial_positions()
     rows, columns = scene.shape
     middle = start[(rows - 1) * columns + columns // 2]
@@ -87,7 +87,7 @@ def lift(scene: Scene) -> Iterator[list[Event]]:
 
 
 def pinch(scene: Scene) -> Iterator[list[Event]]:
-    """The script of pinch.yaml: a towel is taken where it hangs over a table's edge, and lifted."""
+    """Script of pinch.yaml: a gripper pinches a towel where it hangs over a table's edge, and lifts it."""
     script = GripperScript.from_file(ROOT / "config" / "pinch_grasp.yaml")
     waiting = list(script.grasps)
     for k in range(round(9.0 * scene.rate)):
@@ -128,7 +128,7 @@ def _smooth(way: float) -> float:
 
 
 def paint(name: str) -> int:
-    """Simulate, record and paint one picture; the exit status of `cloth_replay`."""
+    """Simulate, record and paint one picture; return the exit status of `cloth_replay`."""
     picture = PICTURES[name]
     scene = Scene.from_parameters({"cloth.resolution": [40, 40], **picture.values})
     with tempfile.TemporaryDirectory() as folder:

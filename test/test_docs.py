@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The site: built without a warning, every parameter on its page, and answers few clicks away from the first page."""
+"""Documentation site: no warnings, every parameter documented, answers within a few clicks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cloth_sim_ros.scene.parameter_page import page
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-#: Pages as they are written, and every file of the source tree.
+#: Source pages, and every file of the source tree.
 WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if path.parent != DOCS / "generated"]
 FILES = [
     str(path.relative_to(ROOT))
@@ -27,7 +27,7 @@ FILES = [
     for path in (ROOT / folder).rglob("*.*")
 ]
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
-#: Questions of a newcomer, and where the answer begins.
+#: Questions of a newcomer, and the place of the answer.
 ANSWERS = {
     "where is the stability limit?": "time_stepping.md#stability",
     "what happens between a target and a cloud?": "frame.md",
@@ -71,7 +71,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 
 
 def links_of(name: str) -> set[str]:
-    """Pages, with their headings, that a page leads to, as paths from docs/."""
+    """Return the pages, with headings, that a page links to, as paths from docs/."""
     path = DOCS / name
     found = set()
     for link in LINK.findall(path.read_text()) if path.is_file() else []:
@@ -109,7 +109,7 @@ def test_a_block_that_is_neither_run_nor_marked_is_refused(run_docs: ModuleType)
 
 
 def test_blocks_run_in_a_clean_user_environment(run_docs: ModuleType, tmp_path: Path) -> None:
-    # make hands its variables on in the environment: the pages' own `make run` would take ARGS for its own.
+    # make exports its variables, and `make run` of a page would use ARGS.
     makefile = tmp_path / "Makefile"
     makefile.write_text(f"all:\n\t@{sys.executable} -c 'import json, os; print(json.dumps(dict(os.environ)))'\n")
     command = ["make", "-s", "-f", makefile, "ARGS=--leave-out x", "VENV=other", "PYTHON=python3.12"]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How `make` chooses a Python and makes the environment, without a network: its scripts on made-up machines."""
+"""Choice of Python and creation of the environment by `make`, on simulated machines without network."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def write_script(path: Path, text: str) -> Path:
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Path:
-    """A folder that is the whole PATH of an x86-64 Linux machine, with no Python yet."""
+    """A folder that is the whole PATH of an x86-64 Linux machine, without Python."""
     folder = tmp_path / "bin"
     write_script(folder / "uname", 'case $1 in -s) echo Linux ;; -m) echo "${MACHINE:-x86_64}" ;; esac')
     (folder / "sh").symlink_to(shutil.which("sh") or "/bin/sh")
@@ -62,7 +62,7 @@ def test_python_that_was_named_is_the_one(machine: Path) -> None:
 
 
 def test_no_python_gets_one_sentence(machine: Path) -> None:
-    # A Python of another version answers with its version, as the probe has it print.
+    # A Python of another version prints its version for the probe.
     write_script(machine / "python3", "echo 'is Python 3.8.18'; exit 1")
     found = find_python(machine)
     assert found.returncode == 1
@@ -82,13 +82,13 @@ def test_another_processor_gets_one_sentence(machine: Path) -> None:
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A copy of the files that the environment is made from, with an environment whose pip is ours to command."""
+    """A copy of the environment's inputs, with an environment whose pip the test controls."""
     folder = tmp_path / "project"
     inputs = ("setup.py", "setup.cfg", "constraints.txt", "scripts/environment.py", "scripts/compiler.py")
     for name in (*inputs, "cloth_sim_ros/engine/build.py"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / name)
-    # Answers the probe; as pip it counts its calls, installs a package and ends with $PIP_STATUS.
+    # This Python answers the probe. As pip it counts its calls, installs a package and ends with $PIP_STATUS.
     fake = (
         'here=$(dirname "$0")/..\n'
         '[ "$1" = -m ] || exit 0\n'
@@ -140,7 +140,7 @@ def test_without_a_network_a_working_environment_is_kept(project: Path) -> None:
 def test_interrupted_environment_is_created_again(project: Path) -> None:
     assert make(project, PIP_STATUS="1").returncode == 1
     assert (project / "env" / "unfinished").exists()
-    # Made anew means with venv, whose pip is a real one: it stops here, for the project's own sources are not there.
+    # A new environment comes from venv with a real pip. It fails here, because the project's sources are missing.
     made = make(project, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
     assert "making env with Python" in made.stdout
     assert not (project / "env" / "calls").exists()
@@ -154,7 +154,7 @@ def test_missing_compiler_is_reported_before_pip_starts(project: Path, tmp_path:
     assert len(made.stdout.splitlines()) == 1
     assert "install the package g++" in made.stdout
     assert pip_calls(project) == 0
-    # One that was named and is not there is not replaced by another.
+    # A named compiler that is missing is not replaced by another.
     made = make(project, CXX="absent-compiler")
     assert made.returncode == 1
     assert "absent-compiler, was not found" in made.stdout
@@ -165,7 +165,7 @@ def test_missing_compiler_is_reported_before_pip_starts(project: Path, tmp_path:
 def test_as_root_with_apt_the_compiler_is_installed(project: Path, tmp_path: Path) -> None:
     folder = tmp_path / "packages"
     write_script(folder / "apt-get", f'echo "$@" >> {tmp_path}/apt\n[ "$1" = update ] || {{ echo; }} > {folder}/g++')
-    for tool in ("dirname", "touch"):  # what the made-up pip calls
+    for tool in ("dirname", "touch"):  # used by the fake pip
         (folder / tool).symlink_to(shutil.which(tool) or f"/bin/{tool}")
     made = make(project, PATH=str(folder), CXX="")
     assert made.returncode == 0, made.stdout + made.stderr

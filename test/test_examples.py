@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The examples run as they are, in processes of their own, and do what they say."""
+"""Examples run unchanged in their own processes and do what they describe."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_mesh_cloth_hangs_over_its_held_middle(tmp_path: Path) -> None:
     pytest.importorskip("trimesh")
     output = run("mesh_cloth.py", cwd=tmp_path)
     assert numbers(r"hangs (\S+) m", output)[0] == pytest.approx(0.44, abs=0.05)
-    # A mesh of one's own is taken as it is.
+    # A user's mesh is used unchanged.
     assert run("mesh_cloth.py", tmp_path / "table_cloth.obj", cwd=tmp_path) == output
 
 
@@ -78,7 +78,7 @@ def test_custom_force_carries_the_weight(tmp_path: Path) -> None:
 
 def test_mppi_brings_the_corner_to_the_mark(tmp_path: Path) -> None:
     distances = numbers(r"corner is (\S+) m", run("mppi.py", cwd=tmp_path))
-    # It begins 0.4 m away.
+    # The corner starts 0.4 m away.
     assert len(distances) == 3
     assert distances[-1] < 0.03
 
@@ -109,7 +109,7 @@ def test_lift_study_lifts_as_fast_as_its_run_says(tmp_path: Path) -> None:
     place.create(study, samples, "")
     for run, values in enumerate(samples):
         row = perform(place, study, run, values)
-        # Shaken by a millimetre, and the corner's particles are held by springs.
+        # The targets are shaken by a millimetre, and springs hold the corner's particles.
         assert row["outcomes"]["lifted"] == pytest.approx(row["values"]["policy.speed"], abs=0.02), row["error"]
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files made to take memory or time, and files damaged at random: commands refuse them in one sentence."""
+"""Malicious and randomly damaged files: commands refuse them in one sentence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation.events import from_dict
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
-#: Memory that a command may take beyond what it takes without the file [MB]; and time [s], on a busy machine.
+#: Memory that a command may use in addition to its use without the file [MB]; and time [s], on a busy machine.
 MEMORY, SECONDS = 300.0, 60.0
 Find = Callable[[str], str]
 
@@ -42,13 +42,13 @@ def opening(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @functools.cache
 def at_rest(command: str) -> float:
-    """Memory that a command takes without a file [MB]."""
+    """Memory that a command uses without a file [MB]."""
     with tempfile.TemporaryDirectory() as folder:
         return bombs.measure([command, "--help"], Path(folder), limit=SECONDS).memory
 
 
 def refused(command: list[str], folder: Path) -> str:
-    """Refusal of a file by a command, which must take little and end as commands end."""
+    """Run a command that must refuse a file with little memory and time; return its output."""
     done = bombs.measure(command, folder, limit=SECONDS)
     assert "Traceback" not in done.said, done.said[-2000:]
     assert done.status in (0, 1, 2), done.said[-2000:]
@@ -95,7 +95,7 @@ def test_chunk_that_compresses_a_thousandfold_is_read(opening: bytes, tmp_path: 
     (tmp_path / "rest.mcap").write_bytes(opening + bombs.chunk(packed, "zstd", len(message), crc=0))
     with SessionReader(tmp_path / "rest.mcap") as reader:
         assert list(reader.messages()) == []
-        # Its channel is not declared; nothing else is wrong with it.
+        # Its channel is not declared; everything else is valid.
         assert "never declared" in (reader.missing or "")
 
 

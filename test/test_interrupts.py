@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C of each command but the node while it loads and begins: one line and a status, no traceback."""
+"""Ctrl-C during the start of each command except the node: one line, no traceback."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 SESSION = Path(__file__).parent / "data" / "session_0.1.0.mcap"
-#: Interrupts itself as it imports its so many-th module, counted from the command's beginning.
+#: Interrupts itself at the import of its nth module, counted from the command's start.
 PROGRAM = """
 import os, signal, sys
 from {module} import main
@@ -27,7 +27,7 @@ class Finder:
 sys.meta_path.insert(0, Finder())
 sys.exit(main({arguments}))
 """
-#: By command: its module, what it needs, and arguments with which it has something to do.
+#: For each command: its module, its requirements, and arguments that give it work.
 COMMANDS: dict[str, tuple[str, str, list[str]]] = {
     "cloth_sim --check": ("cloth_sim_ros.ros.main", "rclpy", ["--check", "{folder}/scene.yaml"]),
     "cloth_gripper": ("cloth_sim_ros.ros.gripper_main", "rclpy", ["--node", "/nowhere", "--wait", "1.0"]),
@@ -54,6 +54,6 @@ def test_interrupt_leaves_no_traceback(
     status = process.wait()
     assert "Traceback" not in process.output
     if "interrupt\n" in process.output:
-        # The viewer's command says 1 once it is at work, as for all that it can't do.
+        # The viewer's command returns 1 while it is at work, as for any failure.
         assert status in ((130, 1) if command == "cloth_replay" else (130,)), process.output
         assert len(process.output.splitlines()) < 8, process.output

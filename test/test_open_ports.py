@@ -52,7 +52,7 @@ def test_study_scheduler_refuses_client_without_certificate() -> None:
 
 @pytest.fixture
 def screen(start_process: Callable[..., Any], wait_until: Callable[..., Any]) -> Iterator[str]:
-    """A screen that nobody sees."""
+    """A virtual screen."""
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed")
     display = 1000 + os.getpid() % 50000

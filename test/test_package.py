@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The package as a package: what it declares, what each file says of its licence, what colcon installs."""
+"""Packaging: declarations, licence headers, and installation by colcon."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COMMANDS = {
 
 @pytest.fixture(scope="module")
 def setup_arguments() -> dict[str, object]:
-    """What setup.py hands to setuptools, as data."""
+    """Return the arguments of setup.py to setuptools."""
     script = (
         "import json, runpy, setuptools\n"
         "setuptools.setup = lambda **arguments: print(json.dumps(arguments, default=str))\n"
@@ -88,7 +88,7 @@ def test_package_xml_is_valid() -> None:
     ],
 )
 def test_a_package_xml_against_the_schema_is_refused(right: str, wrong: str) -> None:
-    # What stands in for xmllint with ROS's schema: the parser that ROS's own tools use finds what the schema would.
+    # Replacement for xmllint with ROS's schema: the parser of ROS's own tools finds the same faults.
     catkin_package = pytest.importorskip("catkin_pkg.package")
     text = (ROOT / "package.xml").read_text()
     assert right in text
@@ -163,7 +163,7 @@ def test_console_scripts_lead_to_functions(setup_arguments: dict[str, object]) -
         name, _, target = script.replace(" ", "").partition("=")
         module, _, function = target.partition(":")
         found.add(name)
-        # By reading, not importing: the commands must be declared rightly also where rclpy or rerun is not installed.
+        # Modules are read, not imported, because rclpy or rerun may not be installed.
         source = ROOT.joinpath(*module.split(".")).with_suffix(".py")
         definitions = {node.name for node in ast.parse(source.read_bytes()).body if isinstance(node, ast.FunctionDef)}
         assert function in definitions, f"{name} leads to {target}, which is not defined in {source}"
@@ -206,7 +206,7 @@ def test_every_requirement_is_pinned_for_make(setup_arguments: dict[str, object]
 
 
 def test_pyproject_holds_tools_only() -> None:
-    # colcon takes a package with a [project] table for another kind than ament_python's setup.py.
+    # colcon treats a package with a [project] table as another kind than ament_python's setup.py.
     assert set(tomllib.loads((ROOT / "pyproject.toml").read_text())) == {"tool"}
 
 
@@ -238,7 +238,7 @@ def test_colcon_builds_the_layout_of_ros2_run(tmp_path: Path) -> None:
         }
     assert (share / "package.xml").is_file()
     assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "cloth_sim_ros").is_file()
-    # As installed, from another folder, through the environment that colcon writes: not the sources again.
+    # The installed package, from another folder, through colcon's environment, and not the sources.
     script = f". {install}/local_setup.sh && {executables}/cloth_session --help"
     script += " && python -c 'import cloth_sim_ros; print(cloth_sim_ros.__file__)'"
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -256,7 +256,7 @@ def test_colcon_builds_the_layout_of_ros2_run(tmp_path: Path) -> None:
 
 
 def documented(program: str) -> list[list[str]]:
-    """The commands of a program that the documents show."""
+    """Return the commands of a program in the documents."""
     texts = [
         path.read_text()
         for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -276,6 +276,6 @@ def test_documented_colcon_commands_are_there() -> None:
             helps[verb] = subprocess.run(call, capture_output=True, text=True, check=True, cwd=ROOT).stdout
         for option in (argument for argument in arguments if argument.startswith("--")):
             assert re.search(rf"{option}\b", helps[verb]), f"colcon {verb} has no {option}"
-    # `source install/setup.bash` is what they tell to do next.
+    # The documents continue with `source install/setup.bash`.
     shells = [entry.name for entry in importlib.metadata.entry_points(group="colcon_core.shell")]
     assert "bash" in shells

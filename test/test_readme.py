@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The README's examples run, and its links lead somewhere."""
+"""Examples and links of the README."""
 
 import re
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-#: Made when the site is built.
+#: Generated when the site is built.
 GENERATED = ROOT / "docs" / "generated"
 WRITTEN = [page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent != GENERATED]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *WRITTEN]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which subpackages of cloth_sim_ros may import which others, and which libraries each may load.
+"""Layers of cloth_sim_ros: permitted imports and libraries of each subpackage.
 
 A subpackage is called a room, and a rule about its imports a wall, as in docs/design.md. Each room is imported in a
 fresh interpreter.
@@ -24,7 +24,7 @@ PACKAGE = ROOT / "cloth_sim_ros"
 ROS = {"rclpy", "rosidl_runtime_py", "rpyutils", "sensor_msgs", "std_msgs", "geometry_msgs", "builtin_interfaces"}
 VIEWER = {"rerun", "rerun_sdk", "rerun_bindings"}
 STUDIES = {"loky", "dask", "distributed", "gymnasium", "zarr", "bokeh", "av"}
-# Libraries that take long to load, or that a robot may lack: loaded only where they are first needed.
+# Libraries that load slowly, or that a robot may lack: loaded at their first use.
 LATE = {
     "matplotlib",
     "numba",
@@ -40,9 +40,9 @@ LATE = {
 FILES = {"mcap", "rosbags", "yaml"}
 ROOMS = ("engine", "physics", "scene", "simulation", "session", "verify", "batch", "ros", "replay")
 
-# Each room: the rooms it may load, and the libraries that must not come with it.
+# For each subpackage: the subpackages it may load, and the libraries it must not load.
 WALLS: dict[str, tuple[set[str], set[str]]] = {
-    # Arrays in, arrays out; and its build.py runs before anything is installed.
+    # The engine converts arrays to arrays. Its build.py runs before anything is installed.
     "engine": (set(), ROS | LATE | FILES | {"scipy", "tqdm"}),
     "physics": ({"engine"}, ROS | LATE | FILES | {"scipy", "tqdm"}),
     "scene": ({"engine", "physics"}, ROS | LATE | {"mcap", "rosbags"}),
@@ -50,7 +50,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "session": (set(), ROS | LATE | {"scipy"}),
     "replay": ({"session"}, ROS | {"scipy"}),
     "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
-    # Environments inherit from gymnasium's classes; their names in `batch` are imported when they are first used.
+    # Environments inherit from gymnasium's classes; `batch` imports their names at first use.
     "batch": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE - {"gymnasium"}),
     "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
 }
@@ -68,12 +68,12 @@ TESTED = ("benchmarks", "validation")
 
 
 def room_of(path: Path) -> str:
-    """The room that a file of the package belongs to, or the file's own stem where it is in none."""
+    """Return the subpackage of a file, or the file's stem if it is in none."""
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
 
 
 def modules_of(room: str) -> list[str]:
-    """Names of all modules of a room."""
+    """Return the names of all modules of a subpackage."""
     names = []
     for path in sorted((PACKAGE / room).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -82,7 +82,7 @@ def modules_of(room: str) -> list[str]:
 
 
 def loaded_by(modules: list[str], *, absent: set[str] | None = None) -> set[str]:
-    """Names of all modules that are loaded once these have been imported, in an interpreter of their own.
+    """Return the names of all modules that a new interpreter loads with given imports.
 
     Libraries in `absent` are as if they were not installed.
     """
@@ -99,7 +99,7 @@ def loaded_by(modules: list[str], *, absent: set[str] | None = None) -> set[str]
 
 
 def skip_without(room: str) -> None:
-    """Skip where a room's own libraries are not installed: a robot without a viewer, a desktop without ROS."""
+    """Skip if a subpackage's libraries are missing, as on a robot without viewer or a desktop without ROS."""
     own = {"ros": ["rclpy"], "replay": ["mcap", "rerun"], "session": ["mcap", "rosbags"], "verify": ["mcap", "rosbags"]}
     for library in own.get(room, []):
         pytest.importorskip(library)
@@ -116,7 +116,7 @@ def test_subpackage_loads_only_allowed_modules(room: str) -> None:
 
 
 def test_only_public_rclpy_api_is_used() -> None:
-    # Handles of the layer below, and whatever it calls private, change from one distribution to the next.
+    # Handles of rcl and private names of rclpy change between distributions.
     for path in sorted((ROOT / "cloth_sim_ros" / "ros").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Attribute):
@@ -137,7 +137,7 @@ def test_command_help_loads_no_heavy_module(command: str) -> None:
 
 
 def test_node_loads_without_pip_only_packages() -> None:
-    # Recording, replay, mesh files and transforms are then refused with the reason, when they are asked for.
+    # Recording, replay, mesh files and transforms are then refused with the reason at their use.
     pytest.importorskip("rclpy")
     loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
 
@@ -155,7 +155,7 @@ def test_import_of_the_package_loads_few_modules() -> None:
 
 
 def imports_of(path: Path) -> set[str]:
-    """Full names of all that a file imports, late imports included."""
+    """Return the full names of a file's imports, lazy imports included."""
     imported = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
@@ -194,7 +194,7 @@ def test_the_package_and_its_tests_need_no_measuring_folder() -> None:
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_lazy_imports_respect_the_layers(path: Path) -> None:
-    # What is imported late is not in sys.modules above, and binds the rooms no less.
+    # Lazy imports are not in sys.modules above, but respect the layers too.
     room = room_of(path)
     imported = imports_of(path)
     if room != "ros":
@@ -210,7 +210,7 @@ def test_lazy_imports_respect_the_layers(path: Path) -> None:
 
 
 def test_subpackages_do_not_import_the_public_api() -> None:
-    # `from cloth_sim_ros import Simulation` loads a name from whichever room has it, which the tests above don't see.
+    # `from cloth_sim_ros import Simulation` loads a name from any subpackage, which the tests above don't see.
     public = {f"cloth_sim_ros.{name}" for name in [*cloth_sim_ros.__all__, "_PLACES"]}
     paths = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
     found = {str(path.relative_to(PACKAGE)): imports_of(path) & public for path in paths}

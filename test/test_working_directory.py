@@ -18,7 +18,7 @@ pytest.importorskip("mcap")
 
 from cloth_sim_ros.session.child_process import child_environment, module_command
 
-#: Everything that Python itself or the package may import by name; each writes down that it was imported.
+#: Modules that Python or the package may import by name; each records its import.
 NAMES = sorted(
     {name for name in sys.stdlib_module_names if not name.startswith("_")}
     | {"sitecustomize", "usercustomize", "cloth_sim_ros", "numpy", "scipy", "attr", "attrs", "yaml", "mcap", "xxhash"}
@@ -46,7 +46,7 @@ rollouts(simulation.snapshot(), acts, processes=2)
 
 @pytest.fixture
 def decoys(tmp_path: Path) -> Path:
-    """A folder in which whatever is imported leaves its name in `imported`."""
+    """A folder in which every imported module writes its name to `imported`."""
     folder = tmp_path / "downloads"
     folder.mkdir()
     marker = tmp_path / "imported"

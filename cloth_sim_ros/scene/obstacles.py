@@ -186,7 +186,7 @@ def check_count(name: str, friction: Sequence[float]) -> None:
     """Refuse coefficients of friction if there are not one or two."""
     if len(friction) not in (1, 2):
         raise ParameterError(
-            f"{name} has {len(friction)} entries, {list(friction)}; give one number, or that at rest and that in motion"
+            f"{name} has {len(friction)} entries, {list(friction)}; give one number, or static and kinetic"
         )
 
 

@@ -36,8 +36,8 @@ def pads_of(scene: Configuration, mass: float) -> list[Pads]:
     gripper = scene.gripper
     if len(gripper.friction) not in (1, 2):
         raise ParameterError(
-            f"gripper.friction has {len(gripper.friction)} entries, {list(gripper.friction)}; give one number, or that "
-            "at rest and that in motion"
+            f"gripper.friction has {len(gripper.friction)} entries, {list(gripper.friction)}; give one number, or "
+            "static and kinetic"
         )
     try:
         return [

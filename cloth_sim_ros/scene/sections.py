@@ -180,8 +180,8 @@ class Wind:
         0.45,
         "Force per area and speed of air across the surface. It depends on the air and the speed, not on the cloth. "
         "The default was identified from recordings of one cloth of 0.3 m at up to 0.8 m/s, where linear drag "
-        "suffices; beyond that range it is an extrapolation. 0: no drag across the surface. Raw springs have no surface; their "
-        "default is 0",
+        "suffices; beyond that range it is an extrapolation. 0: no drag across the surface. Raw springs have no "
+        "surface; their default is 0",
         unit="N s/m^3",
         least=0.0,
         most=1e3,

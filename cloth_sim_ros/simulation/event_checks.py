@@ -135,8 +135,8 @@ def _check_stops(scene: Scene, wanted: Scene, state: State) -> None:
         if left < _LEAST_STOP * thickness:
             raise EventError(
                 f"contact.thickness is {thickness:.4g} m; it would leave the pads of '{pads.gripper}' {left:.4g} m "
-                f"from what stops them, and they need {_LEAST_STOP * thickness:.4g} m; set it once they are at rest, "
-                "or take more"
+                f"from their stop, and they need {_LEAST_STOP * thickness:.4g} m; set it once they are at rest, "
+                "or choose a larger one"
             )
 
 

@@ -108,7 +108,7 @@ class Obstacles:
                 where = self._state.x[:, particle].tolist()
                 raise ValueError(
                     f"is inside obstacle '{name}': particle {particle} at {[round(c, 6) for c in where]} is "
-                    f"{-gap[particle]:.4g} m deep; move the one or the other"
+                    f"{-gap[particle]:.4g} m deep; move one of them"
                 )
 
     def _within(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:

@@ -80,8 +80,7 @@ class Snapshot:
             if here != there or self._content(self.scene, there) != self._content(scene, here):
                 told = "its file has other content" if here == there else f"{name} is {there!r} there, {here!r} here"
                 raise ValueError(
-                    f"the snapshot is of another scene: {told}; restore it in a simulation of the scene of which it "
-                    "was taken"
+                    f"the snapshot is of another scene: {told}; restore it in a simulation of its own scene"
                 )
 
     @staticmethod

@@ -53,7 +53,7 @@ def test_chain_of_the_package_starts_without_air_across_it() -> None:
 
 
 def test_swing_decays_by_air_drag() -> None:
-    """The recorded cloth, let go at an angle: its swing falls by normal drag / density, of which half is the rate."""
+    """Swing of the recorded cloth: its amplitude decays at half of normal drag / density."""
     values = {
         "cloth.size": [0.3, 0.3],
         "cloth.resolution": [9, 9],

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of parameters: all of them told at once, and names of frames as tf2 takes them."""
+"""Faults of parameters are reported together; frame names follow tf2."""
 
 from __future__ import annotations
 
@@ -98,5 +98,5 @@ def test_every_frame_parameter_is_checked() -> None:
 
 
 def test_recorded_scene_keeps_a_frame_with_a_slash() -> None:
-    # Sessions of earlier versions hold such names, and run again with them.
+    # Sessions of earlier versions hold such names and run again with them.
     assert Scene.from_parameters({"frame_id": "/map"}).frame_id == "/map"

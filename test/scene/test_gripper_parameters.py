@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of single grippers beside those of the section."""
+"""Parameters of single grippers, which override those of the section."""
 
 from __future__ import annotations
 

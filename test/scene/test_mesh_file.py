@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mesh files: what is read is what was written; what is wrong is mended and said, or refused with the place."""
+"""Mesh files: round trips, reported repairs, and refusals with the location of the fault."""
 
 import logging
 
@@ -22,7 +22,7 @@ SHUFFLED = np.random.default_rng(1).permutation(len(POINTS))
 
 
 def grid():
-    """The grid with its vertices in an order of their own."""
+    """Return the grid with shuffled vertices."""
     place = np.argsort(SHUFFLED)
     return POINTS[SHUFFLED].copy(), place[TRIANGLES].copy()
 
@@ -85,7 +85,7 @@ def test_parse_gives_a_sheet_and_says_what_it_mended(caplog):
 
 
 def test_triangles_wound_against_the_others_are_turned():
-    # the first too: the larger part, not the first triangle, says which way is right
+    # The larger part, not the first triangle, determines the orientation.
     points, triangles = grid()
     triangles[[0, 7, 8]] = triangles[[0, 7, 8], ::-1]
     mesh = checked_mesh(points, triangles)

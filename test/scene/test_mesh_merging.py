@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mesh files with copies of vertices: seams that close but for rounding, and those that do not."""
+"""Merging of copied vertices: seams that are closed up to rounding, and open ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AROUND, ALONG = 12, 5
 
 
 def tube(gap: float = 0.0, *, scale: float = 1.0) -> bytes:
-    """OBJ text of a tube whose last column of vertices closes on the first but for sin(2 pi) and a gap [rad]."""
+    """OBJ text of a tube whose last column of vertices misses the first by sin(2 pi) and a gap [rad]."""
     lines = []
     for row in range(ALONG):
         for k in range(AROUND + 1):

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles as parameters: what describes one, which names it may have, and what is refused with the reason."""
+"""Obstacles as parameters: descriptions, names, and refusals with the reason."""
 
 from __future__ import annotations
 

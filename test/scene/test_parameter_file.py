@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files: which sections count, in which order, and what is refused with a sentence."""
+"""Parameter files: matching sections, their order, and refusals."""
 
 from __future__ import annotations
 

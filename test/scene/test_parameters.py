@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of parameters: which Python and numpy values are taken for which."""
+"""Conversion of Python and numpy values of parameters."""
 
 from __future__ import annotations
 

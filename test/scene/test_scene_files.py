@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that a scene names: what is no file on disk, or never ends, is refused and not read."""
+"""Files that a scene names: devices, pipes and oversized files are refused unread."""
 
 import os
 import subprocess
@@ -32,7 +32,7 @@ def test_size_limit_ignores_claimed_size(tmp_path, monkeypatch):
     assert files.read({"cloth.mesh": "small"}, {}, tmp_path) == {"small": b"x" * 1000}
     with pytest.raises(ParameterError, match="has 1001 bytes; at most 1000 are read"):
         files.read({"cloth.mesh": "large"}, {}, tmp_path)
-    # It claims to hold nothing.
+    # The file claims a size of 0.
     if os.path.exists("/proc/self/maps"):
         with pytest.raises(ParameterError, match="has more than 1000 bytes; at most 1000 are read"):
             files.read({"cloth.mesh": "/proc/self/maps"}, {}, tmp_path)

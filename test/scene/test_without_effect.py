@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters without effect: those that are told change no bit of the motion, those that are not told do."""
+"""Ineffective parameters: reported ones change no bit of the motion, others do."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ MESH = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
 SPRINGS = "positions: [[0, 0, 0], [1, 0, 0], [1, 1, 0]]\nmasses: 0.1\nsprings: [[0, 1], [1, 2]]\nstiffness: 10.0\n"
 FILES = {"m.obj": MESH.encode(), "s.yaml": SPRINGS.encode()}
 MODULUS = {"material.bending_modulus": 1e-4}
-#: Scenes of every kind that the rules tell apart.
+#: Scenes of every kind that the rules distinguish.
 SCENES = {
     "axial": {},
     "none": {"bending.model": "none"},
@@ -40,7 +40,7 @@ OTHER = {
 def motion(values):
     scene = Scene.from_parameters({"cloth.resolution": [4, 4], **values}, files=FILES)
     simulation = Simulation(scene)
-    # Off its rest shape, so that each of its forces acts.
+    # The sheet starts off its rest shape, so that each force acts.
     simulation.state.x[:] += 0.02 * np.sin(np.arange(simulation.state.x.size)).reshape(simulation.state.x.shape)
     corner = simulation.positions[-1]
     grasp = [Target("gripper", tuple(corner)), Grasp("gripper", True)] if scene.gripper_names else []
@@ -58,7 +58,7 @@ def test_reported_parameters_have_no_effect_and_others_have(kind):
         try:
             scene, moved = motion({**SCENES[kind], name: value})
         except ValueError:
-            # Refused outright, with its reason: that is better still.
+            # A refusal with its reason is better still.
             continue
         told = without_effect(scene, [*SCENES[kind], name])
         assert (moved == plain) == any(sentence.startswith(f"{name} is set") for sentence in told), (name, told)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contacts that an event finds compressed: how they regain their thickness, what that adds, and what is refused."""
+"""Recovery of compressed contacts: thickness, added speed and energy, and refusals."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.accuracy import certify
 from cloth_sim_ros.verify.run import verify
 
-#: A sheet on a table, near enough to be compressed by a larger thickness.
+#: A sheet on a table, so close that a larger thickness compresses its contacts.
 LYING: dict[str, Any] = {
     **SHEET,
     "cloth.resolution": [7, 7],
@@ -52,7 +52,7 @@ def lying(state: State | None = None, **more: Any) -> Simulation:
 
 
 def recovering(frames: int = 3, **more: Any) -> Simulation:
-    """A sheet whose contacts have regained some of their thickness."""
+    """A sheet whose contacts have regained part of their thickness."""
     cloth = lying(**more)
     cloth.advance([THICK])
     for _ in range(frames - 1):
@@ -62,7 +62,7 @@ def recovering(frames: int = 3, **more: Any) -> Simulation:
 
 
 def frames_left(cloth: Simulation) -> int:
-    """In how many frames contacts have regained their thickness."""
+    """Return the number of frames until contacts have the full thickness."""
     found = cloth.contact_recovery
     assert found is not None
     return math.ceil(found.duration * cloth.scene.rate)
@@ -145,11 +145,11 @@ def test_cloth_between_near_plates_rests_with_thin_contacts() -> None:
     assert cloth.asleep
     assert not cloth.velocities.any()
     assert np.array_equal(cloth.state.memory[KEY], thickness)
-    # They grew until the push was too large: to little more than the gap.
+    # The thickness grew to little more than the gap, where the force became too large.
     on_plates = thickness[:2, :-1]
     assert (on_plates > 0.5 / START_GAP * THICKNESS).all()
     assert (on_plates < 0.6 * THICKNESS).all()
-    # They go on when there is room.
+    # Recovery continues when the plates separate.
     cloth.advance([Move("lid", (0.0, 0.0, 0.1))])
     for _ in range(frames_left(cloth) + 1):
         cloth.advance()
@@ -187,14 +187,14 @@ def test_integrators_let_contacts_recover(integrator: str, step: float) -> None:
         assert done is not None
         fastest, flagged = max(fastest, float(np.abs(cloth.velocities).max())), flagged + done.flagged
     assert cloth.contact_recovery is None
-    # Without the recovery in the balance of energy a frame looks as if it made energy: it is rejected.
+    # Without recovery in the energy balance a frame seems to gain energy and is rejected.
     assert integrator == "implicit" or not flagged
     assert 0.5 * RECOVERY_SPEED < fastest < starts.FASTEST
     assert cloth.positions[:, 2].min() > 0.9 * THICKNESS
 
 
-#: Without gravity, by the implicit method: rate [Hz], tolerance [m], and gap over thickness. One step a frame
-#: in which thickness would grow twenty-fold; and frames whose steps are finished by those that make no energy.
+#: Without gravity, by the implicit method: rate [Hz], tolerance [m], and gap over thickness. First one step per frame,
+#: in which thickness would grow twenty-fold; then frames that steps without energy gain complete.
 IMPLICIT = [(10.0, 1e-3, 0.021), (60.0, 1e-6, 0.05)]
 
 
@@ -245,7 +245,7 @@ def test_layers_too_near_are_refused_with_the_lift() -> None:
 )
 def test_parameters_that_leave_no_gap_are_refused(values: dict[str, Any]) -> None:
     near = {"new.shape": "plane", "new.position": [0.0, 0.0, BORNE * THICKNESS - 0.01 * THICKNESS]}
-    # A thin one, so that 20 mm are fifty times as much.
+    # A small thickness, of which 20 mm are fifty times as much.
     thin = {"contact.thickness": 0.15 * THICKNESS, "cloth.position": [0.0, 0.0, 0.147 * THICKNESS]}
     cloth = lying(**(thin if "contact.thickness" in values else near))
     cloth.advance()
@@ -310,7 +310,7 @@ def test_states_amid_a_recovery_go_through_bytes() -> None:
 
 @pytest.mark.parametrize("seed", [2, 3, 5])
 def test_release_on_a_moving_table_restarts_to_the_bit(seed: int) -> None:
-    # A path's end is a rounding off the pose that a saved state has.
+    # A path's end differs by rounding from the pose in a saved state.
     random = np.random.default_rng(seed)
     cloth = lying(grippers=["gripper"], **{"gripper.radius": 0.03, "gripper.stiffness": 1e4})
     held, table = cloth.positions[-1], np.array([0.0, 0.0, -0.05])
@@ -365,7 +365,7 @@ def test_states_of_other_obstacles_are_refused_or_whole() -> None:
 def test_full_thickness_leaves_no_state_entry() -> None:
     cloth, other = lying(), lying()
     for k in range(30):
-        # What changes nothing of contact's geometry lets it as it is.
+        # Changes without effect on contact geometry leave the contact unchanged.
         cloth.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
         other.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
         assert KEY not in cloth.state.memory
@@ -384,7 +384,7 @@ def test_cloth_stays_awake_while_contacts_recover() -> None:
             slept = k
             break
     assert slept is not None
-    # It is woken by a thickness that compresses it.
+    # A thickness that compresses contacts wakes the cloth.
     cloth.advance([SetParameters({"contact.thickness": 0.02})])
     assert not cloth.asleep
     assert cloth.contact_recovery is not None
@@ -407,7 +407,7 @@ def test_repeated_frames_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(explicit, "advance", advance)
     assert frame.halted == ("table",)
     assert len(calls) == 2
-    # The other one's table never got the order: a recovery goes on as it would have.
+    # The other simulation's table was never commanded: recovery continues as without the command.
     other.advance()
     assert np.array_equal(moved.state.memory[KEY], other.state.memory[KEY])
 
@@ -476,14 +476,14 @@ def test_pads_placed_near_the_cloth_do_not_accelerate_it() -> None:
 
 
 def _recorded(folder: Path, frames: int = 14, **more: Any) -> list[Path]:
-    """A session in which contacts recover from a start, and again from a larger thickness."""
+    """A session in which contacts recover after the start, and again after a larger thickness."""
     values = {**LYING, "cloth.position": [0.0, 0.0, 0.5 * THICKNESS], "diagnostics.energy": True, **more}
     maker = SessionMaker(folder, Scene.from_parameters(values))
     assert maker.simulation.contact_recovery is not None
     for k in range(frames):
         events: list[Event] = [THICK] if k == 7 else []
         if k == 9:
-            # The file opens with a state amid the recovery.
+            # The file begins with a state during the recovery.
             assert maker.simulation.contact_recovery is not None
             maker.split()
         maker.add(events)
@@ -518,6 +518,6 @@ def test_the_certificate_covers_recovering_contacts(tmp_path: Path) -> None:
     )
     assert verdict.same
     assert certificate.kept
-    # By an integrator that is not ours, of every frame.
+    # An independent integrator checks every frame.
     assert len(certificate.samples) == 14
     assert max(sample.difference for sample in certificate.samples) < 1e-6

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames without a tolerance: a fixed order, and no error estimate, however hard contact is and little the work."""
+"""Frames without a tolerance: fixed order and no error estimate, for any stiffness and work limit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BALL = {
 
 
 def commands(index: int, draw: random.Random) -> list[Event]:
-    """A ball and a gripper that are sent anywhere every few frames."""
+    """Random targets of a ball and a gripper every few frames."""
     events: list[Event] = []
     if index % 3 == 0:
         x, y, z = (draw.uniform(-0.3, 0.6) for _ in range(3))
@@ -54,6 +54,6 @@ def test_no_tolerance_asks_for_no_error_estimate(more: dict[str, Any], integrato
         try:
             advance = simulation.advance(commands(index, draw)).advance
         except UnstableError:
-            # Finer steps than the work limit has room for: said so, which is all that is asked of it here.
+            # Steps finer than the work limit permits: the frame reports it, and this test asks no more.
             return
         assert advance is None or advance.error is None

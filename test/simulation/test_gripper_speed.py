@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The limit of a gripper's speed: jumps are followed at it, smoothly, and other motion is not changed by a bit."""
+"""Speed limit of a gripper: jumps are followed smoothly at the limit; other motion keeps its bits."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def cloth_at(*grippers: str, closed: bool = True, **values: Any) -> Simulation:
 
 
 def corner(cloth: Simulation, y: float = 0.0) -> tuple[float, ...]:
-    """A place at a distance y [m] from where the last particle starts."""
+    """Return a position at a distance y [m] from the last particle's start."""
     x0, y0, z0 = cloth.scene.initial_positions()[-1].tolist()
     return x0, y0 + y, z0
 
@@ -77,7 +77,7 @@ def test_velocity_is_continuous_at_the_limit() -> None:
         ends.append(path[4:7] + h * (2.0 * path[7:10] + 3.0 * h * path[10:13]))
         cloth.advance()
     assert np.abs(np.array(begins[1:]) - np.array(ends[:-1])).max() < 1e-9
-    # Once it is at its limit it goes on at it.
+    # The gripper continues at its limit.
     assert begins[3][1] == pytest.approx(2.0)
     assert position(cloth) == pytest.approx(corner(cloth, 0.3))
 
@@ -89,7 +89,7 @@ def test_half_turn_speed_is_limited_by_grasped_particles() -> None:
     reach = float(np.linalg.norm(held.positions[particles] - position(held), axis=1).max())
     for cloth in (held, free):
         cloth.advance([Target("gripper", corner(cloth), HALF_TURN)])
-    # Nothing is held, so nothing moves.
+    # Nothing is grasped, so nothing moves.
     assert free.grippers.poses()[0, 3:].tolist() == list(HALF_TURN)
     assert held.grippers.limited == {"gripper": pytest.approx(math.pi * reach * 60.0)}
     turn = rotation_vector(NO_TURN, held.grippers.poses()[0, 3:].tolist())
@@ -115,7 +115,7 @@ def test_each_gripper_has_its_own_limit() -> None:
 def test_motion_up_to_the_limit_keeps_every_bit(speed: float) -> None:
     limited, free = cloth_at(**{"gripper.max_speed": speed}), cloth_at(**{"gripper.max_speed": 0.0})
     for k in range(30):
-        # The limit exactly, but for rounding, then back and turning.
+        # The exact limit, up to rounding, then back with a rotation.
         distance = min(k, 15) * speed / 60.0
         turned = (0.0, 0.0, 0.01 * k, 1.0)
         for cloth in (limited, free):
@@ -144,10 +144,10 @@ def test_limit_holds_while_cloth_is_held() -> None:
     cloth.advance([Grasp("gripper", True)])
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
     assert position(cloth)[1] - corner(cloth)[1] == pytest.approx(1.0 / 60.0)
-    # The events of a frame come before its motion: let go, it jumps.
+    # Events of a frame precede its motion: the released gripper jumps.
     cloth.advance([Grasp("gripper", False)])
     assert position(cloth) == pytest.approx(corner(cloth, 1.0))
-    # Closed on nothing, it does so too.
+    # A gripper closed on nothing jumps too.
     cloth.advance([Grasp("gripper", True)])
     cloth.advance([Target("gripper", corner(cloth))])
     assert position(cloth) == pytest.approx(corner(cloth))

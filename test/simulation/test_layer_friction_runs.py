@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction between layers over frames: stacks that stick and slide, anchors that are state, sessions that re-run."""
+"""Friction between layers over frames: sticking, sliding, anchors in the state, repeated sessions."""
 
 import math
 
@@ -36,7 +36,7 @@ GIVEN = {
 
 
 def fold(**values):
-    """A simulation of a sheet that starts folded, and comes down on itself."""
+    """Simulation of a sheet that starts folded and falls on itself."""
     wanted = Scene.from_parameters({**GIVEN, **{name.replace("__", "."): value for name, value in values.items()}})
     _, places, velocities = folded(10)
     state = Simulation(wanted).state.copy()
@@ -50,12 +50,12 @@ def layers(simulation):
 
 
 def pressed(**values):
-    """One whose halves have come to touch."""
+    """Simulation of a folded sheet whose halves touch."""
     return touching(fold(**values))
 
 
 def touching(simulation):
-    """The same one, advanced until layers hold on to each other: it bounces."""
+    """Advance a bouncing folded sheet until its layers stick to each other."""
     for _ in range(40):
         simulation.advance()
         if (layers(simulation)[:, 3] > 0.0).any():
@@ -80,7 +80,7 @@ def test_stack_slides_at_coulomb_limit_with_kinetic_friction():
 
 
 def test_friction_is_correct_when_work_limit_is_reached():
-    # In most of its frames the tolerance takes more work than there is.
+    # In most frames the tolerance needs more work than the limit.
     assert abs(stacks.friction_off(7, 13, 1.0)) < 0.02
 
 
@@ -92,15 +92,15 @@ def test_friction_only_dissipates_and_is_in_energy_balance():
 
 
 def test_sliding_along_an_edge_does_not_switch_sides_each_step():
-    # Folded along its own lines, particles slide along edges and over corners; with the nearest triangle, whichever it
-    # is, a single frame took 1.8 million evaluations, for no step was short enough.
+    # Folded along its own lines, particles slide along edges and over corners. With the nearest triangle alone a
+    # single frame took 1.8 million evaluations, because no step was short enough.
     simulation = fold(tolerance=1e-4)
     evaluations, holds = [], []
     for _ in range(20):
         evaluations.append(simulation.advance().advance.evaluations)
         holds.append(bool((layers(simulation)[:, 3] > 0.0).any()))
     assert any(holds)
-    # The first two begin to slide on the table at a run.
+    # In the first two frames the sheet lands on the table with a sliding velocity.
     assert max(evaluations[2:]) < 20_000
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles and grippers that would leave the cloth no room: they stand still, it is told, and time goes on."""
+"""Obstacles and grippers that would crush the cloth: they stop, the frame reports it, and time continues."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_crushing_obstacle_stops_until_new_target(tmp_path: Path) -> None:
         maker.add([Move("iron", (0.0, 0.0, max(0.0, 0.1 - 0.02 * k)), UPRIGHT)] if k < 6 else [])
         assert finite(cloth)
     assert set(halted) == {(), ("iron",)}
-    # Its middle stands above half its height, where it has stood since.
+    # The obstacle's middle stopped above half its height and has not moved since.
     assert 0.01 < cloth.obstacles.poses()[1, 2] < 0.03
     assert cloth.obstacles.settled
     assert halted[-1] == ()
@@ -93,7 +93,7 @@ def test_frame_lists_stopped_bodies_only() -> None:
 
 
 def test_gripper_stops_before_pushing_cloth_through_table() -> None:
-    # All but a slit of the cloth is under the pads: none of it can get out from there.
+    # All of the cloth but a slit is under the pads: it can't escape.
     hand = {"grippers": ["hand"], "gripper.mode": "pinch"}
     hand |= {"gripper.opening": 0.012, "gripper.pad_size": [0.2, 0.1, 0.08]}
     cloth = Simulation(Scene.from_parameters({**LYING, **hand, "obstacles": ["table"]}))
@@ -104,7 +104,7 @@ def test_gripper_stops_before_pushing_cloth_through_table() -> None:
 
 @pytest.mark.parametrize("radius", [0.02, 0.03])
 def test_ball_that_squeezes_a_cell_within_a_frame_stops(radius: float) -> None:
-    # Smaller than a cell: its own features keep it out, not the particles.
+    # The ball is smaller than a cell: edges and faces keep it out, not particles.
     values = {**LYING, "cloth.size": [0.3, 0.3], "cloth.resolution": [8, 8], "cloth.position": [0.0, 0.0, 0.05]}
     values |= {"contact.thickness": 0.003, "tolerance": 1e-3, "obstacles": ["table", "ball"], "table.shape": "box"}
     values |= {"table.size": [1.2, 0.8, 0.04], "table.position": [0.0, 0.0, -0.02], "table.friction": [0.5, 0.4]}
@@ -119,7 +119,7 @@ def test_ball_that_squeezes_a_cell_within_a_frame_stops(radius: float) -> None:
 
 
 def test_thickness_that_lets_an_obstacle_intersect_is_refused() -> None:
-    # A ball that particles keep out, between particles that are just outside it; nothing else keeps a thinner one's.
+    # Particles just outside the ball keep it out. At a smaller thickness nothing else would.
     values = {**LYING, "obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "cloth.resolution": [3, 3]}
     values |= {"cloth.size": [0.1, 0.1], "cloth.position": [0.025, 0.025, 0.0937], "contact.thickness": 0.003}
     cloth = Simulation(Scene.from_parameters(values))
@@ -129,7 +129,7 @@ def test_thickness_that_lets_an_obstacle_intersect_is_refused() -> None:
 
 
 def test_changes_of_one_frame_are_checked_in_order() -> None:
-    # The second one asks where obstacles are that the first one brings.
+    # The second event refers to obstacles that the first one adds.
     cloth = Simulation(Scene.from_parameters({**LYING, "ball.shape": "sphere", "ball.size": [0.01]}))
     more = SetParameters({"obstacles": ["table", "ball", "iron"], "ball.position": [0.0, 0.3, 0.1]})
     cloth.advance([more, SetParameters({"contact.thickness": 0.004})])
@@ -142,13 +142,13 @@ def test_thickness_that_puts_pads_beyond_stops_is_refused() -> None:
     cloth.advance([Target("hand", (0.0, 0.0, 0.1))])
     cloth.state.memory[PINCHED] = np.array([[0.0135, 0.3]])
     cloth.check(SetParameters({"contact.thickness": 0.0052}))
-    with pytest.raises(EventError, match=r"leave the pads of 'hand' 0.0005 m from what stops them, and"):
+    with pytest.raises(EventError, match=r"leave the pads of 'hand' 0.0005 m from their stop, and"):
         cloth.check(SetParameters({"contact.thickness": 0.004}))
     assert math.isfinite(cloth.advance().advance.step)
 
 
 def test_large_motion_in_an_implicit_step_does_not_intersect() -> None:
-    # A ball under a cell, at 10 m/s: in an eighth of a frame it goes further than it is wide.
+    # A ball under a cell, at 10 m/s: in an eighth of a frame it moves further than its width.
     sheet = Scene.from_parameters(
         {**LYING, "cloth.size": [0.4, 0.4], "obstacles": [""], "cloth.position": [0.0, 0.0, 0.0]}
     )
@@ -174,7 +174,7 @@ def test_anchors_inside_an_obstacle_keep_the_matrix_finite() -> None:
     faces = OwnSurface(sheet.sheet.triangles(), sheet.sheet.positions(), thickness=0.003)
     force = Contact([ball], thickness=0.003, faces=faces)
     x = sheet.starting_state().x
-    # At the corner that is held: the triangles about it go through the ball.
+    # At the anchored corner the adjacent triangles intersect the ball.
     force.move(still(x[:, 0] + np.sign(x[:, 5] - x[:, 0]) * (0.03, 0.01, 0.0))[None])
     StageMatrix(Model(model.masses, [*model.forces, force], anchors=[0])).update(0.0, x, 1e-3)
 

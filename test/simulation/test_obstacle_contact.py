@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A cloth and the obstacles of its scene: it lies, sleeps, wakes, is moved and let go, to the same bits again."""
+"""A cloth on obstacles: it lies, sleeps, wakes, is moved and released, with reproducible bits."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WEIGHT = 0.2 * 9.81
 
 @pytest.fixture(scope="module")
 def rested() -> State:
-    """A state in which it lies and sleeps."""
+    """A state in which the cloth lies asleep."""
     cloth = Simulation(Scene.from_parameters(LYING))
     for _ in range(900):
         cloth.advance()
@@ -102,7 +102,7 @@ def test_contact_damping_reduces_the_bounce() -> None:
             speed = max(speed, float(cloth.velocities[:, 2].mean()))
         return speed
 
-    # It falls by 0.1 m, and comes down at 1.4 m/s; some of that goes into waves.
+    # It falls by 0.1 m and lands at 1.4 m/s; some of that energy goes into waves.
     assert 1.2 < bounce(0.0) < 1.41
     assert bounce(10.0) < 0.6
 
@@ -133,7 +133,7 @@ def test_cloth_does_not_pass_through_at_any_speed() -> None:
 
 
 def test_block_pushed_into_the_cloth_carries_it(rested: State) -> None:
-    # Commanded to the far side at once, it follows at its speed, and the cloth stays before it.
+    # Commanded to the far side at once, the block follows at its speed limit, and the cloth stays in front of it.
     cloth = lying(rested)
     cloth.advance([Move("block", (0.0, 0.0, 0.5))])
     for _ in range(10):
@@ -213,7 +213,7 @@ def test_cloth_inside_obstacle_is_refused_with_its_name() -> None:
 
 
 def test_obstacle_motion_within_one_frame_acts_on_the_cloth() -> None:
-    # At either end of the frame it is far off, or as slow as the cloth: only on its way is it fast.
+    # At either end of the frame the obstacle is far away, or as slow as the cloth. It is fast only in between.
     values = {
         "cloth.resolution": [8, 8],
         "contact.thickness": 0.01,
@@ -227,7 +227,7 @@ def test_obstacle_motion_within_one_frame_acts_on_the_cloth() -> None:
     }
     cloth = Simulation(Scene.from_parameters(values))
     before = cloth.energy()
-    # Two plates press the sheet from both sides, so that it does not move: what they put in is in the gaps.
+    # Two plates press the sheet from both sides, so that it does not move: their work is stored in the gaps.
     cloth.advance([Move("front", (0.0, -0.053, 1.0)), Move("back", (0.0, 0.053, 1.0))])
     assert cloth.gaps()[:, 1] == pytest.approx([0.003, 0.003], rel=1e-3)
     put_in = cloth._book.work - cloth._book.lost

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes whose obstacles are smaller than a cell of the cloth, or meshes: refused, described, run again."""
+"""Scenes with meshes, or with obstacles smaller than a cell of the cloth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ OVER: dict[str, Any] = {
     "it.size": [0.02],
     "it.position": [0.04, 0.03, -0.03],
 }
-#: The same with a mesh.
+#: The same scene with a mesh.
 MESH = {key: value for key, value in OVER.items() if key != "it.size"} | {"it.shape": "mesh", "it.mesh": "it.obj"}
 BALL = trimesh.creation.icosphere(1, 0.02)
 
@@ -72,7 +72,7 @@ def test_intersection_between_particles_is_refused() -> None:
     cloth = Simulation(Scene.from_parameters({**OVER, **through, "obstacles": [""]}))
     with pytest.raises(EventError, match="obstacle 'it' comes through the cloth"):
         cloth.advance([SetParameters({"obstacles": ["it"]})])
-    # Held particles may be inside, and so may the cells about them.
+    # Anchored particles, and the cells around them, may be inside.
     held = {**OVER, **through, "cloth.anchors": ["7", "8", "12", "13", "17", "18"]}
     Simulation(Scene.from_parameters(held)).advance()
 

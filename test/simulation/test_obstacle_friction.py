@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction in a simulation: what sticks and what slides, and anchors that are state through every event."""
+"""Friction in a simulation: sticking, sliding, and anchors in the state through every event."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALL: dict[str, Any] = {
 
 
 def inclined(degrees: float, **values: Any) -> Simulation:
-    """A sheet that lies on a box turned about y, just where contact bears it."""
+    """A sheet on a box rotated about y, at the distance where contact carries it."""
     turn = Rotation.from_euler("y", degrees, degrees=True)
     place = turn.apply([0.0, 0.0, 0.05 + 0.98 * 0.003])
     own = {
@@ -47,7 +47,7 @@ def anchors(cloth: Simulation) -> np.ndarray:
 
 
 def lying() -> Simulation:
-    """A sheet that has lain on the box for some frames, and sticks to it."""
+    """A sheet that has been on the box for some frames and sticks to it."""
     cloth = inclined(0.0)
     for _ in range(5):
         cloth.advance()
@@ -93,7 +93,7 @@ def test_friction_anchors_belong_to_their_obstacle() -> None:
     ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0], "obstacles": ["ball", "box"]}
     cloth.advance([SetParameters(ball)])
     assert anchors(cloth).shape == (2, 4, 25)
-    # It lies still: nothing but their number has changed.
+    # The sheet is at rest: only the number of anchors has changed.
     assert np.array_equal(anchors(cloth)[1], kept)
     assert not anchors(cloth)[0].any()
     cloth.advance([SetParameters({"obstacles": ["box"]})])
@@ -117,7 +117,7 @@ def test_disabling_friction_releases_anchors() -> None:
         cloth.advance([SetParameters({"gravity": [2.0, 0.0, -9.81]})])
     x = cloth.positions
     cloth.advance([SetParameters({"box.friction": [MU], "gravity": [0.0, 0.0, -9.81]})])
-    # The places at which it is held are those where it lies now, not those of before.
+    # The new anchors are at the present positions, not at the old ones.
     held = anchors(cloth)[0, :2].T
     assert np.abs(held - x[:, :2]).max() < 0.01
     assert np.abs(held - x[:, :2]).max() < 0.5 * np.abs(lying().positions - x).max()
@@ -151,7 +151,7 @@ def test_the_energy_balance_closes_while_a_sheet_slides() -> None:
     assert report is not None
     assert report.dissipated > 1e-3
     assert abs(report.residual) < 1e-3 * report.turned_over
-    # Looked at, it is the same.
+    # A query changes nothing.
     assert cloth.energy() == pytest.approx(report.total, rel=1e-9)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles of a simulation: where they are, how they follow, how they come and go, and that all of it is state."""
+"""Obstacles of a simulation: poses, motion, addition and removal, all kept in the state."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that change while a cloth runs: what stays is not built anew, and the motion is that of a fresh plan."""
+"""Parameters that change while a cloth runs: the plan is reused, with the motion of a new plan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "fixed step": GRID | {"step": 1e-3},
     "energy": GRID | {"diagnostics.energy": True, "wind.normal_drag": 0.5},
 }
-#: Gusts and the like, one a frame.
+#: Small changes such as gusts, one per frame.
 CHANGES: list[dict[str, Any]] = [
     {"wind.velocity": [1.0, 0.5, 0.0]},
     {"gravity": [0.0, 0.2, -9.7]},
@@ -33,12 +33,12 @@ CHANGES: list[dict[str, Any]] = [
     {"gravity": [0.0, 0.0, 0.0]},
     {"material.stretch_modulus": 900.0, "gravity": [0.0, 0.0, -9.81]},
 ]
-#: Those after which springs, hinges, panels and their order are what they were.
+#: Changes that keep springs, hinges, panels and their order.
 LIGHT = CHANGES[:4]
 
 
 def remembered(simulation: Simulation) -> dict[str, list[float]]:
-    """What step control knows of the motion."""
+    """Return the controller state of step control."""
     memory = simulation.state.memory
     return {rule.key: memory[rule.key].tolist() for rule in RULES if rule.key in memory}
 
@@ -55,7 +55,7 @@ def started(values: dict[str, Any]) -> Simulation:
 def test_reused_plan_gives_the_motion_of_a_new_plan(values: dict[str, Any]) -> None:
     kept = started(values)
     for change in CHANGES:
-        # From the state and the scene alone, as a session runs again.
+        # From state and scene alone, as a session is run again.
         fresh = Simulation(kept.scene, State.from_bytes(kept.state.to_bytes()))
         for simulation in (kept, fresh):
             simulation.advance([SetParameters(change)])
@@ -70,7 +70,7 @@ def test_uniform_force_change_rebuilds_no_spring_list(monkeypatch: pytest.Monkey
     simulation = started(values)
     plan = simulation.plan
     if values.get("integrator") != "implicit":
-        # The matrix of implicit steps has plans of its own.
+        # The matrix of implicit steps has its own plans.
         monkeypatch.setattr(assembly.Assembly, "hand_over", lambda *_: pytest.fail("a plan was built"))
     for change in LIGHT:
         simulation.rates(simulation.scene.changed(change))

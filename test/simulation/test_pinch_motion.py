@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grippers that pinch in a simulation: what they hold, what they bear, and pads that are state through every event."""
+"""Pinching grippers in a simulation: grasps, loads, and pads in the state through every event."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ PINCH: dict[str, Any] = {
     "tolerance": 1e-3,
 }
 CORNER = (0.15, 0.0, 0.0)
-#: The particles between the pads there.
+#: The particles between the pads.
 BETWEEN = [28, 29, 34, 35]
 MASS = 0.2 * 0.3 * 0.3
 
 
 def pinching(*, frames: int = 20, **values: Any) -> Simulation:
-    """A sheet whose corner was pinched so many frames ago."""
+    """A sheet whose corner was pinched a number of frames ago."""
     cloth = Simulation(Scene.from_parameters({**PINCH, **values}))
     cloth.advance([Target("gripper", CORNER), Grasp("gripper", True)])
     for _ in range(frames):
@@ -71,7 +71,7 @@ def test_a_sheet_that_hangs_from_its_pads_weighs_on_the_gripper() -> None:
         frame = cloth.advance()
     wrench = frame.wrenches[0]
     assert wrench[:3] == pytest.approx([0.0, 0.0, -MASS * 9.81], abs=2e-2 * MASS * 9.81)
-    # About the gripper: what hangs beside it turns it.
+    # The torque is about the gripper: the sheet's weight acts beside it.
     centre = (cloth.model.masses @ cloth.positions) / MASS
     moment = np.cross(centre - CORNER, [0.0, 0.0, -MASS * 9.81])
     assert wrench[3:] == pytest.approx(moment, abs=2e-2 * MASS * 9.81 * 0.3)
@@ -162,7 +162,7 @@ def test_pads_that_would_be_placed_in_the_cloth_are_refused() -> None:
     words = r"gripper.right_pad would be in the cloth: particle \d+ at \[.*\] is 0\.01 m deep in it; begin where"
     with pytest.raises(EventError, match=words):
         cloth.advance([Target("gripper", (0.15, 0.02, 0.0))])
-    # The gripper is nowhere still, and may come elsewhere.
+    # The gripper still has no pose and may be placed elsewhere.
     cloth.advance([Target("gripper", CORNER)])
 
 
@@ -247,7 +247,7 @@ def test_a_mode_can_not_change_while_the_cloth_runs() -> None:
 
 
 def test_implicit_steps_see_pads_where_they_are() -> None:
-    """Pads that sweep through the air where open ones would be in the cloth."""
+    """Pads move through air where open pads would be in the cloth."""
     values = {"gripper.pad_size": [0.12, 0.02, 0.12], "gripper.opening": 0.08, "gripper.speed": 0.6}
     values |= {"cloth.size": [0.4, 0.35], "cloth.resolution": [9, 8], "gripper.force": 0.5, "integrator": "implicit"}
     values |= {"cloth.position": [0.1, -0.3, 1.7], "cloth.orientation": [0.61, 0.07, -0.13, 0.77]}

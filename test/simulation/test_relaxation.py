@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A relaxed tolerance is an event like any other; and what only shows something leaves the motion alone."""
+"""Relaxation of the tolerance by events; display parameters leave the motion unchanged."""
 
 from __future__ import annotations
 

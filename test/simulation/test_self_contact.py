@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A cloth that touches itself in scenes: `contact.self`."""
+"""Contact of a cloth with itself in scenes: `contact.self`."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def scene(**values):
 
 
 def fold(wanted):
-    """A simulation of a scene that starts folded, and comes down on itself."""
+    """Simulation of a scene whose sheet starts folded and falls on itself."""
     _, places, velocities = folded(12)
     state = Simulation(wanted).state.copy()
     state.x, state.v = State(places, velocities).x, State(places, velocities).v

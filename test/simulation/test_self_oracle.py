@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""No frame of a cloth that touches itself passes through itself, by ipctk's test and by one in exact arithmetic.
+"""Self-contact without intersection in any frame, by ipctk and by exact arithmetic.
 
 `test/soak_contact.py` looks at a million steps.
 """

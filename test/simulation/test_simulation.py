@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The class Simulation: it advances by frames, applies events in order, and runs again to the same bits."""
+"""Class Simulation: frames, order of events, and reproducible bits."""
 
 import json
 

@@ -29,7 +29,7 @@ HELD = {"cloth.resolution": [8, 8], "cloth.anchors": [""], "grippers": ["gripper
 
 @pytest.fixture(autouse=True)
 def eager_threads() -> Iterator[None]:
-    """Threads that change as often as they can."""
+    """Switch threads as often as possible."""
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     yield
@@ -37,7 +37,7 @@ def eager_threads() -> Iterator[None]:
 
 
 def in_threads(job: Callable[[int], None], count: int = THREADS) -> None:
-    """Run a job in so many threads at once, and raise what one of them raised."""
+    """Run a job in several threads at once, and raise the exception of any of them."""
     begin, errors = threading.Barrier(count), list[BaseException]()
 
     def run(index: int) -> None:
@@ -84,7 +84,7 @@ def test_frames_from_several_threads_are_sequential() -> None:
 
 
 def test_concurrently_read_positions_belong_to_one_frame() -> None:
-    # Frames of 0.2 s, each of several intervals, after which the state stands at none of the sequence.
+    # Frames of 0.2 s have several intervals each; the state between intervals is none of the sequence.
     scene = Scene.from_parameters({"cloth.resolution": [8, 8], "rate": 5.0, "tolerance": 1e-5})
     alone, shared = Simulation(scene), Simulation(scene)
     expected = {alone.positions.tobytes(), *((alone.advance(), alone.positions.tobytes())[1] for _ in range(FRAMES))}
@@ -117,7 +117,7 @@ def test_events_from_several_threads_are_applied_atomically() -> None:
                 shared.restore(start)
             else:
                 frame = shared.advance([Grasp("gripper", k % 2 == 0), Pause(False)])
-                # Closed or open, by the order of calls: what it says fits what it did.
+                # Closed or open, by the order of calls: the report fits the result.
                 (grasp,) = frame.grasps
                 assert grasp.closed == (k % 2 == 0)
 
@@ -131,7 +131,7 @@ def test_events_from_several_threads_are_applied_atomically() -> None:
 
 
 class Calls(Force):
-    """A force that calls something once, while it is asked."""
+    """A force that calls a function once during its evaluation."""
 
     name = "calls"
 
@@ -147,7 +147,7 @@ class Calls(Force):
 
 
 def with_force(scene: Scene, force: Force) -> Simulation:
-    """A simulation whose plan has one more force, as a subclass of the user's may make it."""
+    """A simulation with one more force in its plan, as a user's subclass may add it."""
     simulation = Simulation(scene)
     model = simulation.model
     simulation.plan = compile(Model(model.masses, [*model.forces, force], anchors=model.anchors))
@@ -163,7 +163,7 @@ def test_calls_within_a_frame_are_refused(name: str) -> None:
     force.call = lambda: getattr(simulation, name)(*([start] if name == "restore" else []))
     with pytest.raises(RuntimeError, match=rf"Simulation\.{name} was called while another call"):
         simulation.advance()
-    # The refusal leaves it as it was.
+    # The refusal changes nothing.
     assert simulation.advance().index == plain.advance().index == 1
     assert simulation.state.digest() == plain.state.digest()
 
@@ -189,7 +189,7 @@ def test_a_simulation_is_not_copied(again: Callable[[Any], Any]) -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [4, 4], "contact.self": True}))
     with pytest.raises(TypeError, match=r"restore this one's snapshot\(\)"):
         again(simulation)
-    # Nor is what works in the same memory.
+    # Objects that use the same memory are not copied either.
     for part in (simulation.plan, simulation.plan.contact, Owner(simulation.model)):
         with pytest.raises(TypeError, match="memory of the engine"):
             again(part)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sheet at rest sleeps, wakes at once when anything touches it, and runs again from a snapshot to the last bit."""
+"""Sleep of a sheet at rest: it wakes at once on events and runs again bit for bit."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from cloth_sim_ros.simulation.energy_watch import EnergyWatch
 from cloth_sim_ros.simulation.events import Grasp, Pause, Reset, SetParameters, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
-# Heavy air and little weight, so that it comes to rest within seconds.
+# Strong drag and little weight bring the sheet to rest within seconds.
 CALM = {
     "cloth.resolution": [5, 6],
     "material.stretch_modulus": 100.0,
@@ -29,7 +29,7 @@ def simulation(**values):
 
 
 def until_asleep(moving, events=(), most=600):
-    """Advance until it sleeps; return the last frame."""
+    """Advance until the sheet sleeps; return the last frame."""
     frame = moving.advance(events)
     while not moving.asleep:
         frame = moving.advance()
@@ -98,7 +98,7 @@ def test_sheet_wakes_in_the_frame_of_the_event(sleeping, events):
     assert not sleeping.asleep
     assert frame.advance.steps > 0
     if not isinstance(events[0], Reset):
-        # It goes on from the very same place.
+        # It continues from exactly the same position.
         assert np.linalg.norm(sleeping.positions - before, axis=1).max() < 0.5 * 1.1 / 30.0**2
 
 
@@ -144,7 +144,7 @@ def test_sleeping_sheet_pulls_and_wakes_when_gripper_moves(sleeping):
 
 
 def test_a_run_goes_on_from_any_snapshot_to_the_last_bit(snapshot):
-    # Before it sleeps, while it grows calm, asleep, and awake again.
+    # Before sleep, during the watch for rest, asleep, and awake again.
     original = Simulation(Scene.from_parameters(CALM), State.from_bytes(snapshot))
     low = original.positions[-1]
     script = {3: [Target("left", low), Grasp("left", True)], 4: [Target("left", low + 0.001)]}
@@ -193,18 +193,18 @@ def test_without_a_tolerance_nothing_sleeps(change, snapshot):
 
 
 def test_turning_point_does_not_count_as_rest():
-    # Every particle stands still at once, as at the top of a swing, and is pulled.
+    # Every particle is at rest simultaneously, as at a turning point, and accelerated.
     scene = Scene.from_parameters({**CALM, "rate": 1000.0})
     rule = sleep.Sleep(scene.plan(), tolerance=1e-3, period=1e-3)
     state = scene.starting_state()
     for _ in range(1002):
-        # As if it had stood there for a second.
+        # As if it had been there for a second.
         assert not rule.follow(state, 0.0)
     assert not sleep.is_asleep(state)
 
 
 def test_undamped_motion_does_not_sleep():
-    # A free sheet without weight or air: slow as it is, it goes on for ever.
+    # A free sheet without weight or air moves slowly for ever.
     still = {"gravity": [0.0, 0.0, 0.0], "wind.normal_drag": 0.0}
     free = {**CALM, **still, "cloth.anchors": [""], "grippers": [""]}
     for drag, falls in ((0.0, False), (5.0, True)):
@@ -215,7 +215,7 @@ def test_undamped_motion_does_not_sleep():
         for _ in range(900):
             drifting.advance()
         assert drifting.asleep is falls
-        # Whatever it slept.
+        # Regardless of the time asleep.
         way = 5e-5 * (30.0 if not drag else 1.0 / drag)
         assert drifting.positions[:, 1] - start.x[1] == pytest.approx(way, abs=0.25 * CALM["tolerance"])
 

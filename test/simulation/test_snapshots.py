@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A snapshot holds all that later frames read: the same events give the same bits, here and in another simulation."""
+"""Snapshots: the same events give the same bits, in this and in another simulation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ PINCHED = {
 
 
 def along(*places: Sequence[float], frames: int) -> list[list[Event]]:
-    """Targets of the gripper, from place to place in so many frames each."""
+    """Targets of the gripper along waypoints, with a number of frames for each."""
     found: list[list[Event]] = []
     for start, end in itertools.pairwise(places):
         ways = np.linspace(start, end, frames)
@@ -60,20 +60,20 @@ def corner(values: dict) -> tuple[float, ...]:
 
 
 def carried(values: dict) -> list[list[Event]]:
-    """The last corner is taken and moved."""
+    """The last corner is grasped and moved."""
     x, y, z = corner(values)
     begin: list[list[Event]] = [[Target("gripper", (x, y, z)), Grasp("gripper", True)]]
     return begin + along((x, y, z), (x - 0.1, y + 0.1, z + 0.15), frames=8)
 
 
 def pinched() -> list[list[Event]]:
-    """Pads close on a corner that hangs between them, and draw it aside."""
+    """Pads close on a corner that hangs between them, and pull it sideways."""
     x, y, z = corner(PINCHED)
     at = (x, y, z)
     return [[Target("gripper", at)], [Grasp("gripper", True)], *[[]] * 20, *along(at, (x, y + 0.1, z), frames=6)]
 
 
-#: Scene, what happens before the snapshot, and what after it.
+#: Scene, events before the snapshot, and events after it.
 STORIES: dict[str, tuple[dict, Callable[[], list[list[Event]]], list[list[Event]]]] = {
     "held by a gripper": (HUNG, lambda: carried(HUNG), [[], [Target("gripper", (0.8, 0.2, 0.4))], [], []]),
     "let go": (HUNG, lambda: carried(HUNG), [[Grasp("gripper", False)], [], [Grasp("gripper", True)], []]),
@@ -82,7 +82,7 @@ STORIES: dict[str, tuple[dict, Callable[[], list[list[Event]]], list[list[Event]
     "asleep": (
         CALM,
         lambda: [*carried(CALM), *[[]] * 1500],
-        # A target where it is does not wake the cloth.
+        # A target at the present pose does not wake the cloth.
         [
             [Target("gripper", tuple(np.add(corner(CALM), (-0.1, 0.1, 0.15))))],
             [],
@@ -106,7 +106,7 @@ STORIES: dict[str, tuple[dict, Callable[[], list[list[Event]]], list[list[Event]
     "implicit": ({**HUNG, "integrator": "implicit"}, lambda: carried(HUNG), [[], []]),
     "symplectic Euler": ({**HUNG, "integrator": "symplectic_euler"}, lambda: carried(HUNG), [[], [Reset()], []]),
 }
-#: What happens to a simulation before it goes back: none of it may show.
+#: Events before the restore, which must leave no trace.
 BETWEEN: list[list[Event]] = [
     [Grasp("gripper", False), Target("gripper", (0.3, 0.3, 0.3))],
     [SetParameters({"material.stretch_modulus": 150.0, "air.drag": 1.0, "gravity": [0.0, 0.0, -5.0]})],
@@ -114,19 +114,19 @@ BETWEEN: list[list[Event]] = [
     [Reset()],
     [Grasp("gripper", True)],
 ]
-#: The same while the scene stays.
+#: Events before the restore without a change of scene.
 BRIEFLY: list[list[Event]] = [[Relax(3.0), Grasp("gripper", False), Move("table", (0.0, 0.0, -0.1))], [], []]
 
 
 def now(simulation: Simulation) -> tuple:
-    """What can be asked between frames."""
+    """Results of queries between frames."""
     gaps = simulation.gaps()
     asked = simulation.energy(), simulation.plan.rates(simulation.state.x), simulation.held(0), simulation.time
     return *asked, simulation.state.digest(), None if gaps is None else gaps.tobytes()
 
 
 def run(simulation: Simulation, events: list[list[Event]]) -> list[tuple]:
-    """What frames tell: digests, loads, and whether time went."""
+    """Results of frames: digests, wrenches, and if time passed."""
     told = []
     for each in events:
         frame = simulation.advance(each)
@@ -163,7 +163,7 @@ def test_the_same_events_give_the_same_bits(name: str) -> None:
     digest, asked = taken.state.digest(), now(simulation)
     expected = run(simulation, after)
     assert len({told[0] for told in expected}) == len(expected)
-    # Here again, after something else has happened.
+    # In the same simulation, after other events.
     for between in (BETWEEN, BRIEFLY):
         known = [[event for event in events if values is LYING or not isinstance(event, Move)] for events in between]
         run(simulation, known)
@@ -211,7 +211,7 @@ def test_reset_after_restore_uses_the_snapshot_scene() -> None:
     scene = Scene.from_parameters({**LYING, "initial_state": "lies.npz"}, files={"lies.npz": lies})
     simulation = Simulation(scene)
     taken = simulation.snapshot()
-    for _ in range(2):  # a change after it was restored must not reach it either
+    for _ in range(2):  # changes after the restore must not reach the snapshot
         simulation.advance([SetParameters({"obstacles": [""]})])
         assert "obstacle.pose" in taken.initial.memory
         simulation.restore(taken)

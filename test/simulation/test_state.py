@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""State files: what a simulation saved comes back whole; anything else is refused by name."""
+"""State files: exact round trips, and refusals that name the fault."""
 
 import io
 
@@ -17,7 +17,7 @@ SMALL = {"cloth.resolution": [4, 5], "gripper.radius": 0.6}
 
 
 def saved(grippers=("left", "right")):
-    """A state whose first gripper holds some particles, where there is one."""
+    """A state whose first gripper, if any, holds some particles."""
     simulation = Simulation(Scene.from_parameters({**SMALL, "grippers": list(grippers) or [""]}))
     held = [Target(grippers[0], (0.0, 0.0, 0.5)), Grasp(grippers[0], True)] if grippers else []
     simulation.advance(held)
@@ -226,7 +226,7 @@ def test_unknown_controller_memory_is_dropped_and_named():
 
 
 def stepped():
-    """Arrays of a state that remembers how it was stepped."""
+    """Arrays of a state with a controller state."""
     simulation = Simulation(Scene.from_parameters(SMALL))
     for _ in range(3):
         simulation.advance()

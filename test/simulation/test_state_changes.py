@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A state that was written can be read, and goes on to the same bits, whatever came before it."""
+"""Written states can be read and continue to the same bits, after any history."""
 
 from __future__ import annotations
 
