@@ -5,21 +5,21 @@
 `python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes the trace to FILE.
 bits_replay.cpp reads it, makes the same calls with another build of the engine, and compares the results.
 
-A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call consists of:
+A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call consists of three parts.
 
-    length of the function's name, the name
-    kind of the result ("i" status, "n" number, "h" plan, "v" nothing), the result (0 without a result)
-    number of arguments, then each argument: its kind and its value
+    length of the function's name, the name.
+    kind of the result ("i" status, "n" number, "h" plan, "v" nothing), the result (0 without a result).
+    number of arguments, then each argument: its kind and its value.
 
-An argument's value, by its kind:
+An argument's value, by its kind.
 
-    "h"  a plan's handle
-    "i"  an integer
-    "d"  a double
-    "0"  a null pointer: no value
-    "b"  memory: its size in bytes, its content before the call, its content after the call
-    "a"  an array of pointers: their number, then a "b" for each
-    "f"  a binding.Frame: its size in bytes and its bytes, then for each array the field's index and a "b", then -1
+    "h"  a plan's handle.
+    "i"  an integer.
+    "d"  a double.
+    "0"  a null pointer: no value.
+    "b"  memory: its size in bytes, its content before the call, its content after the call.
+    "a"  an array of pointers: their number, then a "b" for each.
+    "f"  a binding.Frame: its size in bytes and its bytes, then for each array the field's index and a "b", then -1.
 
 A content is stored as its index in the file. At the first occurrence of an index the bytes follow.
 """

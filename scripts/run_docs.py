@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs every code block of README, tutorials and CONTRIBUTING in a clean clone, and compares its output.
 
-Blocks of bash or Python are run in order from the clone's top. An invisible comment before a block says more:
+Blocks of bash or Python are run in order from the clone's top. An invisible comment before a block gives its kind.
 
-<!-- output -->                 output of the block before it; a line "..." stands for any lines
-<!-- output: numbers vary -->   the same, with each number standing for any number
-<!-- file: NAME -->             content of a file
+<!-- output -->                 output of the block before it; a line "..." stands for any lines.
+<!-- output: numbers vary -->   the same, with each number standing for any number.
+<!-- file: NAME -->             content of a file.
 <!-- background: TEXT -->       runs in the background during the rest of the page, once it has printed the text. It
-                                then gets SIGINT and must end with status 0
-<!-- skip: REASON -->           not run: it needs more than a machine with Python, make, git and a compiler
+                                then gets SIGINT and must end with status 0.
+<!-- skip: REASON -->           not run: it needs more than a machine with Python, make, git and a compiler.
 
 Any other block is an error, and so is a command that fails.
 """
