@@ -5,7 +5,7 @@
 `python scripts/bits_trace.py FILE --frames N SCENE ...` runs scenes of bits.py and writes the trace to FILE.
 bits_replay.cpp reads it, makes the same calls with another build of the engine, and compares the results.
 
-A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call consists of three parts.
+A file is a sequence of calls. Numbers take 8 bytes, little-endian; kinds are one letter. A call has three parts.
 
     length of the function's name, the name.
     kind of the result ("i" status, "n" number, "h" plan, "v" nothing), the result (0 without a result).

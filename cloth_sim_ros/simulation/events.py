@@ -74,7 +74,7 @@ class Reset:
 class Relax:
     """Sets the factor on the scene's tolerance until the next such event; 1 restores the scene's own."""
 
-    #: From 1 to `relaxation.MOST_FACTOR`.
+    #: From 1 to `relaxation.MAX_FACTOR`.
     factor: float = attrs.field(converter=float)
 
 

@@ -331,7 +331,7 @@ class Simulation(ExclusiveAccess):
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
         if self.plan.contact is not None:
-            self._stand_obstacles()  # see `_held`
+            self._stand_obstacles()  # see `_grasped_particles`
         relieved = relieved_particles(self.plan, self.state, self.time, before, scene)
         observing = all(entry.observes for entry in scene.entries if entry.name in values)
         # A motion that was already beyond the fixed step is not caused by the parameters.
