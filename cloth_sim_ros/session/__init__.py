@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing and reading recorded sessions: MCAP files of standard ROS 2 messages.
 
-Imports neither ROS, scene nor physics, so that a session can be looked at where none of them is installed. The
-modules are imported by name (``from cloth_sim_ros.session.reader import SessionReader``); this package itself loads
-nothing.
+Imports neither ROS, scene nor physics: a session can be read on a machine that has none of them. Import the modules by
+name (``from cloth_sim_ros.session.reader import SessionReader``); this package itself loads nothing.
 """

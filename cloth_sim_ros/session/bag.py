@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of an MCAP that is no session, such as a robot's bag."""
+"""Messages of an MCAP file that is not a session, such as a robot's bag."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from cloth_sim_ros.session.opening import open_file
 
 
 def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    """Topic, type, log time [ns] and CDR bytes of each message with an encoding `cdr`, in the order of the file.
+    """Yield topic, type, log time [ns] and CDR bytes of each message with encoding `cdr`, in the order of the file.
 
     Raises:
-        SessionError: if it can't be read, or is damaged.
+        SessionError: if the file cannot be read, or is damaged.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -47,11 +47,11 @@ def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
                     if channel is not None and schema is not None and channel.message_encoding == "cdr":
                         yield channel.topic, schema.name, item.log_time, item.data
         except DamagedRecordError as error:
-            raise DamagedSessionError(f"{path} can't be read as MCAP: {error}; mend it first") from error
+            raise DamagedSessionError(f"{path} can't be read as MCAP: {error}; repair it first") from error
 
 
 def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:
-    """Declarations and messages, in chunks or without."""
+    """Yield declarations and messages, in chunks or outside of them."""
     position = len(MAGIC)
     while (place := place_at(file, position)) is not None:
         position = place.end

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""CDR bytes of the standard messages a session holds (XCDR1, as every ROS 2 middleware sends them).
+"""CDR encoding (XCDR1) of the standard messages in a session.
 
-Alignment counts from the byte after the four-byte encapsulation header: a value of n bytes starts at a multiple of n.
-Large messages (clouds, meshes) are read as numpy views of the given bytes, without copying; everything else goes
-through rosbags' generic reader.
+Every ROS 2 middleware sends XCDR1. Alignment counts from the byte after the four-byte encapsulation header: a number of
+n bytes starts at a multiple of n. Large messages (clouds, meshes) are read as numpy views of the given bytes, without
+copying. All others go through rosbags' generic reader.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LITTLE = b"\x00\x01\x00\x00"
-#: Bytes of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
+#: Size [bytes] of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
 _LENGTHS = {7: 4, 8: 8}
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
-    """A sensor_msgs/PointCloud2, its points a view of the message's own bytes."""
+    """A sensor_msgs/PointCloud2. Its points are a view of the message's bytes."""
 
     stamp: int
     """Header stamp [ns]."""
@@ -38,10 +38,10 @@ class Cloud:
     height: int
     width: int
     xyz: NDArray[np.floating]
-    """Positions [m], shape (height * width, 3), float32 or float64 as the fields are, read-only; other fields may lie
-    between, then it is not contiguous."""
+    """Positions [m], shape (height * width, 3), read-only, float32 or float64 like the fields. Not contiguous if the
+    cloud has further fields."""
     velocity: NDArray[np.floating] | None = None
-    """Velocities [m/s] likewise, where the cloud has fields vx, vy, vz."""
+    """Velocities [m/s], likewise; None if the cloud has no fields vx, vy, vz."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,13 +49,13 @@ class Surface:
     """A shape_msgs/Mesh."""
 
     triangles: NDArray[np.uint32]
-    """Particle numbers, shape (triangle_count, 3), read-only."""
+    """Particle indices, shape (triangle_count, 3), read-only."""
     vertices: NDArray[np.float64]
     """Rest positions [m], shape (particle_count, 3), read-only."""
 
 
 def decode(data: bytes | memoryview, type_name: str) -> Any:
-    """A standard message from its CDR bytes, as rosbags' object. Raises SessionError if the bytes do not fit."""
+    """Decode a standard message into rosbags' object. Raises SessionError if the bytes do not fit the type."""
     from rosbags.serde import SerdeError
 
     try:
@@ -65,12 +65,12 @@ def decode(data: bytes | memoryview, type_name: str) -> Any:
 
 
 def encode(message: object, type_name: str) -> bytes:
-    """CDR bytes (little-endian) of one of rosbags' message objects, see `message_class`."""
+    """Encode one of rosbags' message objects as CDR bytes (little-endian), see `message_class`."""
     return bytes(standard_types().serialize_cdr(message, type_name, little_endian=True))
 
 
 def message_class(type_name: str) -> Any:
-    """The class whose instances `encode` takes and `decode` gives; its arguments are the message's fields."""
+    """Return the class that `encode` takes and `decode` returns; its arguments are the message's fields."""
     try:
         return standard_types().types[type_name]
     except KeyError:
@@ -78,19 +78,19 @@ def message_class(type_name: str) -> Any:
 
 
 def encode_string(text: str) -> bytes:
-    """CDR bytes of a std_msgs/String."""
+    """Encode a std_msgs/String as CDR bytes."""
     raw = text.encode()
     return b"".join((_LITTLE, struct.pack("<I", len(raw) + 1), raw, b"\x00"))
 
 
 def decode_string(data: bytes | memoryview) -> str:
-    """Text of a std_msgs/String. Raises SessionError if the bytes are none."""
+    """Return the text of a std_msgs/String. Raises SessionError if the bytes are not one."""
     reader = _Reader(data, "std_msgs/msg/String")
     return reader.string()
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
-    """A PointCloud2 with its positions, and velocities if it has them, as views of `data`.
+    """Decode a PointCloud2. Positions, and velocities if present, are views of `data`.
 
     Raises SessionError unless x, y, z are float32 or float64.
     """
@@ -139,7 +139,7 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
 
 
 def _evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str, str]) -> bool:
-    """Tell whether fields, by name their offset and length in bytes, are three of one length at equal distances."""
+    """Return True if three fields have one length and equal spacing. `fields`: offset and length [bytes] by name."""
     if not fields.keys() >= set(names):
         return False
     (first, one), (second, two), (third, three) = (fields[name] for name in names)
@@ -147,7 +147,7 @@ def _evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str,
 
 
 def decode_surface(data: bytes | memoryview) -> Surface:
-    """A shape_msgs/Mesh as arrays that are views of `data`. Raises SessionError if the bytes are none."""
+    """Decode a shape_msgs/Mesh as views of `data`. Raises SessionError if the bytes are not one."""
     reader = _Reader(data, "shape_msgs/msg/Mesh")
     (triangle_count,) = reader.numbers("I")
     triangles = reader.array("<u4", triangle_count * 3)
@@ -157,7 +157,7 @@ def decode_surface(data: bytes | memoryview) -> Surface:
 
 
 class _Reader:
-    """A cursor over CDR bytes that knows about alignment and never reads past the end."""
+    """Cursor over CDR bytes that aligns numbers and never reads past the end."""
 
     __slots__ = ("_data", "_order", "_position", "_type_name")
 
@@ -170,7 +170,7 @@ class _Reader:
         self._position = 4
 
     def numbers(self, codes: str) -> tuple[int, ...]:
-        """Consecutive numbers of one size, struct codes, e.g. "II"."""
+        """Read consecutive numbers of one size. `codes`: struct codes, e.g. "II"."""
         size = struct.calcsize("=" + codes[0])
         start = self._align(size)
         end = start + size * len(codes)
@@ -187,14 +187,14 @@ class _Reader:
             raise SessionError(f"a {self._type_name} holds a text that is not UTF-8: {error}") from error
 
     def skip(self, size: int) -> int:
-        """Pass over bytes; their position."""
+        """Skip `size` bytes; return the offset of the first."""
         start = self._position
         self._check(start + size)
         self._position = start + size
         return start
 
     def array(self, dtype: str, count: int) -> NDArray[Any]:
-        """Consecutive numbers as a read-only view."""
+        """Read `count` consecutive numbers as a read-only view."""
         kind = np.dtype(dtype if self._order == "<" else ">" + dtype[1:])
         if count:
             self._align(kind.itemsize)

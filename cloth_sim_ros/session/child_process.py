@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Python processes that import nothing from the working directory.
+"""Child Python processes without the working directory on their import path.
 
 `python -m` and `python -c` put the working directory first on the import path, and an empty entry of PYTHONPATH means
-the working directory too. A folder of somebody else's recordings may hold an `argparse.py`.
+the working directory too. A folder of foreign recordings may hold an `argparse.py`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ _SAFE, _PATH = "PYTHONSAFEPATH", "PYTHONPATH"
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line that runs a module in a Python of its own; use it with `child_environment`."""
+    """Return the command line that runs a module in a separate Python; use it with `child_environment`."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def overrides() -> dict[str, str]:
-    """Return the variables that keep the working directory off the import path of a Python and of its children."""
+    """Return the variables that keep the working directory off the import path of a Python and its children."""
     changed = {_SAFE: "1"}
     if _PATH in os.environ:
         changed[_PATH] = os.pathsep.join(filter(None, os.environ[_PATH].split(os.pathsep)))
@@ -36,7 +36,7 @@ def child_environment() -> dict[str, str]:
 
 @contextlib.contextmanager
 def safe_imports() -> Iterator[None]:
-    """Set `overrides` in this process while libraries start processes themselves (Dask, loky, multiprocessing)."""
+    """Set `overrides` in this process while libraries (Dask, loky, multiprocessing) start processes."""
     changed = overrides()
     before = {name: os.environ.get(name) for name in changed}
     os.environ.update(changed)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The streams of a command."""
+"""Output streams of a command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 
 
 def escape_unencodable() -> None:
-    """Write as escapes what the terminal's encoding lacks: a file's name may be of bytes that are no text."""
+    """Escape characters that the terminal's encoding lacks; a file name may hold bytes that are not text."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

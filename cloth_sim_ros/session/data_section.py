@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The data section of an MCAP that other tools wrote.
+"""Data section of an MCAP file that another tool wrote.
 
 MCAP allows messages without chunks, chunks without indexes, and metadata and attachments anywhere in the data section.
 The recorder writes none of these; the mcap library and the tools that copy, filter, sort or merge files do.
@@ -34,19 +34,19 @@ from cloth_sim_ros.session.writer import METADATA_NAME, SCENE_NAME, STATE_NAME
 _BARE = (int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.MESSAGE))
 _CONTENTS = (Opcode.METADATA, Opcode.ATTACHMENT)
 _HEAD = struct.Struct("<BQ")
-#: Bytes of a DataEnd record.
+#: Size of a DataEnd record [bytes].
 _DATA_END = RECORD_HEAD + 4
-#: Bytes of bare records that are given as one chunk, unless one record alone is larger.
+#: Size of the records outside of chunks that are returned as one chunk; a larger record stands alone [bytes].
 _TOGETHER = 1 << 20
-#: Offsets of a message index lie within a chunk, which is smaller.
+#: Upper bound of the offsets in a message index: a chunk is smaller [bytes].
 _LARGEST_OFFSET = 1 << 31
 _STRING = "std_msgs/msg/String"
 
 
 def covers_all(file: BinaryIO, summary: Summary, data_start: int) -> bool:
-    """True if the data section holds the chunks and records that the indexes name, message indexes, and nothing else.
+    """Return True if the indexes name everything in the data section except the message indexes.
 
-    The lengths of indexes are not believed: one that is too large would hide a chunk.
+    The lengths in the indexes are checked: one that is too large would hide a chunk.
     """
     position, end = data_start, summary.start - _DATA_END
     records = dict(summary.records)
@@ -69,7 +69,7 @@ def covers_all(file: BinaryIO, summary: Summary, data_start: int) -> bool:
 
 
 def indexes_contents(summary: Summary | None) -> bool:
-    """True if the indexes name every metadata record and every attachment of the file."""
+    """Return True if the indexes name every metadata record and every attachment of the file."""
     statistics = None if summary is None else summary.statistics
     if summary is None or statistics is None:
         return False
@@ -77,7 +77,7 @@ def indexes_contents(summary: Summary | None) -> bool:
 
 
 def opening_places(file: BinaryIO, data_start: int) -> Iterator[RecordPlace]:
-    """Metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
+    """Yield metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
     position = data_start
     while (place := place_at(file, position)) is not None and place.opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
         if place.opcode in _CONTENTS:
@@ -88,7 +88,7 @@ def opening_places(file: BinaryIO, data_start: int) -> Iterator[RecordPlace]:
 
 
 def further_places(file: BinaryIO, data_start: int) -> Iterator[RecordPlace]:
-    """Metadata and attachments of the whole data section, up to its end or to damage."""
+    """Yield metadata and attachments of the whole data section, up to its end or to the first damaged record."""
     position = data_start
     try:
         while (place := place_at(file, position)) is not None and place.opcode != Opcode.DATA_END:
@@ -96,14 +96,14 @@ def further_places(file: BinaryIO, data_start: int) -> Iterator[RecordPlace]:
                 yield place
             position = place.end
     except DamagedRecordError:
-        # Reading the messages notes the damage.
+        # Reading the messages reports the damage.
         return
 
 
 def read_bare(file: BinaryIO, place: RecordPlace) -> Chunk | None:
-    """Schemas, channels and messages that lie in no chunk, from `place` on, as one chunk without a checksum.
+    """Return schemas, channels and messages outside of chunks, from `location` on, as one chunk without a checksum.
 
-    None if `place` is none of them. Raises DamagedRecordError for a record that does not parse.
+    None if `location` holds none of these. Raises DamagedRecordError if a record does not parse.
     """
     if place.opcode not in _BARE:
         return None
@@ -119,7 +119,7 @@ def read_bare(file: BinaryIO, place: RecordPlace) -> Chunk | None:
         try:
             _check_bare(RecordPlace(opcode, place.offset + end, size), raw[start:following])
         except DamagedRecordError:
-            # It is the next one to be read, and raises then.
+            # The next call reads this record first, and raises.
             break
         end = following
     return Chunk(
@@ -133,9 +133,9 @@ def read_bare(file: BinaryIO, place: RecordPlace) -> Chunk | None:
 
 
 def check_data_end(file: BinaryIO, place: RecordPlace) -> None:
-    """Check the data section's own checksum, which bare messages have instead of a chunk's. Raises DamagedRecordError.
+    """Check the checksum of the data section, the only one of messages outside of chunks. Raises DamagedRecordError.
 
-    A file without one passes.
+    A file without this checksum passes.
     """
     wanted = int.from_bytes(read_body(file, place), "little")
     if not wanted:
@@ -152,16 +152,16 @@ def check_data_end(file: BinaryIO, place: RecordPlace) -> None:
 def check_stripped(
     path: Path, metadata: Mapping[str, str], attachments: Container[str], channels: Mapping[str, str]
 ) -> None:
-    """Refuse a copy of a session that lacks the records which a tool left out.
+    """Refuse a copy of a session from which a tool left out the opening.
 
     Args:
         path: the file.
-        metadata: of its opening; empty if it has none.
-        attachments: names.
+        metadata: of its opening; empty if absent.
+        attachments: their names.
         channels: message types by topic.
 
     Raises:
-        StrippedSessionError: if the file has the frames of a session, but not its opening.
+        StrippedSessionError: if the file has the frames of a session but not its opening.
     """
     recorded = bool(metadata) or any(
         kind == _STRING and topic.endswith("/frame") and f"{topic[:-6]}/topology" in channels
@@ -189,9 +189,9 @@ def _check_bare(place: RecordPlace, body: bytes) -> None:
 
 
 def _is_index(body: bytes) -> bool:
-    """True if it is the body of a message index: one flipped bit makes an index's opcode a message's.
+    """Return True for the body of a message index: one flipped bit turns its opcode into that of a message.
 
-    In a message the same bytes are a sequence number, which may be any, and a publish time, which is no offset.
+    In a message the same bytes are an arbitrary sequence number and a publish time, which is larger than any offset.
     """
     size = int.from_bytes(body[2:6], "little")
     offset = int.from_bytes(body[14:22], "little")

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression of chunks that may ask for more memory than they deserve.
+"""Decompression of chunks with bounded memory.
 
-The compression ratio is no measure: the clouds of a cloth at rest compress a thousandfold. The size that the chunk
-announces is: no more than that is ever unpacked, and no chunk may announce more than `MOST_BYTES`.
+The compression ratio is no safeguard: clouds of a cloth at rest compress by a factor of 1000. The announced size is: at
+most that many bytes are unpacked, and a chunk may announce at most `MAX_CHUNK_BYTES`.
 """
 
 from __future__ import annotations
@@ -12,33 +12,33 @@ import io
 
 from cloth_sim_ros.session.errors import SessionError
 
-#: Largest size of a chunk's content [bytes]. Recorders close chunks at some megabytes.
+#: Maximum size of a chunk's content [bytes]. Recorders close chunks at a few megabytes.
 MOST_BYTES = 256 << 20
-#: Largest window that a zstd frame may ask for, beside its content [bytes]; levels up to 19 take 8 MiB.
+#: Maximum window of a zstd frame, in addition to its content [bytes]; levels up to 19 use 8 MiB.
 _MOST_WINDOW = 32 << 20
-#: What lz4 is given, and what it gives, at a time [bytes].
+#: Maximum input and output of one call of lz4 [bytes].
 _PIECE, _UNPACKED = 1 << 20, 8 << 20
 
 
 class DecompressionError(ValueError):
-    """Bytes that do not unpack to the size they announce, or announce too much."""
+    """Compressed bytes that do not unpack to their announced size, or announce too much."""
 
 
 def decompress(payload: bytes, compression: str, size: int) -> bytes:
     """Return the content of a chunk.
 
     Args:
-        payload: as it lies in the file.
+        payload: the compressed bytes.
         compression: name of the method: lz4, zstd, or empty for none.
-        size: of the content, as the chunk announces it [bytes].
+        size: announced size of the content [bytes].
 
     Raises:
-        DecompressionError: if it announces more than `MOST_BYTES`, or unpacks to another size.
+        DecompressionError: if `size` is above `MAX_CHUNK_BYTES`, or the content has another size.
         SessionError: if the library for the method is not installed.
     """
     if size > MOST_BYTES:
         raise DecompressionError(
-            f"announces {size} bytes, the limit is {MOST_BYTES}; write the file anew with smaller chunks"
+            f"announces {size} bytes, the limit is {MOST_BYTES}; rewrite the file with smaller chunks"
         )
     if compression == "":
         content = payload
@@ -47,7 +47,7 @@ def decompress(payload: bytes, compression: str, size: int) -> bytes:
     elif compression == "zstd":
         content = _zstd(payload, size)
     else:
-        raise DecompressionError(f"is compressed with {compression!r}, known are lz4 and zstd")
+        raise DecompressionError(f"is compressed with {compression!r}; known are lz4 and zstd")
     if len(content) != size:
         raise DecompressionError(f"announces {size} bytes and holds {_count(len(content), size)}")
     return content
@@ -58,7 +58,7 @@ def _lz4(payload: bytes, size: int) -> bytes:
         import lz4.frame
     except ImportError:
         raise SessionError("the session is compressed with lz4; install the Python package lz4") from None
-    # In pieces: the library doubles its room as it goes, and copies what it has not read yet.
+    # In pieces, because the library doubles its buffer repeatedly and copies unread input.
     content, decompressor = io.BytesIO(), lz4.frame.LZ4FrameDecompressor()
     try:
         for begin in range(0, len(payload), _PIECE):

@@ -1,22 +1,22 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong with a session, each with a message for people: the value, the limit, the remedy."""
+"""Errors of sessions. Each message names the value, the limit and the remedy."""
 
 
 class SessionError(Exception):
-    """A session cannot be written or read; the message is one sentence fit for a command line."""
+    """A session cannot be written or read. The message is one sentence for the command line."""
 
 
 class NotASessionError(SessionError):
-    """The file is readable, but it is no recorded cloth session."""
+    """The file is readable, but it is not a recorded cloth session."""
 
 
 class DamagedSessionError(SessionError):
-    """Bytes of the file fail their checksum or do not parse; raised only where the caller asked for strict reading."""
+    """Bytes of the file fail their checksum or do not parse. Only strict reading raises this for messages."""
 
 
 class StrippedSessionError(DamagedSessionError):
-    """A session of which a tool copied the messages, but not the scene and state that it opens with."""
+    """A tool copied the session's messages without the scene and the state of its opening."""
 
 
 class RecordingError(SessionError):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ROW_GROUP = 1 << 20
-"""Rows that Parquet keeps together; what the export holds in memory."""
+"""Rows of a Parquet row group; the export holds one group in memory."""
 
 
 class _Frame(NamedTuple):
@@ -40,22 +40,22 @@ def export(
     end: float | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> int:
-    """Write the positions of all particles over time; the number of frames written.
+    """Write the positions of all particles over time; return the number of frames written.
 
     Args:
         reader: the session.
-        target: ``*.npz`` or ``*.parquet``; it appears once it is complete and never replaces a file.
-        every: take every n-th cloud.
+        target: ``*.npz`` or ``*.parquet``; appears when it is complete and never replaces a file.
+        every: export every n-th cloud.
         start: first simulated time [s].
-        end: simulated time to stop before [s].
-        progress: called for each cloud read; an .npz needs two passes, the first to count.
+        end: simulated time before which the export stops [s].
+        on_progress: called after each cloud read; .npz takes two passes, the first to count.
 
     ``.npz`` holds ``frame`` (m,), ``time`` (m,) [s], ``log_time`` (m,) [ns since the epoch], ``positions`` (m, n, 3)
-    [m], float32 or, if the clouds are, float64, and, where the session has them, ``triangles`` (k, 3) and
-    ``rest_positions`` (n, 3) [m]. Parquet has one row for each particle of each frame: ``frame``, ``time``,
+    [m], of the clouds' precision (float32 or float64). If the session has them, also ``triangles`` (k, 3) and
+    ``rest_positions`` (n, 3) [m]. Parquet has one row per particle and frame: ``frame``, ``time``,
     ``particle``, ``x``, ``y``, ``z``.
 
-    Raises SessionError for a target of another kind, or a session without clouds in that span.
+    Raises SessionError for another kind of target, or if the session has no clouds in that time span.
     """
     target = Path(target)
     writers: dict[str, Callable[[Path, Callable[[], Iterator[_Frame]], SessionReader], int]] = {
@@ -67,9 +67,9 @@ def export(
     if target.exists():
         raise SessionError(f"{target} exists; give another name")
     if not target.absolute().parent.is_dir():
-        raise SessionError(f"there is no folder '{target.absolute().parent}' for {target.name}; make it first")
+        raise SessionError(f"there is no folder '{target.absolute().parent}' for {target.name}; create it first")
     if every < 1:
-        raise SessionError(f"every {every}th frame cannot be taken; give 1 or more")
+        raise SessionError(f"every = {every} is no step between frames; give 1 or more")
 
     def frames() -> Iterator[_Frame]:
         return _frames(reader, every, start, end, progress)
@@ -97,9 +97,13 @@ def _frames(
         frame = recorded.frame
         xyz = recorded.cloud.xyz
         if points is not None and len(xyz) != points:
-            raise SessionError(f"a cloud has {len(xyz)} points, those before {points}; export the spans apart")
+            raise SessionError(
+                f"a cloud has {len(xyz)} points, those before {points}; export the time spans separately"
+            )
         if kind is not None and xyz.dtype != kind:
-            raise SessionError(f"a cloud is {xyz.dtype.name}, those before {kind.name}; export the spans apart")
+            raise SessionError(
+                f"a cloud is {xyz.dtype.name}, those before {kind.name}; export the time spans separately"
+            )
         points, kind = len(xyz), xyz.dtype
         number, time = (-1, float("nan")) if frame is None else (frame.frame, frame.time)
         yield _Frame(number, time, recorded.log_time, xyz)
@@ -115,7 +119,7 @@ def _within(recorded: RecordedCloud, start: float | None, end: float | None) -> 
 
 
 def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: SessionReader) -> int:
-    # The array's shape precedes its data, so the frames are counted first.
+    # The array's shape precedes its contents; therefore the first pass counts the frames.
     table = [(frame.number, frame.time, frame.log_time, frame.xyz.shape, frame.xyz.itemsize) for frame in frames()]
     if not table:
         raise SessionError("the session has no clouds in that span")

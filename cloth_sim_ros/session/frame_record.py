@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The record of one `advance` of the simulation: one line of JSON on the session's ``<node>/frame`` channel."""
+"""Record of one `advance`: a line of JSON on the channel ``<node>/frame``."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from typing import Any
 from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.session.errors import SessionError
 
-#: Made once: it is asked for every frame.
+#: Shared by all frames, because construction is slow.
 _ENCODE = json.JSONEncoder(allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode
-#: Largest number of an event: a float holds it.
+#: Maximum magnitude of a number in an event: the largest float.
 _MOST = sys.float_info.max
 _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "digest", "paused")
 
 
 def frame_text(content: dict[str, Any]) -> str:
-    """The exact text of a frame record's members by name, given in their order, as `FrameRecord.to_json` has it: for
-    those who write so many that making a record of each is what takes time.
+    """Encode the members of a frame record, in the order of `content`, like `FrameRecord.to_json`.
 
-    Raises SessionError for NaN, infinities, and values that JSON has no form for.
+    Faster than `FrameRecord.to_json`: no record is constructed.
+
+    Raises SessionError for NaN, infinities, and objects without a JSON form.
     """
     try:
         return _ENCODE(content)
@@ -35,30 +36,30 @@ def frame_text(content: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameRecord:
-    """What happened in one frame, enough to run it again and to know whether it came out the same."""
+    """Events and outcome of one frame: enough to run it again and to check the result."""
 
     frame: int
-    """Number of the frame that this advance ended on; it stays while paused."""
+    """Index of the frame at the end of this advance; constant while paused."""
     time: float
     """Simulated time at its end [s]."""
     events: tuple[Mapping[str, Any], ...] = ()
-    """The events applied at its beginning, in order; plain JSON values."""
+    """Events applied at the beginning of the frame, in order; plain JSON objects."""
     integrator: str
     tolerance: float | None
-    """Error tolerance in force [m]; None where the step is fixed."""
+    """Effective error tolerance [m]; None if the step is fixed."""
     steps: int
     digest: str
     """Digest of the full state at its end, hexadecimal."""
     paused: bool
     extras: Mapping[str, Any] = field(default_factory=dict)
-    """Anything else worth keeping with the frame; plain JSON values, not needed to run the session again. `poses` maps
-    a gripper that did not reach its target to its pose at the end, position [m] and quaternion x, y, z, w; `halted`
-    lists bodies that stand still until a new target."""
+    """Further JSON members, not needed to run the session again. `poses` maps each gripper that did not reach its
+    target to its final pose: position [m] and quaternion x, y, z, w. `halted` lists bodies that are stopped until a new
+    target."""
 
     def to_json(self) -> str:
-        """The exact text: keys in fixed order, floats in the shortest form that reads back to the same bits.
+        """Encode the record: keys in fixed order, floats in the shortest form with the same bits.
 
-        Raises SessionError for NaN, infinities, and values that JSON has no form for.
+        Raises SessionError for NaN, infinities, and objects without a JSON form.
         """
         content: dict[str, Any] = {name: getattr(self, name) for name in _REQUIRED}
         content["events"] = [dict(event) for event in self.events]
@@ -68,7 +69,7 @@ class FrameRecord:
 
     @classmethod
     def from_json(cls, text: str) -> FrameRecord:
-        """Read `to_json`'s text. Raises SessionError for anything else, naming what is wrong."""
+        """Decode the text of `to_json`. Raises SessionError for other text, with the reason."""
         try:
             content = plain_json.loads(
                 text, parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_unique_keys
@@ -161,13 +162,13 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
-#: Entries of the extras that are read: what each must be, and that in words.
+#: Checks of the extras that are read: predicate and its description, by name.
 _EXTRAS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "poses": (_are_poses, "an object of lists of 7 numbers"),
     "halted": (_are_names, "a list of texts"),
 }
 
-#: Members of events: the kinds that have each, what it must be, and that in words.
+#: Checks of events: kinds of event with this member, predicate and its description, by name.
 _MEMBERS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
     "gripper": (("target", "grasp"), lambda value: isinstance(value, str), "a text"),
     "obstacle": (("move",), lambda value: isinstance(value, str), "a text"),

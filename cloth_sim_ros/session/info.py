@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a session, in a screenful."""
+"""Summary of a session on one screen."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ _QUIET_EVENTS = ("target", "move")
 
 @dataclass(slots=True)
 class TopicSummary:
-    """One topic's traffic."""
+    """Message counts of one topic."""
 
     type_name: str
     count: int = 0
     size: int = 0
-    """Bytes of all its messages."""
+    """Size of all messages [bytes]."""
     lost: int = 0
-    """Messages whose numbers are absent: dropped, or in a damaged chunk."""
+    """Messages whose sequence numbers are absent: dropped, or in a damaged chunk."""
     next_sequence: int | None = None
 
 
 @dataclass(slots=True)
 class SessionSummary:
-    """What one pass over a session finds."""
+    """Counts and ranges from one pass over a session."""
 
     topics: dict[str, TopicSummary] = field(default_factory=dict)
     first_time: int | None = None
     """Earliest log time [ns since the epoch]."""
     last_time: int | None = None
     advances: int = 0
-    """Frame records, those while paused included."""
+    """Number of frame records, including those while paused."""
     first_frame: int | None = None
     last_frame: int | None = None
     simulated: tuple[float, float] | None = None
     """Simulated time of the first and the last frame record [s]."""
     steps: list[int] = field(default_factory=lambda: [0, 0, 0])
-    """Least and most steps a frame, and their sum."""
+    """Minimum, maximum and sum of the steps per frame."""
     integrators: Counter[str] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
     happenings: list[str] = field(default_factory=list)
-    """The first events other than targets, each with its time."""
+    """The first events that are not targets, each with its time."""
     grid: tuple[int, int] | None = None
     """Height and width of the clouds."""
     triangles: int | None = None
@@ -63,14 +63,14 @@ class SessionSummary:
 
 
 class Summarizer:
-    """Builds a `SessionSummary` from a session's messages, one after the other."""
+    """Builds a `SessionSummary` from a session's messages, one by one."""
 
     def __init__(self, node: str) -> None:
         self.summary = SessionSummary()
         self._node = node
 
     def add(self, message: Message) -> None:
-        """Take one message into account."""
+        """Add one message to the summary."""
         summary = self.summary
         topic = summary.topics.setdefault(message.topic, TopicSummary(message.type_name))
         topic.count += 1
@@ -112,7 +112,7 @@ class Summarizer:
 
 
 def render(reader: SessionReader, summary: SessionSummary) -> str:
-    """The screenful, for a session that has been read to its end."""
+    """Format the summary for the terminal; the session must have been read to its end."""
     size = sum(part.size() for part in reader.parts)
     lines = [part.path.name for part in reader.parts[:3]]
     if len(reader.parts) > 3:
@@ -142,7 +142,7 @@ def render(reader: SessionReader, summary: SessionSummary) -> str:
 
 
 def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
-    """The same for programs; plain JSON values."""
+    """Return the summary as plain JSON objects."""
     return {
         "files": [str(part.path) for part in reader.parts],
         "bytes": sum(part.size() for part in reader.parts),

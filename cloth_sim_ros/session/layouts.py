@@ -1,8 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an MCAP channel of the ``ros2`` profile says about itself: message definition, type hash, quality of service.
+"""Description of an MCAP channel in the ``ros2`` profile.
 
-The texts and hashes of the standard message types come from rosbags, so that no ROS installation is needed.
+A channel carries its message definition, type hash and quality of service. Definitions and hashes of the standard types
+come from rosbags; no ROS installation is needed.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ MESSAGE_ENCODING = "cdr"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TypeDescription:
-    """A message type as an MCAP schema carries it."""
+    """Message type as stored in an MCAP schema."""
 
     name: str
     """Full name, e.g. ``std_msgs/msg/String``."""
     definition: str
-    """The .msg text followed by those of every type it uses (schema encoding ``ros2msg``)."""
+    """The .msg text, followed by the texts of all types it uses (schema encoding ``ros2msg``)."""
     type_hash: str
     """REP 2016 hash, ``RIHS01_`` and 64 hexadecimal digits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Qos:
-    """Quality of service a topic was offered with; deadline, lifespan and lease are infinite, liveliness automatic."""
+    """Offered quality of service of a topic: infinite deadline, lifespan and lease; automatic liveliness."""
 
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
@@ -42,7 +43,7 @@ class Qos:
     history: Literal["keep_last", "keep_all"] = "keep_last"
 
     def to_yaml(self) -> str:
-        """The text rosbag2 (metadata version 9, Jazzy) keeps in a channel's ``offered_qos_profiles``."""
+        """Return the text of a channel's ``offered_qos_profiles`` in rosbag2 (metadata version 9, Jazzy)."""
         infinite = "    sec: 9223372036\n    nsec: 854775807\n"
         return (
             f"- history: {self.history}\n  depth: {self.depth}\n  reliability: {self.reliability}\n"
@@ -53,7 +54,7 @@ class Qos:
 
 @functools.cache
 def standard_types() -> Typestore:
-    """The message types of ROS 2 Jazzy's common interfaces; takes about 70 ms the first time."""
+    """Return the message types of ROS 2 Jazzy's common interfaces; the first call takes about 70 ms."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -61,9 +62,9 @@ def standard_types() -> Typestore:
 
 @functools.cache
 def describe(type_name: str) -> TypeDescription:
-    """Definition and hash of a standard message type, e.g. ``sensor_msgs/msg/PointCloud2``.
+    """Return definition and hash of a standard message type, e.g. ``sensor_msgs/msg/PointCloud2``.
 
-    Raises SessionError for a type that is not among the standard ones.
+    Raises SessionError for a type that is not standard.
     """
     store = standard_types()
     if type_name not in store.fielddefs:
@@ -75,5 +76,5 @@ def describe(type_name: str) -> TypeDescription:
 
 
 def channel_metadata(type_name: str, qos: Qos) -> dict[str, str]:
-    """The metadata of a channel, as rosbag2's own storage writes it."""
+    """Return the metadata of a channel in the form of rosbag2's storage."""
     return {"offered_qos_profiles": qos.to_yaml(), "topic_type_hash": describe(type_name).type_hash}

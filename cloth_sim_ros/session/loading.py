@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signals that come while a command still loads its modules."""
+"""Command runner; signals during the import of the command end it at once."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextmanager
 def loading(command: str) -> Iterator[None]:
-    """Within, SIGINT, SIGTERM and SIGHUP end the process at once, with one line and status 130.
+    """Let SIGINT, SIGTERM and SIGHUP end the process at once, with one line and status 130.
 
-    Nothing has begun yet that needs an end, and an exception amid imports leaves a traceback, or is taken for a missing
-    library. From the main thread only; a signal that is ignored stays so.
+    For imports: nothing needs cleaning up yet, and an exception during an import would print a traceback or look like a
+    missing library. Call from the main thread. Ignored signals stay ignored.
 
     Args:
-        command: its name.
+        command: name of the command, for the message.
     """
 
     def end(_number: int, _frame: FrameType | None) -> None:
-        # Not by print: the signal may have come amid one.
+        # Not by print: the signal may interrupt another print.
         os.write(2, f"{command}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
@@ -46,9 +46,9 @@ def run_command(command: str, module: str, arguments: Sequence[str] | None) -> i
     """Import the module of a command and run its `main`.
 
     Args:
-        command: its name.
+        command: name of the command.
         module: full name of the module.
-        arguments: of the command line; those of this process where left out.
+        arguments: of the command line; by default those of this process.
 
     Returns:
         The command's exit status; 130 if it was interrupted.

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_session`: info, recover, export."""
+"""Command `cloth_session`: info, recover, export."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cloth_sim_ros.session.words import counted
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 if all went well, 1 if the session lacks something, 2 if it cannot be done."""
+    """Run the command. Return 0 on success, 1 if the session is incomplete, 2 on an error."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
     try:
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"cloth_session: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        # Whoever reads the output (head, less) has had enough.
+        # The reader of the output (head, less) has closed the pipe.
         sys.stderr.close()
         return 0
     except OSError as error:
@@ -39,22 +39,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="cloth_session", description="Look at, mend and export recorded sessions. No ROS needed."
+        prog="cloth_session", description="Inspect, repair and export recorded sessions. No ROS needed."
     )
     commands = parser.add_subparsers(required=True, metavar="{info,recover,export}")
 
-    info = commands.add_parser("info", help="what happened in sessions", description=_info.__doc__)
+    info = commands.add_parser("info", help="summarize sessions", description=_info.__doc__)
     info.add_argument("files", nargs="+", type=Path, metavar="session.mcap", help="sessions, the parts of one in order")
-    info.add_argument("--all-parts", action="store_true", help="with one file given, take its session's others too")
-    info.add_argument("--json", action="store_true", help="for programs")
+    info.add_argument("--all-parts", action="store_true", help="with one file given, read all files of its session")
+    info.add_argument("--json", action="store_true", help="print JSON")
     info.set_defaults(run=_info)
 
     recover = commands.add_parser(
-        "recover", help="mend a session that was cut off or damaged", description=_recover.__doc__
+        "recover", help="repair a session that was cut off or damaged", description=_recover.__doc__
     )
     recover.add_argument("file", type=Path, metavar="session.mcap")
     recover.add_argument(
-        "-o", "--output", type=Path, metavar="mended.mcap", help="default: <name>_recovered.mcap beside it"
+        "-o", "--output", type=Path, metavar="repaired.mcap", help="default: <name>_recovered.mcap beside it"
     )
     recover.set_defaults(run=_recover)
 
@@ -64,11 +64,11 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument(
         "files", nargs="+", type=Path, metavar="session.mcap", help="one file, or the parts of a session"
     )
-    export.add_argument("--all-parts", action="store_true", help="with one file given, take its session's others too")
+    export.add_argument("--all-parts", action="store_true", help="with one file given, read all files of its session")
     export.add_argument(
         "-o", "--output", type=Path, metavar="out.npz", help="*.npz or *.parquet; default: <name>.npz beside it"
     )
-    export.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th cloud")
+    export.add_argument("--every", type=int, default=1, metavar="N", help="export every N-th cloud")
     export.add_argument("--start", type=float, metavar="S", help="from this simulated time on [s]")
     export.add_argument("--end", type=float, metavar="S", help="up to this simulated time [s]")
     export.set_defaults(run=_export)
@@ -83,7 +83,7 @@ def _files(options: argparse.Namespace) -> list[Path]:
 
 
 def _info(options: argparse.Namespace) -> int:
-    """Read sessions to their end, checking every checksum, and tell what happened. Status 1 if one lacks something."""
+    """Read sessions to their end, check every checksum, and summarize. Status 1 if a session is incomplete."""
     from cloth_sim_ros.session.reader import by_session
 
     told, missing = [], []
@@ -99,7 +99,7 @@ def _info(options: argparse.Namespace) -> int:
 
 
 def _summary(files: list[Path], *, as_json: bool) -> tuple[object, bool]:
-    """What happened in one session, for people or for programs, and whether it lacks something."""
+    """Return the summary of one session, as text or JSON, and True if the session is incomplete."""
     from tqdm import tqdm
 
     from cloth_sim_ros.session.info import Summarizer, render, to_json
@@ -117,7 +117,7 @@ def _summary(files: list[Path], *, as_json: bool) -> tuple[object, bool]:
 
 
 def _recover(options: argparse.Namespace) -> int:
-    """Copy everything that is whole into a new, finished file; the old one is left as it is."""
+    """Copy all intact chunks into a new, finished file. The old file does not change."""
     from tqdm import tqdm
 
     from cloth_sim_ros.session.recover import recover

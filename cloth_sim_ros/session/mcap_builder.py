@@ -1,10 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of an MCAP file, written chunk by chunk.
+"""MCAP encoder: the bytes of a file, chunk by chunk.
 
-The records' own layouts come from the mcap package. Its Writer is not used, for three needs of a session: a chunk
-that could not be written must leave file, indexes and statistics as if it had never been tried, so that a full disk
-still ends in a finished file; large messages are not copied on the way; and the compression level is ours to choose.
+The layouts of the records come from the mcap package. Its Writer does not meet three requirements of a session:
+
+- A chunk that could not be written leaves file, indexes and statistics unchanged: a full disk still ends in a finished
+  file.
+- Large messages are not copied.
+- The compression level can be chosen.
+
 Format: https://mcap.dev/spec
 """
 
@@ -47,9 +51,9 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 
 
 def compressor(compression: str) -> Callable[[bytes], bytes]:
-    """A function that packs one chunk: none (also by its name in the file, the empty text), lz4 or zstd.
+    """Return the function that compresses one chunk: none (in the file: the empty text), lz4 or zstd.
 
-    Raises SessionError for a name it does not know or a package that is absent.
+    Raises SessionError for an unknown name or a missing package.
     """
     if compression in ("none", ""):
         return bytes
@@ -67,13 +71,13 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
             raise SessionError(
                 "compression zstd needs the Python package zstandard; choose none, or install it"
             ) from None
-        # Level 1: on float32 positions level 3 takes 8 % more off for 2.5 times the work (docs/session.md).
+        # Level 1: on float32 positions level 3 saves another 8 % for 2.5 times the work (docs/session.md).
         return zstandard.ZstdCompressor(level=1).compress
     raise SessionError(f"compression {compression!r} is unknown; choose none, lz4 or zstd")
 
 
 def encode_record(record: McapRecord) -> bytes:
-    """The bytes of one record."""
+    """Encode one record."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
@@ -85,7 +89,7 @@ def _encode_all(records: Sequence[McapRecord]) -> bytes:
 
 @dataclass(slots=True)
 class _OpenChunk:
-    """What has been added since the last chunk was closed."""
+    """Records added since the last chunk was closed."""
 
     parts: list[bytes] = field(default_factory=list)
     size: int = 0
@@ -93,7 +97,7 @@ class _OpenChunk:
     first_time: int = 0
     last_time: int = 0
     indexes: dict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
-    """For each channel: log time, offset, log time, offset ..."""
+    """By channel: log time [ns], offset [bytes], log time, offset ..."""
 
     def add(self, raw: bytes) -> None:
         self.parts.append(raw)
@@ -102,21 +106,21 @@ class _OpenChunk:
 
 @dataclass(frozen=True, slots=True)
 class PackedChunk:
-    """A chunk ready to be written, and what the file's indexes must learn once it has been."""
+    """Encoded chunk, and its entries for the file's indexes."""
 
     parts: tuple[bytes, ...]
     """Chunk record and message index records."""
     index: ChunkIndex
     """Offsets relative to the start of `parts`."""
     counts: dict[int, int]
-    """Messages of each channel."""
+    """Number of messages by channel."""
 
 
 class McapBuilder:
-    """Turns records into the byte strings of one MCAP file, in order, and keeps its indexes.
+    """Encodes the records of one MCAP file, in order, and collects its indexes.
 
-    The caller writes what `opening`, `pack_chunk`, `metadata` and `closing` return, and says `commit` when the bytes
-    are in the file. Nothing here touches a file.
+    The caller writes the bytes from `encode_opening`, `pack_chunk`, `encode_metadata` and `encode_closing`. It calls
+    `commit` when a chunk is in the file. The builder touches no file.
     """
 
     def __init__(self, *, compression: Compression) -> None:
@@ -125,9 +129,9 @@ class McapBuilder:
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._written = (0, 0)
-        """How many schemas and channels the committed chunks declare."""
+        """Number of schemas and channels that the committed chunks declare."""
         self._chunk = _OpenChunk()
-        # As bytes: an hour of large clouds has a hundred thousand chunks.
+        # Encoded at once, to save memory: an hour of large clouds has 100,000 chunks.
         self._chunk_indexes = bytearray()
         self._chunk_count = 0
         self._attachment_indexes: list[AttachmentIndex] = []
@@ -137,21 +141,21 @@ class McapBuilder:
 
     @property
     def chunk_size(self) -> int:
-        """Bytes waiting in the open chunk, before compression."""
+        """Size of the open chunk before compression [bytes]."""
         return self._chunk.size
 
     @property
     def chunk_messages(self) -> int:
-        """Messages waiting in the open chunk."""
+        """Number of messages in the open chunk."""
         return self._chunk.message_count
 
     @property
     def message_times(self) -> tuple[int, int] | None:
-        """Earliest and latest log time [ns] of the chunks committed; None before the first."""
+        """Earliest and latest log time of the committed chunks [ns]; None before the first."""
         return self._times
 
     def opening(self, *, library: str, metadata: list[Metadata], attachments: list[Attachment]) -> bytes:
-        """Magic, header, metadata and attachments: the beginning of the file."""
+        """Encode the beginning of the file: magic, header, metadata and attachments."""
         parts = [MAGIC, encode_record(Header(profile="ros2", library=library))]
         offset = sum(map(len, parts))
         for record in [*metadata, *attachments]:
@@ -167,7 +171,7 @@ class McapBuilder:
     def add_channel(
         self, *, topic: str, schema: tuple[str, str, bytes], encoding: str, metadata: dict[str, str]
     ) -> int:
-        """Declare a channel (schema: name, encoding, data), inside the open chunk; its id."""
+        """Declare a channel in the open chunk; return its id. `schema`: name, encoding, definition."""
         name, schema_encoding, schema_data = schema
         if name not in self._schemas:
             self._schemas[name] = Schema(
@@ -186,7 +190,7 @@ class McapBuilder:
         return channel.id
 
     def add_message(self, channel: int, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
-        """Put a message into the open chunk; times in nanoseconds since the epoch."""
+        """Add a message to the open chunk; times in nanoseconds since the epoch."""
         chunk = self._chunk
         if not chunk.message_count or log_time < chunk.first_time:
             chunk.first_time = log_time
@@ -199,7 +203,7 @@ class McapBuilder:
         chunk.size += _MESSAGE_HEAD_SIZE + length
 
     def pack_chunk(self) -> PackedChunk:
-        """Compress and checksum the open chunk. It stays open until `commit`."""
+        """Compress the open chunk and compute its checksum. The chunk stays open until `commit`."""
         chunk = self._chunk
         raw = b"".join(chunk.parts)
         return pack_chunk_record(
@@ -212,13 +216,13 @@ class McapBuilder:
         )
 
     def commit(self, packed: PackedChunk, offset: int) -> None:
-        """Note that a packed chunk now lies at `offset` of the file, and open the next."""
+        """Register a chunk that was written at `offset` of the file, and open the next."""
         self.note_chunk(packed, offset)
         self._written = (len(self._schemas), len(self._channels))
         self._chunk = _OpenChunk()
 
     def note_chunk(self, packed: PackedChunk, offset: int) -> None:
-        """Note a chunk that did not come from the open one."""
+        """Register a written chunk that is not the open one, e.g. a copied one."""
         index = packed.index
         index.chunk_start_offset += offset
         index.message_index_offsets = {key: value + offset for key, value in index.message_index_offsets.items()}
@@ -230,21 +234,21 @@ class McapBuilder:
         self._times = (first, last) if self._times is None else (min(first, self._times[0]), max(last, self._times[1]))
 
     def note_declarations(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-        """Take over the declarations of chunks that did not come from the open one."""
+        """Set the declarations of copied chunks."""
         self._schemas = {str(key): schema for key, schema in schemas.items()}
         self._channels = dict(channels)
         self._written = (len(schemas), len(channels))
 
     def metadata(self, record: Metadata, offset: int) -> bytes:
-        """A metadata record that will lie at `offset`."""
+        """Encode a metadata record for `offset` of the file."""
         raw = encode_record(record)
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(raw), name=record.name))
         return raw
 
     def closing(self, offset: int) -> bytes:
-        """Everything from the end of the data section to the end of the file, which will lie at `offset`.
+        """Encode the end of the file from the end of the data section on, for `offset` of the file.
 
-        What the open chunk still holds is left out, its declarations included.
+        The contents of the open chunk are left out, including its declarations.
         """
         schemas = list(self._schemas.values())[: self._written[0]]
         channels = list(self._channels.values())[: self._written[1]]
@@ -295,7 +299,7 @@ def pack_chunk_record(
     times: tuple[int, int],
     indexes: dict[int, list[int]],
 ) -> PackedChunk:
-    """The records of a chunk whose contents are already compressed; `indexes` as in the open chunk."""
+    """Encode a chunk whose contents are already compressed; `indexes` as in the open chunk."""
     name = compression.encode()
     tail = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(payload))
     body = _CHUNK_HEAD.size - 9 + len(tail) + len(payload)

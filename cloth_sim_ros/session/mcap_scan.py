@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading the records of an MCAP file from front to back, trusting nothing that is not whole and checked."""
+"""Scanner of MCAP records that accepts only complete, checked ones."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from cloth_sim_ros.session.mcap_builder import MAGIC
 
 _RECORD_HEAD = struct.Struct("<BQ")
 RECORD_HEAD = _RECORD_HEAD.size
-"""Bytes of opcode and length before a record's body."""
+"""Size of opcode and length before a record's body [bytes]."""
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
 MESSAGE_HEAD = _MESSAGE.size
-"""Bytes of a message's body before its data."""
+"""Size of a message's body before its payload [bytes]."""
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
-#: Largest record [bytes]: a chunk that is not compressed with its head; and of other kinds.
+#: Maximum size of a record's body [bytes]: of an uncompressed chunk with its header, and of other records.
 _MOST_BODY, _MOST_OTHER = MOST_BYTES + (1 << 10), 64 << 20
-#: A record that is counted beside its chunk [bytes].
+#: Size from which a record counts in addition to its chunk [bytes].
 _LARGE = 8 << 20
-#: Largest attached file [bytes].
+#: Maximum size of an attached file [bytes].
 MOST_ATTACHED = 128 << 20
 _KNOWN_OPCODES = range(1, 16)
 _PRIVATE_OPCODES = range(0x80, 0x100)
@@ -42,10 +42,10 @@ _CHUNK_OPCODES = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.
 # Opcode, length below 4 GiB, times, sizes, checksum, name of the compression.
 _CHUNK_PATTERN = re.compile(rb"(?=\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))", re.DOTALL)
 _CHUNK_PATTERN_SIZE = 48
-#: Most bytes of an attachment before its content: times, name and type.
+#: Maximum size of an attachment's times, name and type, before its content [bytes].
 _MOST_HEAD = 1 << 16
 _SEARCH_WINDOW = 1 << 20
-#: What a search may read and unpack of chunks that turn out to be none, beside the file's size [bytes].
+#: Maximum size that a search reads and unpacks at false chunk headers, in addition to the file's size [bytes].
 _MOST_TRIED = 512 << 20
 
 _Record = TypeVar("_Record", bound=McapRecord)
@@ -56,7 +56,7 @@ class DamagedRecordError(SessionError):
 
 
 class RawMessage(NamedTuple):
-    """A message as it lies in a chunk."""
+    """A message in its encoded form."""
 
     channel: int
     sequence: int
@@ -67,16 +67,16 @@ class RawMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordPlace:
-    """Where a whole record lies."""
+    """Location of a complete record in the file."""
 
     opcode: int
     offset: int
-    """Of its opcode byte."""
+    """Offset of its opcode."""
     body_size: int
 
     @property
     def end(self) -> int:
-        """Offset of the byte after it."""
+        """Offset of the next record."""
         return self.offset + _RECORD_HEAD.size + self.body_size
 
 
@@ -87,11 +87,11 @@ class Chunk:
     place: RecordPlace
     compression: str
     payload: bytes
-    """As it lies in the file."""
+    """Compressed contents."""
     raw: bytes
     crc: int
     checked: bool
-    """False where the file carries no checksum for it."""
+    """False if the file has no checksum for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +104,13 @@ class Summary:
     chunks: dict[int, ChunkIndex]
     """By the offset of the chunk, ascending."""
     records: list[tuple[int, int]]
-    """Offset and length of every attachment and metadata record."""
+    """Offset and length of each attachment and metadata record."""
     start: int = 0
     """Offset at which the summary begins and the data section ends."""
 
 
 def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
-    """The record at an offset, if all of it is there. Raises DamagedRecordError where no record can begin like that."""
+    """Return the location of the complete record at `offset`, or None. Raises DamagedRecordError for a wrong opcode."""
     size = file.seek(0, 2)
     if offset >= size:
         return None
@@ -128,10 +128,10 @@ def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
 
 
 class ChunkSearch:
-    """Finds the next whole chunk of a file whose records were torn apart.
+    """Finds the next intact chunk after a damaged record.
 
-    The length of a damaged record cannot be trusted to lead to the next. What looks like a chunk's head is tried; a
-    file made of such heads would be read and unpacked once for each of them, so the work is limited.
+    The length of a damaged record does not lead to the next one. Therefore each byte sequence that resembles a chunk
+    header is tried. The total work is limited, because a file may consist of such headers.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -139,7 +139,7 @@ class ChunkSearch:
         self._tried = 0
 
     def find(self, offset: int) -> int | None:
-        """Return where, at `offset` or later, the next chunk begins that passes its checksum; None if there is none."""
+        """Return the offset of the next chunk at or after `offset` that passes its checksum; None if there is none."""
         size = self._file.seek(0, 2)
         while offset < size:
             self._file.seek(offset)
@@ -150,7 +150,7 @@ class ChunkSearch:
                     return None
                 if self._is_chunk(candidate, window[match.start() : match.start() + _CHUNK_PATTERN_SIZE]):
                     return candidate
-            # A head that straddles two windows is met in the next one.
+            # The next window overlaps, to find a header that straddles two windows.
             offset += max(len(window) - _CHUNK_PATTERN_SIZE, 1)
         return None
 
@@ -169,7 +169,7 @@ class ChunkSearch:
 
 
 def check_index(file: BinaryIO, place: RecordPlace) -> None:
-    """Check that a message index record is one. Raises DamagedRecordError."""
+    """Check the layout of a message index record. Raises DamagedRecordError."""
     body = read_body(file, place)
     size = int.from_bytes(body[2:6], "little")
     if len(body) != 6 + size or size % 16:
@@ -177,7 +177,7 @@ def check_index(file: BinaryIO, place: RecordPlace) -> None:
 
 
 def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
-    """The bytes of a record after its length. Raises DamagedRecordError for one that is cut off or too large."""
+    """Read the body of a record. Raises DamagedRecordError if it is cut off or too large."""
     _check_place(file, place, _MOST_BODY if place.opcode == Opcode.CHUNK else _MOST_OTHER)
     file.seek(place.offset + _RECORD_HEAD.size)
     body = file.read(place.body_size)
@@ -187,7 +187,7 @@ def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
 
 
 def _check_place(file: BinaryIO, place: RecordPlace, most: int) -> None:
-    """Check a record's length before so much is read."""
+    """Check a record's length before it is read."""
     if place.end > file.seek(0, 2):
         raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
     if place.body_size > most:
@@ -195,7 +195,7 @@ def _check_place(file: BinaryIO, place: RecordPlace, most: int) -> None:
 
 
 def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
-    """A chunk, decompressed and checked. Raises DamagedRecordError; SessionError without its decompressor."""
+    """Read, decompress and check a chunk. Raises DamagedRecordError; SessionError without its decompressor."""
     file.seek(place.offset)
     if file.read(RECORD_HEAD) != _RECORD_HEAD.pack(Opcode.CHUNK, place.body_size):
         raise DamagedRecordError(f"byte {place.offset} begins no chunk of {place.body_size} bytes")
@@ -224,7 +224,7 @@ def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
 
 
 def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawMessage]]:
-    """Declarations and messages in order, each with its place in the chunk. Raises DamagedRecordError."""
+    """Yield declarations and messages in order, each with its span in the chunk. Raises DamagedRecordError."""
     raw = chunk.raw
     position = 0
     while position < len(raw):
@@ -253,19 +253,19 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
 
 
 def parse_message(body: bytes, offset: int) -> RawMessage:
-    """A message that lies outside of chunks, from its bytes. Raises DamagedRecordError."""
+    """Parse a message outside of chunks. Raises DamagedRecordError."""
     if len(body) < _MESSAGE.size:
         raise DamagedRecordError(f"the message at byte {offset} is cut off")
     return RawMessage._make((*_MESSAGE.unpack_from(body), body[_MESSAGE.size :]))
 
 
 def read_metadata(file: BinaryIO, place: RecordPlace) -> Metadata:
-    """A metadata record. Raises DamagedRecordError."""
+    """Read a metadata record. Raises DamagedRecordError."""
     return parse_record(Metadata, read_body(file, place), place.offset)
 
 
 def read_attachment(file: BinaryIO, place: RecordPlace) -> Attachment:
-    """An attachment, its checksum verified; its content is held once. Raises DamagedRecordError."""
+    """Read an attachment and verify its checksum, with one copy in memory. Raises DamagedRecordError."""
     _check_place(file, place, MOST_ATTACHED + _MOST_HEAD)
     file.seek(place.offset + RECORD_HEAD)
     head = file.read(min(place.body_size, _MOST_HEAD))
@@ -288,7 +288,7 @@ def read_attachment(file: BinaryIO, place: RecordPlace) -> Attachment:
 
 
 def _text(body: bytes, position: int) -> tuple[str, int]:
-    """A text with its length before it, and where it ends."""
+    """Read a text with its length prefix; return it and the offset of its end."""
     (size,) = struct.unpack_from("<I", body, position)
     text = body[position + 4 : position + 4 + size]
     if len(text) < size:
@@ -297,9 +297,9 @@ def _text(body: bytes, position: int) -> tuple[str, int]:
 
 
 def read_summary(file: BinaryIO) -> Summary | None:
-    """The indexes of a finished file; None where the file does not end as a finished one does.
+    """Read the indexes of a finished file; None if the file is unfinished.
 
-    Raises DamagedRecordError where it does, and the indexes fail their checksum.
+    Raises DamagedRecordError if the indexes of a finished file fail their checksum.
     """
     size = file.seek(0, 2)
     if size < len(MAGIC) + _FOOTER_SIZE:
@@ -365,7 +365,7 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
 
 
 def _apart(records: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Records in their order without those that lie in one before: an index may name one a million times."""
+    """Sort records by offset and drop overlapping ones: a damaged index may repeat an entry a million times."""
     found: list[tuple[int, int]] = []
     for offset, length in sorted(set(records)):
         if not found or offset >= sum(found[-1]):
@@ -374,7 +374,7 @@ def _apart(records: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
-    """A record from its bytes; `offset` is for the message. Raises DamagedRecordError."""
+    """Parse a record. `offset`: for the error message. Raises DamagedRecordError."""
     stream = ReadDataStream(BytesIO(body))
     try:
         return kind.read(stream)  # type: ignore[attr-defined]

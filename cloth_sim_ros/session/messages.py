@@ -1,7 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""CDR bytes (XCDR1, little endian) of the messages that a session holds of each frame, laid out by hand: a generic
-writer takes longer than a small cloth's frame. Times are ROS times [ns].
+"""CDR encoders (XCDR1, little-endian) for the messages of each frame.
+
+Hand-written, because a generic encoder takes longer than the frame of a small cloth. Times are ROS times [ns].
 
 Alignment counts from the byte after the four-byte encapsulation header, as in `cdr`, which reads them.
 """
@@ -27,20 +28,20 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _LITTLE = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
 _FLOAT32, _FLOAT64 = 7, 8  # of sensor_msgs/PointField
-#: Packers of a time, and of 3, 6 and 7 numbers.
+#: Packers of a time, and of 3, 6 and 7 doubles.
 _TIME = struct.Struct("<iI").pack
 _DOUBLES = {count: struct.Struct(f"<{count}d").pack for count in (3, 6, 7)}
 
 
 class CloudBytes:
-    """A sensor_msgs/PointCloud2 whose header stamp and points alone change.
+    """Encoder of sensor_msgs/PointCloud2 messages that differ in stamp and points only.
 
     Args:
         frame_id: coordinate frame.
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
-        velocity: whether each point has its velocity too: fields vx, vy, vz [m/s].
-        double: true for fields in double precision.
+        velocity: True to add velocities: fields vx, vy, vz [m/s].
+        double: True for double precision.
     """
 
     def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False, double: bool = False) -> None:
@@ -56,16 +57,16 @@ class CloudBytes:
             body = _aligned(body, 4) + struct.pack("<I", 1)
         body = _aligned(body + b"\x00", 4) + struct.pack("<III", size, size * width, self._points.nbytes)
         self._middle = bytes(body[8:])
-        # Behind the points: is_dense, filled up to a multiple of four as it travels.
+        # After the points: is_dense, padded to four bytes.
         self._end = b"\x01\x00\x00\x00"
 
     @property
     def start(self) -> int:
-        """Offset of the points in the message."""
+        """Offset of the points in the message [bytes]."""
         return len(_LITTLE) + 8 + len(self._middle)
 
     def at(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:
-        """The bytes for positions x [m] at a time; velocities v [m/s] where it has them; both (3, n)."""
+        """Encode positions x [m] and, if the cloud has them, velocities v [m/s], both of shape (3, n)."""
         self._points[:, :3] = x.T
         if v is not None:
             self._points[:, 3:] = v.T
@@ -73,29 +74,29 @@ class CloudBytes:
 
 
 def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:
-    """A shape_msgs/Mesh: particles of each triangle (m, 3), rest positions [m] (n, 3)."""
+    """Encode a shape_msgs/Mesh: particle indices of the triangles (m, 3), rest positions [m] (n, 3)."""
     corners, places = np.ascontiguousarray(triangles, dtype="<u4"), np.ascontiguousarray(vertices, dtype="<f8")
     head = struct.pack("<I", len(corners)) + corners.tobytes() + struct.pack("<I", len(places))
     return _LITTLE + bytes(_aligned(bytearray(head), 8)) + places.tobytes()
 
 
 def pose_bytes(position: Iterable[float], orientation: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
-    """A geometry_msgs/PoseStamped: position [m], quaternion x, y, z, w."""
+    """Encode a geometry_msgs/PoseStamped: position [m], quaternion x, y, z, w."""
     return _stamped(frame_id, stamp, (*position, *orientation))
 
 
 def point_bytes(position: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
-    """A geometry_msgs/PointStamped: position [m]."""
+    """Encode a geometry_msgs/PointStamped: position [m]."""
     return _stamped(frame_id, stamp, tuple(position))
 
 
 def wrench_bytes(wrench: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
-    """A geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
+    """Encode a geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
     return _stamped(frame_id, stamp, tuple(map(float, wrench)))
 
 
 def transforms_bytes(frames: Iterable[tuple[str, Iterable[float]]], *, frame_id: str, stamp: int) -> bytes:
-    """A tf2_msgs/TFMessage: names, each with position [m] and quaternion x, y, z, w in the parent frame, 7 numbers."""
+    """Encode a tf2_msgs/TFMessage: names with pose in the parent frame, position [m] and quaternion x, y, z, w."""
     listed = list(frames)
     body = bytearray(struct.pack("<I", len(listed)))
     for name, pose in listed:
@@ -105,7 +106,7 @@ def transforms_bytes(frames: Iterable[tuple[str, Iterable[float]]], *, frame_id:
 
 
 def bool_bytes(value: bool) -> bytes:
-    """A std_msgs/Bool."""
+    """Encode a std_msgs/Bool."""
     return _LITTLE + bytes([value])
 
 
@@ -116,7 +117,7 @@ def _stamped(frame_id: str, stamp: int, numbers: tuple[float, ...]) -> bytes:
 
 @functools.lru_cache(maxsize=16)
 def _named(frame_id: str) -> bytes:
-    """A header's frame, up to where numbers begin."""
+    """Encode a header's frame_id, padded to the alignment of doubles."""
     return bytes(_aligned(bytearray(8) + _text(frame_id), 8)[8:])
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The beginning of a session file: is it an MCAP, is it a session, is all there that every session opens with."""
+"""Checks of the opening of a session file."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.mcap_scan import DamagedRecordError, parse_record, place_at, read_body
 from cloth_sim_ros.session.writer import FORMAT_VERSION, METADATA_NAME, SCENE_NAME, STATE_NAME, metadata_checksum
 
-#: More digits than the number of a file has.
+#: Limit of the digits of a file's index.
 _DIGITS = 10
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file to read. Raises SessionError with the reason where it cannot be."""
+    """Open a file for reading. Raises SessionError with the reason if it cannot be opened."""
     try:
         mode = path.stat().st_mode
-        # To open a pipe would wait for its writer, and a device may never end.
+        # Opening a pipe would wait for its writer, and a device may never end.
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise SessionError(f"{path} is a device or a pipe; give a file on disk")
         return path.open("rb")
@@ -38,7 +38,7 @@ def open_file(path: Path) -> BinaryIO:
 
 
 def check_header(file: BinaryIO, path: Path) -> int:
-    """Check magic and header; where what follows begins. Raises NotASessionError or DamagedSessionError."""
+    """Check magic and header; return the offset of the next record. Raises NotASessionError or DamagedSessionError."""
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
         raise NotASessionError(f"{path} is not an MCAP file")
@@ -55,7 +55,7 @@ def check_header(file: BinaryIO, path: Path) -> int:
 
 
 def check_contents(path: Path, metadata: Mapping[str, str], attachments: Container[str]) -> None:
-    """Check what was found in the opening. Raises NotASessionError or DamagedSessionError."""
+    """Check metadata and attachments of the opening. Raises NotASessionError or DamagedSessionError."""
     if not metadata:
         raise NotASessionError(
             f"{path} is an MCAP without the metadata record {METADATA_NAME!r}: cloth_sim did not record it"

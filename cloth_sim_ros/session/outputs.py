@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What commands write: never over a session or what they read, only where a file can be made, whole or not at all."""
+"""Output files of commands: checked before the work, written atomically."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.writer import SUFFIX
 
-#: Characters of a file's name that the hidden name beside it repeats: a name has at most 255 bytes.
+#: Length of the prefix of a file's name in the temporary name: a name has at most 255 bytes.
 _KEPT_OF_NAME = 40
 
 
 class OutputError(SessionError):
-    """A file cannot be written where it was asked for; the message is one sentence fit for a command line."""
+    """The requested output cannot be written. The message is one sentence for the command line."""
 
 
 def check_outputs(
     outputs: Mapping[str, Path | None], inputs: Sequence[Path], *, endings: Mapping[str, str] | None = None
 ) -> None:
-    """Refuse outputs that would destroy a session or an input, or cannot be written, before any work is done.
+    """Refuse outputs that would overwrite a session or an input, or cannot be written.
 
-    Any other file that exists may be replaced. Devices and pipes are written to as they are.
+    Call it before the work. Other existing files may be replaced. Devices and pipes are written directly.
 
     Args:
-        outputs: paths by the options that name them; None where an option was not given.
+        outputs: paths by option; None if an option was not given.
         inputs: files that are read.
-        endings: the ending of an output's name by its option, where but one kind of file is written.
+        endings: required ending of the file name by option; for options that write one kind of file.
 
     Raises:
-        OutputError: naming option, path and remedy.
+        OutputError: with option, path and remedy.
     """
     given = {option: path for option, path in outputs.items() if path is not None}
     for option, path in given.items():
@@ -47,7 +47,7 @@ def check_outputs(
         ending = (endings or {}).get(option)
         if ending is not None and path.suffix.lower() not in ("", ending):
             raise OutputError(
-                f"{option} is '{path}', but {ending[1:].upper()} is all that it writes: end the name in {ending}"
+                f"{option} is '{path}', but it writes {ending[1:].upper()} only: end the name in {ending}"
             )
     for (one, path), (other, also) in itertools.combinations(given.items(), 2):
         if _is_replaced(path) and os.path.realpath(path) == os.path.realpath(also):
@@ -56,13 +56,14 @@ def check_outputs(
 
 @contextlib.contextmanager
 def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Give an empty hidden file beside the target to write; at the end it takes the target's name.
+    """Yield an empty hidden file beside the target; on success it gets the target's name.
 
-    After an error, an interruption or a loss of power nothing of it stays, and what was there before is as it was.
-    Where `target` is a device or a pipe, it is itself what is given.
+    After an error or an interruption the hidden file is removed. The target keeps its old contents, also after a power
+    loss. If `target` is a device or a pipe, it is yielded itself.
 
     Raises:
-        OSError: naming the target, where it cannot be written; FileExistsError where it exists and `replace` is false.
+        OSError: with the target's name, if it cannot be written.
+        FileExistsError: if it exists and `replace` is False.
     """
     if not _is_replaced(target):
         yield target
@@ -78,7 +79,7 @@ def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
                 shutil.copymode(final, hidden)
             hidden.replace(final)
         else:
-            # Unlike a rename this fails where there is a file by now.
+            # Unlike a rename, a link fails if the file exists by now.
             os.link(hidden, final)
         _sync(final.parent)
     except OSError as error:
@@ -91,7 +92,7 @@ def written_whole(target: Path, *, replace: bool = True) -> Iterator[Path]:
 
 
 def _sync(place: Path) -> None:
-    """Wait until a file, or a folder's names, would survive a loss of power."""
+    """Wait until a file, or the names in a folder, would survive a power loss."""
     descriptor = os.open(place, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -136,7 +137,7 @@ def _check_place(option: str, path: Path) -> None:
 
 
 def _is_replaced(path: Path) -> bool:
-    """Whether a new file takes this name; a device or a pipe is written to."""
+    """Return True if a new file can take this name; False for a device or a pipe."""
     return path.is_file() or not path.exists()
 
 
@@ -144,7 +145,7 @@ def _same_file(one: Path, other: Path) -> bool:
     try:
         return one.samefile(other)
     except OSError:
-        # One of them is not there.
+        # One of them does not exist.
         return False
 
 
@@ -155,5 +156,5 @@ def _holds_mcap(path: Path) -> bool:
         with path.open("rb") as file:
             return file.read(len(MAGIC)) == MAGIC
     except OSError:
-        # What cannot be read cannot be told; whether it may be written is asked elsewhere.
+        # An unreadable file counts as none. `_check_writable` checks its permissions.
         return False

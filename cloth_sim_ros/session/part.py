@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One session file, read from front to back, whether it is finished, was cut off anywhere, or is still growing."""
+"""Reader of one session file: finished, cut off, or still growing."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from cloth_sim_ros.session.writer import (
 )
 
 _HAS_ALWAYS = frozenset((SCENE_NAME, STATE_NAME))
-#: Messages among which a session's own topics are looked for.
+#: Number of messages in which a session's topics are searched.
 _LOOKED_AT = 1000
 
 
@@ -65,39 +65,39 @@ class Message(NamedTuple):
     data: bytes
     """CDR bytes."""
     log_time: int
-    """When it was recorded [ns since the epoch]."""
+    """Time of recording [ns since the epoch]."""
     publish_time: int
-    """The time it belongs to [ns since the epoch]; for what a frame produced, when the frame was due."""
+    """Time of the contents [ns since the epoch]; for outputs of a frame, the time when the frame was due."""
     sequence: int
-    """Number of the message on its topic, counting those that were dropped."""
+    """Index of the message on its topic; dropped messages count."""
 
 
 class SessionPart:
     """One file of a session.
 
-    `chunks` and `messages` may be called again while the file grows; they go on where they stopped. What is damaged is
-    passed over and noted in `damage`, or raised as DamagedSessionError where `strict`.
+    Call `chunks` and `messages` again while the file grows; they continue at the current position. Damaged records are
+    skipped and reported in `damage`, or raised as DamagedSessionError if `strict`.
     """
 
     def __init__(self, path: Path | str, *, strict: bool = False) -> None:
         """Open a file and read its beginning. Raises NotASessionError or DamagedSessionError with the reason."""
         self.path = Path(path)
         self.metadata: Mapping[str, str] = {}
-        """Versions, machine, node, period ... as the recording began."""
+        """Versions, machine, node, period ... at the start of the recording."""
         self.end_notes: Mapping[str, str] = {}
-        """Why the file ends where it ends, how many messages were dropped; empty before its end has been read."""
+        """Reason of the end and number of dropped messages; empty until the end was read."""
         self.attachments: dict[str, Attachment] = {}
-        """By name; ``scene.yaml`` and ``state.npz`` are always there."""
+        """By name; always with ``scene.yaml`` and ``state.npz``."""
         self._strict = strict
         self._attached = 0
         self._summary: Summary | None = None
-        self._covered: bool | None = None  # the summary names all that the file holds; None if that is not known
+        self._covered: bool | None = None  # the summary names the whole contents; None if unknown
         self._summary_damage: list[str] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._data_start = 0
         self._at_end = False
-        self._bare = False  # messages lie outside of chunks
+        self._bare = False  # some messages lie outside of chunks
         self._file = open_file(self.path)
         self._search = ChunkSearch(self._file)
         try:
@@ -113,32 +113,32 @@ class SessionPart:
         self.rewind()
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._file.close()
 
     @property
     def number(self) -> int:
-        """Place of this file among those of its session, from 0."""
+        """Index of this file in its session, from 0."""
         return int(self.metadata["part"])
 
     @property
     def session(self) -> str:
-        """What all files of one session have in common."""
+        """Identifier that all files of one session share."""
         return self.metadata["session"]
 
     @property
     def scene_yaml(self) -> str:
-        """The parameters in force at the file's beginning, a ROS parameter file."""
+        """Effective parameters at the file's beginning, as a ROS parameter file."""
         return self.attachments[SCENE_NAME].data.decode()
 
     @property
     def state(self) -> bytes:
-        """The full state before the file's first frame, the bytes of an .npz."""
+        """Full state before the file's first frame, as the bytes of an .npz."""
         return self.attachments[STATE_NAME].data
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Content of the files that the parameters name, by that name."""
+        """Contents of the files that parameters name, by that name."""
         return {
             name.removeprefix(FILE_PREFIX): attachment.data
             for name, attachment in self.attachments.items()
@@ -147,20 +147,20 @@ class SessionPart:
 
     @property
     def finished(self) -> bool:
-        """Whether the file was closed properly and its indexes are intact."""
+        """True if the file was closed properly and its indexes are intact."""
         if self._summary is None and self._at_end and not self._summary_damage:
-            # A file that was growing when it was opened has them now.
+            # A file that was growing when it was opened may have its indexes now.
             self._read_summary()
         return self._summary is not None
 
     @property
     def summary(self) -> Summary | None:
-        """The indexes of a finished file."""
+        """Indexes of a finished file; None if unfinished or damaged."""
         return self._summary
 
     @property
     def indexed(self) -> bool:
-        """True if the indexes name all that the file holds; else it is read record by record."""
+        """True if the indexes name the whole contents; otherwise the file is read record by record."""
         if self._summary is None:
             return False
         if self._covered is None:
@@ -169,35 +169,35 @@ class SessionPart:
 
     @property
     def position(self) -> int:
-        """Bytes read so far."""
+        """Offset up to which the file was read [bytes]."""
         return self._position
 
     @property
     def at_end(self) -> bool:
-        """Whether the end of the data was read: nothing more will come."""
+        """True if the end of the data section was read: no messages will follow."""
         return self._at_end
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """What was found damaged and left out, as far as the file has been read."""
+        """Descriptions of the damaged records that were skipped so far."""
         return (*self._summary_damage, *self._damage)
 
     def size(self) -> int:
-        """Bytes of the file now."""
+        """Return the current size of the file [bytes]."""
         return os.fstat(self._file.fileno()).st_size
 
     def is_being_written(self) -> bool:
-        """Whether a living process is recording into it."""
+        """Return True if a living process is recording into the file."""
         return is_being_written(self._file.fileno())
 
     def rewind(self) -> None:
-        """Start over with the first chunk."""
+        """Go back to the first chunk."""
         self._position = self._data_start
         self._at_end = False
         self._damage: list[str] = []
 
     def missing(self) -> str | None:
-        """What the file lacks, as far as it has been read, in one sentence; None if nothing."""
+        """Return the deficits found so far in one sentence; None if there are none."""
         found = []
         if not self.finished and self.is_being_written():
             found.append("it is still being recorded")
@@ -215,10 +215,9 @@ class SessionPart:
         return f"{self.path.name}: {'; '.join(found)}" if found else None
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
-        """The chunks from the present position to the end of what is whole; messages without one are given as one, too.
+        """Yield the chunks from the current position to the last intact one; messages outside of chunks form one, too.
 
-        With `start` or `end` (log times in ns, half open) the chunks of a finished file that lie outside are passed
-        over.
+        In a finished file, chunks outside of the log times [`start`, `end`) [ns] are skipped.
         """
         if self._summary is not None and self.indexed:
             yield from self._indexed_chunks(self._summary, start, end)
@@ -228,7 +227,7 @@ class SessionPart:
     def messages(
         self, *, topics: frozenset[str] | None = None, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:
-        """The messages from the present position to the end of what is whole, in the order they were recorded."""
+        """Yield the messages from the current position to the last intact chunk, in the order of recording."""
         for chunk in self.chunks(start=start, end=end):
             known: dict[int, tuple[str, str] | None] = {}
             for _, raw in chunk_records(chunk):
@@ -244,24 +243,24 @@ class SessionPart:
                 yield Message(*channel, raw.data, raw.log_time, raw.publish_time, raw.sequence)
 
     def declare(self, record: Schema | Channel) -> None:
-        """Learn a declaration found in a chunk; for those who go through `chunks` themselves."""
+        """Register a declaration from a chunk; for callers that iterate over `chunks`."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         else:
             self._channels[record.id] = record
 
     def channel(self, number: int) -> tuple[str, str] | None:
-        """Topic and type of a channel; None where its declaration was not read or lost."""
+        """Return topic and type of a channel; None if its declaration was lost or not yet read."""
         record = self._channels.get(number)
         schema = None if record is None else self._schemas.get(record.schema_id)
         return None if record is None or schema is None else (record.topic, schema.name)
 
     def note_undeclared(self, number: int, place: RecordPlace) -> None:
-        """Note that messages are left out because the chunk that declared their channel is lost."""
+        """Report messages that are skipped because the declaration of their channel is lost."""
         self._damage.append(f"the chunk at byte {place.offset} has messages of channel {number}, never declared")
 
     def records(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
-        """The declarations read so far, by number."""
+        """Return the schemas and channels read so far, by id."""
         return dict(self._schemas), dict(self._channels)
 
     def _read_summary(self) -> None:
@@ -276,7 +275,7 @@ class SessionPart:
             self._channels.update(self._summary.channels)
 
     def _read_contents(self) -> None:
-        """Metadata and attachments: by the index of a finished file (tools may move them), else before the chunks."""
+        """Read metadata and attachments: by the indexes (tools may move the records), otherwise before the chunks."""
         summary = self._summary
         try:
             if summary is not None and indexes_contents(summary):
@@ -291,10 +290,12 @@ class SessionPart:
                 for place in further_places(self._file, self._data_start):
                     self._read_content(place)
         except DamagedRecordError as error:
-            raise DamagedSessionError(f"{self.path}: {error}; the session cannot be read without it") from error
+            raise DamagedSessionError(
+                f"{self.path}: {error}; the session cannot be read without this record"
+            ) from error
 
     def _read_channels(self) -> dict[str, str]:
-        """Message types by topic: those of the indexes, or else of the first chunks."""
+        """Return message types by topic, from the indexes or from the first chunks."""
         self.rewind()
         for _ in itertools.islice(self.messages(), 0 if self._channels else _LOOKED_AT):
             pass
@@ -307,8 +308,8 @@ class SessionPart:
             if record.name == METADATA_NAME:
                 if self.metadata and self.metadata != record.metadata:
                     raise SessionError(
-                        f"{self.path} holds the openings of two recordings, as after a merge: what belongs to which "
-                        "cannot be told; give the files that were merged, those of one session in order"
+                        f"{self.path} holds the openings of two recordings, as after a merge: their messages "
+                        "cannot be separated; give the files from before the merge, those of one session in order"
                     )
                 self.metadata = MappingProxyType(record.metadata)
             elif record.name == END_METADATA_NAME:
@@ -328,7 +329,7 @@ class SessionPart:
         self.end_notes = MappingProxyType(record.metadata)
 
     def _indexed_chunks(self, summary: Summary, start: int | None, end: int | None) -> Iterator[Chunk]:
-        """Chunks of a finished file: its indexes have a checksum, the records between the chunks have none."""
+        """Yield the chunks of a finished file by its indexes: these have a checksum, the records between chunks do not."""
         for offset, index in summary.chunks.items():
             if offset < self._position:
                 continue
@@ -342,7 +343,7 @@ class SessionPart:
         self._at_end = True
 
     def _walked_chunks(self) -> Iterator[Chunk]:
-        """Chunks of a file whose indexes do not name all, from record to record, to the end of what is whole."""
+        """Yield the chunks from record to record, up to the last intact one."""
         while not self._at_end:
             try:
                 place = place_at(self._file, self._position)
@@ -359,7 +360,7 @@ class SessionPart:
                 return
 
     def _read_record(self, place: RecordPlace) -> Chunk | None:
-        """Deal with one record of the data section."""
+        """Read one record of the data section; return it if it is a chunk."""
         if place.opcode == Opcode.CHUNK:
             return read_chunk(self._file, place)
         bare = read_bare(self._file, place)
@@ -374,11 +375,11 @@ class SessionPart:
             self._at_end = True
             self._check_data_end(place)
         else:
-            raise DamagedRecordError(f"byte {place.offset} begins a record that has no place there")
+            raise DamagedRecordError(f"byte {place.offset} begins a record that is not allowed there")
         return None
 
     def _check_data_end(self, place: RecordPlace) -> None:
-        """Check what has no checksum but that of the whole data section."""
+        """Check messages outside of chunks by the checksum of the data section."""
         if self._bare:
             try:
                 check_data_end(self._file, place)
@@ -386,7 +387,7 @@ class SessionPart:
                 self._note(error)
 
     def _has_more(self) -> bool:
-        """Whether whole chunks follow a record that claims to reach beyond the file's end; then go on with them."""
+        """Skip a record whose length exceeds the file; return True if an intact chunk follows."""
         if self._position >= self.size():
             return False
         following = self._search.find(self._position)

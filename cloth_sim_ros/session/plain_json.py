@@ -1,30 +1,30 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""JSON of any origin, as values that can be written, printed and walked through."""
+"""Parser for untrusted JSON with bounded size and depth."""
 
 from __future__ import annotations
 
 import json
 from typing import Any
 
-#: Largest text [bytes]: a list of lists takes twenty times its text.
+#: Maximum length of a text [characters]: nested lists take 20 times the memory of their text.
 MOST_BYTES = 8 << 20
-#: Most values of a text, and most lists and objects among them.
+#: Maximum number of values, and of lists and objects among them.
 _MOST_VALUES, _MOST_GROUPS = 4_000_000, 1_500_000
 _DEEPEST = 64
 
 
 def loads(text: str, *, most: int = MOST_BYTES, **hooks: Any) -> Any:
-    """Return what a text holds.
+    """Parse a text.
 
     Args:
         text: JSON.
-        most: longest text that is read [characters].
-        hooks: as `json.loads` takes them.
+        max_length: maximum length of the text [characters].
+        hooks: keyword arguments of `json.loads`.
 
     Raises:
-        ValueError: for a text that is longer, no JSON, nested too deeply, or holds half a surrogate pair, which no
-            file or terminal takes.
+        ValueError: if the text is too long, not JSON, too deeply nested, or holds half a surrogate pair, which cannot
+            be encoded.
     """
     if len(text) > most:
         raise ValueError(f"it has {len(text)} characters, the limit is {most}")

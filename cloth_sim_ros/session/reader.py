@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded session, of one file or of several, finished or not."""
+"""Reader of a session of one or several files, finished or not."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedCloud:
-    """A cloud and the frame it shows."""
+    """A cloud and the record of its frame."""
 
     frame: FrameRecord | None
-    """None where the frame's record is missing."""
+    """None if the frame's record is missing."""
     cloud: Cloud
     log_time: int
     """Nanoseconds since the epoch."""
 
 
 class SessionReader:
-    """Reads a session as a stream: memory holds one chunk at a time, whatever the size of the files.
+    """Reads a session as a stream, with one chunk in memory at a time.
 
-    Messages are given in the order in which they were recorded. What is damaged is left out and told in `missing` (or
-    raised as DamagedSessionError where `strict`); no message is given whose chunk fails its checksum.
+    Messages come in the order of recording. Damaged chunks are skipped and reported in `missing`, or raised as
+    DamagedSessionError if `strict`. No message of a chunk with a wrong checksum is returned.
     """
 
     def __init__(self, path: Path | str | Sequence[Path | str], *, strict: bool = False) -> None:
@@ -62,13 +62,13 @@ class SessionReader:
         self.close()
 
     def close(self) -> None:
-        """Give the files back."""
+        """Close the files."""
         for part in self._parts:
             part.close()
 
     @property
     def parts(self) -> tuple[SessionPart, ...]:
-        """The files, each with the snapshot it opens with."""
+        """The files, each with its opening snapshot."""
         return tuple(self._parts)
 
     @property
@@ -78,56 +78,56 @@ class SessionReader:
 
     @property
     def scene_yaml(self) -> str:
-        """The parameters in force at the first file's snapshot, a ROS parameter file."""
+        """Effective parameters at the first file's snapshot, as a ROS parameter file."""
         return self._parts[0].scene_yaml
 
     @property
     def state(self) -> bytes:
-        """The full state before the first frame, the bytes of an .npz."""
+        """Full state before the first frame, as the bytes of an .npz."""
         return self._parts[0].state
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """Content of the files that the parameters name, by that name."""
+        """Contents of the files that parameters name, by that name."""
         return self._parts[0].files
 
     @property
     def node(self) -> str:
-        """Resolved name of the node, the beginning of its topics' names."""
+        """Resolved name of the node, the prefix of its topics."""
         return self.metadata.get("node", "/cloth_sim")
 
     @property
     def complete(self) -> bool:
-        """Whether every file is finished and, as far as it has been read, undamaged."""
+        """True if every file is finished and no damage was found so far."""
         return all(part.finished and not part.damage for part in self._parts)
 
     @property
     def missing(self) -> str | None:
-        """What the session lacks, in a sentence, as far as it has been read; None if nothing."""
+        """Deficits found so far, in one sentence; None if there are none."""
         found = [sentence for part in self._parts if (sentence := part.missing()) is not None]
         return "; ".join(found) or None
 
     def messages(
         self, topics: Iterable[str] | None = None, *, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:
-        """All messages, or those of some topics, with log times in [start, end) ns, in the order they were recorded."""
+        """Yield messages in the order of recording: of all or some topics, with log times in [start, end) [ns]."""
         wanted = None if topics is None else frozenset(topics)
         for part in self._parts:
             part.rewind()
             yield from part.messages(topics=wanted, start=start, end=end)
 
     def frames(self, *, start: int | None = None, end: int | None = None) -> Iterator[FrameRecord]:
-        """The frames' records."""
+        """Yield the frame records."""
         for message in self.messages([f"{self.node}/frame"], start=start, end=end):
             yield read_frame(message)
 
     def clouds(self, *, start: int | None = None, end: int | None = None) -> Iterator[RecordedCloud]:
-        """The clouds, each with the record of its frame, which lies before it and has the same publish time."""
+        """Yield the clouds, each with the record of its frame, which precedes it and has the same publish time."""
         topics = [f"{self.node}/frame", f"{self.node}/points"]
         yield from pair_clouds(self.messages(topics, start=start, end=end), self.node)
 
     def topology(self) -> Surface | None:
-        """The cloth's triangles and rest shape; None if the session holds none."""
+        """Return the cloth's triangles and rest shape; None if the session holds none."""
         from cloth_sim_ros.session.cdr import decode_surface
 
         for message in self.messages([f"{self.node}/topology"]):
@@ -141,10 +141,10 @@ class SessionReader:
         poll: float = 0.1,
         keep_waiting: Callable[[], bool] = lambda: True,
     ) -> Iterator[Message]:
-        """The messages of a session that may still be recorded: what is there, then what comes.
+        """Yield the messages of a session during its recording: first the existing ones, then new ones.
 
-        Looks again every `poll` seconds. Ends when the recording has ended, by itself or by the death of its process,
-        or when `keep_waiting` says so; further files of a split session are opened as they appear.
+        Polls the file every `poll` seconds and opens further files of a split session when they appear. Ends with the
+        recording, with the death of its process, or if `keep_waiting` returns False.
         """
         wanted = None if topics is None else frozenset(topics)
         for part in self._parts:
@@ -152,7 +152,7 @@ class SessionReader:
         index = 0
         while True:
             part = self._parts[index]
-            # Asked before reading: what was written before the writer ended is then read in this round.
+            # Checked before reading, so that this pass reads everything that a writer wrote before it ended.
             alive = part.is_being_written()
             yield from part.messages(topics=wanted)
             if index + 1 < len(self._parts):
@@ -170,14 +170,14 @@ class SessionReader:
 
 
 def read_frame(message: Message) -> FrameRecord:
-    """The frame record that a message of the ``<node>/frame`` channel holds."""
+    """Decode the frame record in a message of the ``<node>/frame`` channel."""
     from cloth_sim_ros.session.cdr import decode_string
 
     return FrameRecord.from_json(decode_string(message.data))
 
 
 def pair_clouds(messages: Iterable[Message], node: str) -> Iterator[RecordedCloud]:
-    """Clouds with their frames, from a stream that holds both."""
+    """Yield clouds with their frame records, from a stream of both."""
     from cloth_sim_ros.session.cdr import decode_cloud
 
     frame: Message | None = None
@@ -209,9 +209,9 @@ def _check_order(parts: Sequence[SessionPart]) -> None:
 
 
 def session_files(path: Path | str) -> list[Path]:
-    """All files of the session that a file belongs to, in order, as far as they lie in the same folder.
+    """Return all files of a file's session, in order, as far as they are in the same folder.
 
-    Raises SessionError where the file is no session.
+    Raises SessionError if the file is not a session.
     """
     with contextlib.closing(SessionPart(path)) as given:
         found = {given.number: given.path}
@@ -222,9 +222,9 @@ def session_files(path: Path | str) -> list[Path]:
 
 
 def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """Split files into sessions: parts of one session that follow each other stay together.
+    """Group files by session: consecutive parts of one session form a group.
 
-    A file that cannot be read stays alone, so that whoever reads it says why.
+    An unreadable file forms its own group; reading it later raises the reason.
     """
     together: list[Path] = []
     follows: tuple[str, int] | None = None
@@ -243,7 +243,7 @@ def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
 
 
 def _following_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
-    """The next file of a split session, open; None where there is none."""
+    """Open the next file of a split session; None if it does not exist."""
     if part.end_notes.get("reason") != "split":
         return None
     following = None
@@ -255,14 +255,14 @@ def _following_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
 
 
 def _siblings(part: SessionPart) -> Iterator[SessionPart]:
-    """The other files of the same session in the same folder, open."""
+    """Yield the other files of the same session in the same folder, open."""
     for path in sorted(part.path.parent.glob(f"*{part.path.suffix}")):
         if path == part.path:
             continue
         try:
             sibling = SessionPart(path)
         except SessionError:
-            # Anything may lie in the folder of sessions.
+            # The folder may hold other files.
             continue
         if sibling.session == part.session:
             yield sibling

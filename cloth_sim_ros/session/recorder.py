@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recording without ever holding up the one who records: a bounded queue and a thread of its own around the writer."""
+"""Non-blocking recorder: a bounded queue and a writer thread."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.session.writer import SessionWriter, Snapshot
 
 _LOOK = 0.01
-"""How often an idle recorder looks into its queue [s]. Waking it for each message would cost the caller many times the
-call, and have both compete for the interpreter just when a frame is due."""
+"""Poll interval of an idle recorder [s]. Waking its thread for each message would cost the caller more than the call
+itself, and both threads would compete for the interpreter when a frame is due."""
 _ITEM_OVERHEAD = 400
-"""Memory that Python keeps for a queued message beyond its bytes; estimated on the high side [bytes]."""
+"""Python's memory overhead of a queued message, an upper estimate [bytes]."""
 
 _FAILURES = (OSError, MemoryError, ImportError, SessionError)
-"""What ends a recording, and nothing else: the disk, the machine's limits, and modules that cannot be read for them."""
+"""Errors that end a recording: the disk, limits of the machine, and modules that cannot be loaded because of them."""
 _REMEDIES = {
     errno.EMFILE: "; this process has too many open: raise its limit (ulimit -n)",
     errno.ENFILE: "; the machine has too many open: end other processes",
@@ -37,7 +37,7 @@ _REMEDIES = {
 }
 _LATEST = 1 << 63
 _CLOCK_JUMP = 1_000_000_000
-"""A log time that lies back by this much is no matter of the order in which callbacks ran [ns]."""
+"""Minimum step back of the log time that counts as a clock jump; smaller ones come from the order of callbacks [ns]."""
 
 
 class _Message(NamedTuple):
@@ -55,7 +55,7 @@ class _Split:
     snapshot: Snapshot
     log_time: int
     dropped: int
-    """Messages dropped before it, since the recording began."""
+    """Messages dropped since the recording began, up to the split."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +66,16 @@ class _Stop:
 
 
 def session_stem(name: str, start: datetime.datetime) -> str:
-    """Stem of a session's files, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
+    """Return the stem of a session's files, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
     return f"{name}_{start:%Y-%m-%dT%H-%M-%S}"
 
 
 class Recorder:
-    """Records a session from any thread, without blocking: `record` and `split` only put into a queue.
+    """Records a session from any thread without blocking: `record` and `split` only append to a queue.
 
-    All work on the disk, the file's creation included, is done by the recorder's own thread. When the disk cannot
-    follow, droppable messages are dropped and counted; the others are kept, in memory of at most ``backlog_bytes``.
-    An error of the disk ends the recording, with what was written intact, and shows in `status`; nothing is raised at
-    the one who records.
+    The recorder's thread does all disk work, including the creation of the file. If the disk is too slow, droppable
+    messages are dropped and counted; the others are queued in at most ``backlog_bytes`` of memory. A disk error ends
+    the recording and shows in `status`; the written part stays intact. The caller of `record` sees no exception.
     """
 
     def __init__(
@@ -89,19 +88,19 @@ class Recorder:
         options: RecorderOptions | None = None,
         open_file: Callable[[Path, str, str], AppendFile] = AppendFile,
     ) -> None:
-        """Start recording into a new file under `folder` (created if absent); see `wait_until_open` for errors.
+        """Start recording into a new file in `folder` (created if absent); see `wait_until_open` for errors.
 
-        `log_time` [ns] is the time of the snapshot. `stem` names the files; by default ``cloth_sim_<start in UTC>``.
+        `log_time` [ns]: time of the snapshot. `stem`: file name; by default ``cloth_sim_<start in UTC>``.
         Raises RecordingError if no thread can be started.
         """
         self._folder = Path(folder)
         self._options = options or RecorderOptions()
         self._open_file = open_file
         self._stem = stem or session_stem("cloth_sim", datetime.datetime.now(datetime.UTC))
-        # The stem has a resolution of one second; the session's own name is never met twice.
+        # The stem has a resolution of one second; the session's identifier is unique.
         self._session = f"{self._stem}_{secrets.token_hex(4)}"
         self._queue: deque[_Message | _Split | _Stop] = deque()
-        # Counters with one writing side each, so that neither side waits for the other.
+        # Each counter has one writing thread; therefore no lock is needed.
         self._put_count = self._put_bytes = 0
         self._taken_count = self._taken_bytes = 0
         self._dropped = 0
@@ -110,18 +109,18 @@ class Recorder:
         self._put_lock = threading.Lock()
         self._splits_asked = 0
         self._full_part = -1
-        """The newest part that has reached its limit."""
+        """Index of the newest part that has reached its limit."""
         self._stop_asked = False
         self._given_up = ""
         self._opened = threading.Event()
         self._hurry = threading.Event()
-        """Set when the recorder's thread must not wait for its next look at the queue."""
+        """Set to make the recorder's thread read the queue at once."""
         self._status = RecorderStatus(
             state="opening", path=None, bytes_written=0, messages=0, dropped=0, queue_depth=0, queue_bytes=0, error=""
         )
         self._part = 0
         self._dropped_before = 0
-        """Messages dropped before the present file began."""
+        """Messages dropped before the current file began."""
         self._finished_bytes = self._finished_messages = 0
         self._latched: dict[str, _Message] = {}
         self._thread = threading.Thread(target=self._run, args=(snapshot, log_time), name="recorder", daemon=True)
@@ -135,7 +134,7 @@ class Recorder:
             ) from error
 
     def wait_until_open(self, timeout: float = 10.0) -> Path:
-        """Wait until the first file exists; its path. Raises RecordingError with the reason if it cannot be made."""
+        """Wait until the first file exists; return its path. Raises RecordingError with the reason on failure."""
         if not self._opened.wait(timeout):
             raise RecordingError(f"{self._folder} did not take a new file within {timeout:g} s; is its disk stuck?")
         status = self.status()
@@ -154,13 +153,12 @@ class Recorder:
         droppable: bool,
         qos: Qos | None = None,
     ) -> bool:
-        """Queue a message (CDR bytes); never blocks. False if it was dropped or the recording has ended.
+        """Queue a message (CDR bytes) without blocking. Return False if it was dropped or the recording has ended.
 
-        Times in nanoseconds since the epoch (ValueError if they are none); without a publish time it is the given log
-        time. A log time that lies before the last one by less than a second is raised to it, so that whoever sorts by
-        it gets what was recorded in the order in which it was; the clock's greater jumps stay. `qos` counts with the
-        first message of a topic; the newest message of a transient local topic is repeated at the beginning of each
-        further file.
+        Times are nanoseconds since the epoch (otherwise ValueError). `publish_time` is `log_time` by default. A log
+        time less than a second before the last one is raised to it: sorting by log time keeps the order of recording.
+        Larger clock jumps stay. `qos` is read with the first message of a topic. Each further file begins with the
+        newest message of each transient local topic.
         """
         if publish_time is None:
             publish_time = log_time
@@ -170,7 +168,7 @@ class Recorder:
             if self._stop_asked or self._status.state in ("failed", "closed"):
                 return False
             log_time = self._in_order(log_time)
-            # The number counts dropped messages too, so that the file itself shows the gaps.
+            # Dropped messages count too, so that gaps show in the file.
             sequence = self._sequences.get(topic, 0)
             self._sequences[topic] = sequence + 1
             waiting = self._put_bytes - self._taken_bytes
@@ -191,24 +189,24 @@ class Recorder:
 
     @property
     def wants_split(self) -> bool:
-        """Whether the file has reached its limit; then call `split` with a snapshot at the next frame boundary."""
+        """True if the file has reached its limit: call `split` with a snapshot at the next frame boundary."""
         return self._full_part == self._splits_asked and not self._stop_asked
 
     def split(self, snapshot: Snapshot, *, log_time: int) -> None:
-        """Let everything recorded from now on go to a new file that opens with this snapshot; never blocks."""
+        """Continue in a new file that opens with this snapshot; never blocks."""
         with self._put_lock:
             if not self._stop_asked and self._status.state != "failed":
                 self._splits_asked += 1
                 self._put(_Split(snapshot, self._in_order(log_time), self._dropped))
 
     def give_up(self, reason: str) -> None:
-        """End the recording behind what is queued, as one that failed; never blocks."""
+        """End the recording after the queued messages, as failed; never blocks."""
         with self._put_lock:
             if not self._stop_asked and self._status.state != "failed":
                 self._end_with(reason)
 
     def status(self) -> RecorderStatus:
-        """What the recording is doing."""
+        """Return the current status of the recording."""
         status = replace(
             self._status,
             dropped=self._dropped,
@@ -218,7 +216,7 @@ class Recorder:
         if self._given_up and status.state != "failed":
             return replace(status, state="failed", error=self._given_up)
         if status.state in ("opening", "recording") and not self._thread.is_alive():
-            # Read again: the thread may have ended properly in between.
+            # Read the status again: the thread may have ended properly in between.
             state = self._status.state
             if state in ("opening", "recording"):
                 return replace(
@@ -228,13 +226,13 @@ class Recorder:
         return status
 
     def close(self, *, timeout: float = 10.0, reason: str = "stopped") -> RecorderStatus:
-        """Write what is queued, finish the file, and say how it went. Safe to call again, also after an interruption.
+        """Write the queued messages, finish the file, and return the status. Can be called again after an interruption.
 
-        Where the disk is stuck for longer than `timeout` [s] the file is left as it is, intact but unfinished.
+        If the disk is stuck for longer than `timeout` [s], the file stays intact but unfinished.
         """
         with self._put_lock:
             if not self._stop_asked and self._status.state != "failed":
-                # In this order: an interruption between the two must not leave a thread that is never stopped.
+                # In this order: an interruption between the two must not leave a thread without a stop request.
                 self._put(_Stop(reason, self._dropped))
                 self._stop_asked = True
         self._hurry.set()
@@ -246,7 +244,7 @@ class Recorder:
         return status
 
     def _give_up(self, waiting: int) -> None:
-        """End the recording behind what is queued: rather a whole recording that ends than one with holes."""
+        """End the recording after the queued messages: a shorter recording is better than one with gaps."""
         self._end_with(
             f"{waiting >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
             f"the disk of {self._folder} is stuck or too slow"
@@ -262,7 +260,7 @@ class Recorder:
         self._put_bytes += _weight(item)
         self._queue.append(item)
 
-    # What follows runs in the recorder's thread.
+    # The methods below run in the recorder's thread.
 
     def _run(self, snapshot: Snapshot, log_time: int) -> None:
         try:
@@ -298,7 +296,7 @@ class Recorder:
                 self._full_part = self._part
 
     def _next_item(self, writer: SessionWriter) -> _Message | _Split | _Stop | None:
-        """The oldest item; None after a while without one."""
+        """Return the oldest queued item; None after a wait without one."""
         try:
             item = self._queue.popleft()
         except IndexError:
@@ -321,7 +319,7 @@ class Recorder:
         )
 
     def _next_file(self, writer: SessionWriter, split: _Split) -> SessionWriter:
-        # The new file first: whoever follows finds it as soon as the old one says that it was split.
+        # The new file first: a follower looks for it as soon as the old one ends with the reason "split".
         following = self._new_writer(split.snapshot, split.log_time, self._part + 1)
         try:
             writer.finish(reason="split", notes=self._notes(split.dropped))
@@ -354,7 +352,7 @@ class Recorder:
 
     def _end_early(self, writer: SessionWriter, error: Exception) -> None:
         sentence = _sentence(error, writer.path)
-        # The chunk that did not fit is refused again; the file itself is finished or, at worst, intact.
+        # Writing the failed chunk fails again. The file is finished or, at worst, intact.
         with contextlib.suppress(*_FAILURES):
             writer.finish(reason=sentence, notes=self._notes(self._dropped))
         with self._put_lock:
@@ -362,7 +360,7 @@ class Recorder:
             self._empty_queue()
 
     def _empty_queue(self) -> None:
-        """Give back the memory of what can no longer be written."""
+        """Release the memory of items that can no longer be written."""
         with contextlib.suppress(IndexError):
             while True:
                 item = self._queue.popleft()
@@ -370,7 +368,7 @@ class Recorder:
                 self._taken_bytes += _weight(item)
 
     def _notes(self, dropped: int) -> dict[str, str]:
-        """What a file says of itself at its end; `dropped` counts from the beginning of the recording."""
+        """Return the notes of the end record. `dropped`: count since the beginning of the recording."""
         return {"dropped": str(dropped - self._dropped_before)}
 
     def _report(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:

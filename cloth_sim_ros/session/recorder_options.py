@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder is told, and what it tells."""
+"""Options and status of a recorder."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ RecorderState = Literal["opening", "recording", "closed", "failed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderStatus:
-    """What a recording is doing, as of one moment."""
+    """Status of a recording at one time."""
 
     state: RecorderState
     path: Path | None
-    """The file being written, or written last; None before it exists."""
+    """The current or last file; None before it exists."""
     bytes_written: int
-    """Over all files of the session."""
+    """Size of all files of the session [bytes]."""
     messages: int
-    """That are in the files."""
+    """Number of messages in the files."""
     dropped: int
-    """Droppable messages that found the queue full."""
+    """Number of messages dropped because the queue was full."""
     queue_depth: int
-    """Messages waiting to be written."""
+    """Number of queued messages."""
     queue_bytes: int
     error: str
-    """Why the recording ended early, in one sentence; empty if it did not."""
+    """Reason of an early end, in one sentence; empty if there was none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderOptions:
-    """How a session is recorded; the file's own layout is in `writer`."""
+    """Options of a recorder; those of the file format are in `writer`."""
 
     writer: WriterOptions = field(default_factory=WriterOptions)
     queue_bytes: int = 256 << 20
-    """Droppable messages are dropped while this much waits [bytes]."""
+    """Queue size above which droppable messages are dropped [bytes]."""
     backlog_bytes: int = 512 << 20
-    """Where even the others pile up to this much, the recording ends behind them: bounded memory, and no holes."""
+    """Queue size above which the recording ends after the queued messages, to bound memory without gaps [bytes]."""
     split_bytes: int = 0
-    """Ask for a new file when one holds this much [bytes]; 0 never."""
+    """Size at which a new file is requested [bytes]; 0 for never."""
     split_seconds: float = 0.0
-    """Ask for a new file when one spans this much session time [s]; 0 never."""
+    """Span of session time at which a new file is requested [s]; 0 for never."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mending a session that was cut off or damaged: a new, finished file of everything that is whole."""
+"""Recovery of a cut-off or damaged session into a new, finished file."""
 
 from __future__ import annotations
 
@@ -24,27 +24,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """What came of mending a file."""
+    """Result of a recovery."""
 
     path: Path
     """The new file."""
     messages: int
     bytes_written: int
     missing: str
-    """What the old file lacked and the new one therefore lacks too."""
+    """Deficits of the old file, which the new one shares."""
 
 
 def recover(
     source: Path | str, target: Path | str | None = None, *, progress: Callable[[int, int], None] | None = None
 ) -> Recovery:
-    """Copy every whole, checked chunk of an unfinished or damaged session into a new, finished file.
+    """Copy every intact chunk of an unfinished or damaged session into a new, finished file.
 
-    Chunks are copied as they are, so every message keeps its bytes, times and order; indexes are made anew. The new
-    file
-    (by default ``<name>_recovered.mcap`` beside the old one) appears once it is complete; nothing is overwritten, the
-    old file is not touched. `progress` is told bytes read and bytes in all.
+    Chunks are copied unchanged: every message keeps its bytes, times and order. The indexes are rebuilt. The new file
+    (by default ``<name>_recovered.mcap`` beside the old one) appears when it is complete. No file is overwritten, and
+    the old one does not change. `on_progress` receives the bytes read and the total size.
 
-    Raises SessionError where there is nothing to mend or the file is still being recorded; OSError for the new file.
+    Raises SessionError if nothing needs recovery or the file is still being recorded; OSError for the new file.
     """
     source = Path(source)
     with contextlib.closing(SessionPart(source)) as part:
@@ -66,7 +65,7 @@ def recover(
 
 
 def _check_need(part: SessionPart, progress: Callable[[int, int], None] | None) -> None:
-    """A finished file is read first: without damage it needs no copy."""
+    """Raise SessionError for a finished, undamaged file; to find damage, the file is read once."""
     if not part.finished:
         return
     for _ in part.messages():
@@ -82,7 +81,7 @@ def _target_name(source: Path, target: Path | str | None) -> tuple[Path, str]:
         return source.parent, f"{source.stem}_recovered"
     target = Path(target)
     if target.suffix != SUFFIX:
-        raise SessionError(f"the mended file {target} must be named *{SUFFIX}")
+        raise SessionError(f"the recovered file {target} must be named *{SUFFIX}")
     if target.exists():
         raise SessionError(f"{target} exists; give another name")
     return target.parent, target.stem
@@ -134,7 +133,7 @@ def _copy_chunks(
 
 
 def _index(part: SessionPart, chunk: Chunk) -> PackedChunk:
-    """The chunk with fresh indexes; without messages whose channel was declared in a chunk that is lost."""
+    """Return the chunk with new indexes, without messages whose channel declaration is lost."""
     from cloth_sim_ros.session.mcap_builder import compressor, pack_chunk_record
     from cloth_sim_ros.session.mcap_scan import RawMessage, chunk_records
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An append-only file that is never overwritten, ends on a whole record, and tells readers that its writer lives."""
+"""Append-only file that ends on a whole record and is locked by its writer."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _LEFTOVER_SECONDS = 3600.0
 
 
 class AppendFile:
-    """A new file under `folder`, at first under a hidden name.
+    """A new file in `folder`, at first with a hidden name.
 
-    `publish` gives it its final name. A session is published with its opening complete, so that a file that can be seen
-    always has a readable beginning, whenever the process was killed. An exclusive advisory lock is held while it is
-    open: whoever can take a shared lock knows that the writer is gone (see `is_being_written`).
+    `publish` gives it its final name. A session is published with a complete opening. Therefore a visible file always
+    has a readable opening, whenever the process was killed. The writer holds an exclusive advisory lock while the file
+    is open: a reader that gets a shared lock knows that the writer has ended (see `is_being_written`).
 
     Methods raise OSError as the operating system reports it.
     """
@@ -36,13 +36,13 @@ class AppendFile:
         self._hidden: Path | None = folder / f".{stem}{suffix}.{secrets.token_hex(4)}{_HIDDEN_ENDING}"
         self._descriptor = os.open(self._hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self.path = folder / f"{stem}{suffix}"
-        """The final name; settled once published."""
+        """The final path; fixed by `publish`."""
         self.size = 0
-        """Bytes written; always the end of a whole append."""
+        """Size [bytes]; always the end of a complete append."""
         _lock(self._descriptor)
 
     def append(self, parts: Sequence[bytes]) -> None:
-        """Write all bytes at the end. On an error nothing of them stays in the file, and the error is raised."""
+        """Append all bytes. On an error the file keeps none of them, and the error is raised."""
         try:
             for part in parts:
                 view = memoryview(part)
@@ -54,7 +54,7 @@ class AppendFile:
         self.size += sum(map(len, parts))
 
     def publish(self) -> Path:
-        """Give the file the first free name of ``stem``, ``stem-2``, ``stem-3`` ...; nothing is ever overwritten."""
+        """Give the file the first free name of ``stem``, ``stem-2``, ``stem-3`` ...; no file is overwritten."""
         if self._hidden is not None:
             self.path = _give_name(self._hidden, self._stem, self._suffix)
             self._hidden.unlink(missing_ok=True)
@@ -74,16 +74,16 @@ class AppendFile:
             os.close(descriptor)
 
     def free_space(self) -> int:
-        """Bytes that an unprivileged writer may still add to the file system."""
+        """Return the free space of the file system for an unprivileged writer [bytes]."""
         status = os.fstatvfs(self._descriptor)
         return status.f_bavail * status.f_frsize
 
     def is_linked(self) -> bool:
-        """False once the file's name was removed, after which whatever is written would be lost."""
+        """Return False if the file's name was removed: further bytes would be lost."""
         return os.fstat(self._descriptor).st_nlink > 0
 
     def close(self) -> None:
-        """Give the file back; one that was never published is removed. Safe to call twice."""
+        """Close the file; remove it if it was never published. Can be called twice."""
         if self._descriptor >= 0:
             descriptor, self._descriptor = self._descriptor, -1
             os.close(descriptor)
@@ -92,7 +92,7 @@ class AppendFile:
             self._hidden = None
 
     def discard(self) -> None:
-        """Give the file back and remove it, also one that was published."""
+        """Close and remove the file, even if it was published."""
         published = self._hidden is None
         self.close()
         if published:
@@ -102,7 +102,7 @@ class AppendFile:
         return os.write(self._descriptor, view)
 
     def _cut(self) -> None:
-        """Take back a half-written append; where even that fails, readers stop at the last whole record anyway."""
+        """Remove an incomplete append. If this fails too, readers still stop at the last whole record."""
         try:
             os.ftruncate(self._descriptor, self.size)
             os.lseek(self._descriptor, self.size, os.SEEK_SET)
@@ -111,7 +111,7 @@ class AppendFile:
 
 
 def is_being_written(descriptor: int) -> bool:
-    """Whether a living process holds the file open for recording; False on file systems without locks."""
+    """Return True if a living process is recording into the file; False on file systems without locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -135,14 +135,14 @@ def make_folder(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path, suffix: str) -> None:
-    """Remove hidden files that a process killed at the wrong moment never published; none that is in use."""
+    """Remove unpublished hidden files of killed processes, except those in use."""
     for path in folder.glob(f".*{suffix}.????????{_HIDDEN_ENDING}"):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         except OSError:
             continue
         try:
-            # Their age counts too: where the file system has no locks, nothing else tells.
+            # A file system without locks leaves only the age as a criterion.
             if time.time() - os.fstat(descriptor).st_mtime > _LEFTOVER_SECONDS and not is_being_written(descriptor):
                 path.unlink(missing_ok=True)
         finally:
@@ -153,7 +153,7 @@ def _lock(descriptor: int) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        # Some network file systems have no locks; then a follower takes the file for abandoned and reads what is there.
+        # Some network file systems have no locks; a follower then reads the file as abandoned.
         return
 
 
@@ -167,7 +167,7 @@ def _give_name(hidden: Path, stem: str, suffix: str) -> Path:
         except OSError as error:
             if error.errno not in _NO_HARD_LINKS:
                 raise
-            # A file system without hard links (FAT): reserve the name, then move over the reservation.
+            # Without hard links (FAT): reserve the name, then replace the reservation.
             try:
                 os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
             except FileExistsError:

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Counts in words, for all that reports on frames, clouds and messages."""
+"""Counts with singular or plural nouns, for reports."""
 
 from __future__ import annotations
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things in words: 1 frame, 2 frames."""
+    """Return a count with its noun: 1 frame, 2 frames."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writing one session file: the session's own contents over the bytes of an MCAP."""
+"""Writer of one session file in the MCAP format."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ END_METADATA_NAME = "cloth_sim_end"
 SCENE_NAME = "scene.yaml"
 STATE_NAME = "state.npz"
 FILE_PREFIX = "file:"
-"""Before the name of an attachment that holds a file which a parameter names."""
+"""Prefix of the name of an attachment with a file that a parameter names."""
 SUFFIX = ".mcap"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """All that a file opens with: enough to run again whatever follows."""
+    """Opening of a file: enough to run the following frames again."""
 
     scene_yaml: str
-    """A ROS parameter file with every parameter in force."""
+    """ROS parameter file with all effective parameters."""
     state: bytes
-    """The full state before the file's first frame, as the bytes of an .npz."""
+    """Full state before the file's first frame, as the bytes of an .npz."""
     metadata: Mapping[str, str] = field(default_factory=dict)
     """Versions, machine, node (its resolved name, e.g. ``/cloth_sim``), period [s]; all as text."""
     files: Mapping[str, bytes] = field(default_factory=dict)
-    """Content of the files that parameters name (a mesh, springs), by that name."""
+    """Contents of the files that parameters name (a mesh, springs), by that name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriterOptions:
-    """How a session is laid down in its file."""
+    """Options of the file format."""
 
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20
-    """A chunk is closed when it holds this much before compression ..."""
+    """Size before compression at which a chunk is closed [bytes] ..."""
     chunk_seconds: float = 0.5
-    """... or when its oldest message has waited this long; a killed process loses no more [s]."""
+    """... or age of its oldest message [s]. A killed process loses at most this much."""
     sync_seconds: float = 1.0
-    """A power loss costs at most this much beyond `chunk_seconds` [s]; 0 leaves it to the operating system."""
+    """Interval of synchronisation [s]: a power loss costs at most this plus `chunk_seconds`. 0: the system decides."""
     least_free_space: int = 0
-    """Stop before the file system has less room than this [bytes]."""
+    """Free space of the file system below which writing stops [bytes]."""
 
     def __post_init__(self) -> None:
         if self.chunk_bytes < 1 or self.least_free_space < 0:
@@ -72,8 +72,8 @@ class WriterOptions:
 class SessionWriter:
     """One session file, used from one thread. Every method may raise OSError as the system reports it.
 
-    After an error in `add` or `maintain` the file still ends on a whole record, and `finish` can be called to make it
-    a finished file without what could not be written.
+    After an error in `add` or `maintain` the file still ends on a whole record. `finish` then completes the file
+    without the chunk that could not be written.
     """
 
     def __init__(
@@ -89,10 +89,10 @@ class SessionWriter:
         open_file: Callable[[Path, str, str], AppendFile] = AppendFile,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Create ``<folder>/<stem>_<part>.mcap`` (or, if that exists, ``...-2.mcap``) with its snapshot in it.
+        """Create ``<folder>/<stem>_<part>.mcap`` (or, if that exists, ``...-2.mcap``) with its snapshot.
 
-        `log_time` [ns since the epoch] is the time of the snapshot; `session` names what the files of a split session
-        have in common (by default `stem`). Raises RecordingError or OSError where it cannot.
+        `log_time` [ns since the epoch]: time of the snapshot. `session`: identifier that the files of a split session
+        share (by default `stem`). Raises RecordingError or OSError if the file cannot be created.
         """
         from mcap.records import Attachment, Metadata
 
@@ -106,7 +106,7 @@ class SessionWriter:
         self._unsynced_since: float | None = None
         self._finished = False
         self.message_count = 0
-        """Messages that are in the file."""
+        """Number of messages in the file."""
         folder = Path(folder)
         make_folder(folder)
         remove_leftovers(folder, SUFFIX)
@@ -138,18 +138,18 @@ class SessionWriter:
             if self._options.sync_seconds:
                 self._file.sync_name()
         except BaseException:
-            # A session that could not be begun leaves no file, though it has its name already.
+            # If the opening fails, the file is removed, even after it got its name.
             self._file.discard()
             raise
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self._file.path
 
     @property
     def bytes_written(self) -> int:
-        """Bytes that are in the file."""
+        """Size of the file [bytes]."""
         return self._file.size
 
     @property
@@ -159,7 +159,7 @@ class SessionWriter:
         return 0.0 if times is None else (times[1] - times[0]) * 1e-9
 
     def declare(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
-        """Open a channel; once for each topic. Raises SessionError for a type that is not standard."""
+        """Declare a channel, once per topic. Raises SessionError for a type that is not standard."""
         description = describe(type_name)
         self._channels[topic] = self._builder.add_channel(
             topic=topic,
@@ -169,7 +169,7 @@ class SessionWriter:
         )
 
     def is_declared(self, topic: str) -> bool:
-        """Whether the topic has a channel."""
+        """Return True if the topic has a channel."""
         return topic in self._channels
 
     def add(self, topic: str, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
@@ -183,7 +183,7 @@ class SessionWriter:
             self._write_chunk()
 
     def seconds_until_due(self) -> float | None:
-        """When `maintain` next has something to do [s from now, may be negative]; None while nothing waits."""
+        """Return the time until `maintain` is due [s], negative if overdue; None if no data waits."""
         due = []
         if self._chunk_since is not None:
             due.append(self._chunk_since + self._options.chunk_seconds)
@@ -192,7 +192,7 @@ class SessionWriter:
         return min(due) - self._clock() if due else None
 
     def maintain(self) -> None:
-        """Close a chunk that is old enough, and synchronise when it is time to."""
+        """Close a chunk that is old enough, and synchronise the file if that is due."""
         now = self._clock()
         if self._chunk_since is not None and now - self._chunk_since >= self._options.chunk_seconds:
             self._write_chunk()
@@ -202,9 +202,9 @@ class SessionWriter:
             self._unsynced_since = None
 
     def finish(self, *, reason: str, notes: Mapping[str, str] | None = None) -> None:
-        """Write the last chunk (if it can be), why the file ends here, and the indexes; then close the file.
+        """Write the last chunk, the end record with the reason, and the indexes; then close the file.
 
-        An OSError leaves a file that is intact but unfinished, and closed.
+        After an OSError the file is closed, intact but unfinished.
         """
         if self._finished:
             return
@@ -222,7 +222,7 @@ class SessionWriter:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is, unfinished but intact."""
+        """Close the file without indexes, unfinished but intact."""
         self._finished = True
         self._file.close()
 
@@ -262,7 +262,7 @@ class SessionWriter:
 
 
 def metadata_checksum(metadata: Mapping[str, str]) -> str:
-    """CRC-32 over the sorted entries: MCAP itself protects attachments and chunks, but not metadata records."""
+    """Return the CRC-32 of the sorted entries: MCAP has checksums of attachments and chunks, not of metadata."""
     entries = sorted((key, value) for key, value in metadata.items() if key != "checksum")
     text = "\x00".join(f"{key}\x01{value}" for key, value in entries)
     return f"{zlib.crc32(text.encode()):08x}"
